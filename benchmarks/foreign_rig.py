@@ -24,9 +24,9 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from mckibben.codegen.native import compile_native
-from mckibben.rig import JointHardware, Wiring
-from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
-from mckibben.units import BoundedInt
+from mckibben.rig import JointHardware
+from mckibben.rig.backend import Backend, Block, Channel, Watchdog
+from mckibben.units import BoundedInt, bar, deg
 
 PERIOD, STEPS, LATEST = 1e-3, 10, 12  # control period [s], integration steps in it, oldest command kept
 HIGHEST = 6e5  # command [Pa]
@@ -232,7 +232,7 @@ class ForeignJoint(Backend):
     def __init__(self, module, kind, seed, period, patience, weight=0.0):
         if abs(period - PERIOD) > 1e-12:
             raise ValueError(f"the control period is {period:g} s, that of this rig {PERIOD:g} s")
-        self.rate, self.patience, self.kind, self.wiring = 1 / period, patience, kind, Wiring()
+        self.rate, self.patience, self.kind = 1 / period, patience, kind
         plant = module.weighted(module.numbers(kind), weight)
         first, unravel = ravel_pytree(module.start(plant))
         self.first, self.random = np.asarray(first), np.random.default_rng(seed)
@@ -247,17 +247,13 @@ class ForeignJoint(Backend):
     @property
     def inputs(self):
         """Angle and pressures."""
-        return [AnalogChannel(one.name, -10.0, 10.0, "foreign") for one in self.wiring.sensors]
+        pressures = [Channel(name, "Pa", -0.5 * bar, 10 * bar) for name in ("pressure1", "pressure2")]
+        return [Channel("angle", "rad", -170 * deg, 170 * deg), *pressures]
 
     @property
     def outputs(self):
         """Both valves."""
-        return [AnalogChannel(one.name, 0.0, 10.0, "foreign") for one in self.wiring.valves]
-
-    @property
-    def calibrations(self):
-        """Calibrations by channel."""
-        return vars(self.wiring)
+        return [Channel(name, "Pa", 0.0, 9 * bar) for name in ("valve1", "valve2")]
 
     @property
     def description(self):
@@ -286,17 +282,16 @@ class ForeignJoint(Backend):
             if self.next:
                 given = np.array([*self.command, *self.random.standard_normal(2)])
                 self.state, self.row = self.step(self.state, given)
-            rows.append([(x + c.tare) / c.gain + c.offset for x, c in zip(self.row, self.wiring.sensors, strict=True)])
+            rows.append([*self.row])
             self.next += 1
         times = np.array([PERIOD * number for number in range(first, self.next)])
         self.now = float(times[-1])
         return Block(first, times, np.array(rows), np.zeros(count, np.int64))
 
-    def set_valves(self, volts):
-        """Set both valves [V]."""
-        given = [(x - c.offset) * c.gain - c.tare for x, c in zip(volts, self.wiring.valves, strict=True)]
+    def set_valves(self, pressures):
+        """Set both valves [Pa]."""
         if not self.watchdog.has_expired:
-            self.command = tuple(min(max(one, 0.0), HIGHEST) for one in given)
+            self.command = tuple(min(max(one, 0.0), HIGHEST) for one in pressures)
 
     def vent(self):
         """Vent both muscles."""

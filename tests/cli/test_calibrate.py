@@ -57,7 +57,7 @@ def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
 @pytest.mark.parametrize("finished", [True, False])
 def test_records_of_an_earlier_experiment_are_used_only_if_they_are_complete(cli, tmp_path, finished):
     (tmp_path / "x" / "bare").mkdir(parents=True)
-    (tmp_path / "x" / "bare" / "record-0001.chunks").touch()
+    (tmp_path / "x" / "bare" / "record-0001.mcap").touch()
     if finished:
         (tmp_path / "x" / "bare" / "result.nc").touch()
     found = cli("calibrate", str(EXAMPLE), "--duration", "20 s", "--out", "x")

@@ -44,11 +44,11 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     assert Scenario.read(tmp_path / "run" / "scenario.yaml") == Scenario.read(tmp_path / "short.yaml")
     record = read_record(tmp_path / "run")
     assert Scenario.parse(record.header["scenario"]) == Scenario.read(tmp_path / "short.yaml")
-    assert set(record.header) >= {"backend", "calibrations", "limits", "plan", "versions", "priority", "rig"}
+    assert set(record.header) >= {"backend", "limits", "plan", "versions", "priority", "rig"}
     assert [event.kind for event in record.events] == ["opened", "completed", "vented"]
 
     again = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
-    assert again.code == 2 and "1 problem" in again.err and "record-0001.chunks" in again.err
+    assert again.code == 2 and "1 problem" in again.err and "record-0001.mcap" in again.err
 
 
 @pytest.mark.slow

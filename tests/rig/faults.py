@@ -2,7 +2,7 @@
 
 After each: the true pressure is below 0.2 bar a second and a half after the test
 has ended; where the test was stopped, the rig was vented by the very next thing that was done to it after the reading
-that told; the reason stands in the record; and the record holds the very volts that were read.
+that told; the reason stands in the record; and the record holds the very values that were read.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from mckibben.units import bar, mm, percent
 FAULTS: Mapping[str, Callable[[float], Fault]] = {
     "supply lost": SupplyLost,
     "force sensor unplugged, at a rail": lambda at: SensorDisconnected(at, "force"),
-    "force sensor unplugged, floating": lambda at: SensorDisconnected(at, "force", volts=None),
-    "force sensor hangs": lambda at: SensorDisconnected(at, "force", volts=0.7),
+    "force sensor unplugged, floating": lambda at: SensorDisconnected(at, "force", value=None),
+    "force sensor hangs": lambda at: SensorDisconnected(at, "force", value=140.0),
     "pressure sensor unplugged, at a rail": lambda at: SensorDisconnected(at, "pressure"),
-    "pressure sensor unplugged, floating": lambda at: SensorDisconnected(at, "pressure", volts=None),
-    "pressure sensor hangs": lambda at: SensorDisconnected(at, "pressure", volts=2.0),
+    "pressure sensor unplugged, floating": lambda at: SensorDisconnected(at, "pressure", value=None),
+    "pressure sensor hangs": lambda at: SensorDisconnected(at, "pressure", value=2 * bar),
     "muscle slips": Slipped,
     "muscle bursts": Burst,
     "motor stalls": Stalled,
@@ -107,8 +107,8 @@ def broken(fault: Fault, seed: int, folder: Path) -> str:
     """Run the test with a fault: why it was stopped; empty where it was not."""
     twin = SimulatedRig(MUSCLE, seed=seed, faults=[fault])
     rig, reason = Spied(twin), ""
-    bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+    bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
+    with Recorder.create(folder, {}, columns_of(twin.inputs)) as recorder:
         try:
             Runner(RigSession(rig, bench, recorder)).run(STEPS)  # type: ignore[arg-type]
         except StoppedError as error:
@@ -141,11 +141,11 @@ def _faithful(columns: Mapping[str, np.ndarray], blocks: list[Block], before: in
         assert not len(columns["time"])
         return
     time_read = np.concatenate([block.time for block in blocks])
-    volts = np.concatenate([block.volts for block in blocks]).astype(np.float32)
+    values = np.concatenate([block.values for block in blocks]).astype(np.float32)
     at = np.searchsorted(time_read, columns["time"] - 1e-9)
     np.testing.assert_array_equal(columns["time"], time_read[at])
-    np.testing.assert_array_equal(columns["force"], volts[at, 0])
-    np.testing.assert_array_equal(columns["pressure"], volts[at, 1])
+    np.testing.assert_array_equal(columns["force"], values[at, 0])
+    np.testing.assert_array_equal(columns["pressure"], values[at, 1])
     assert (np.diff(at) > 0).all()
     assert len(columns["time"]) >= len(blocks) - 1
     for block in blocks[before:]:

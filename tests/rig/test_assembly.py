@@ -11,12 +11,11 @@ from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
-from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"),
     drive=Drive(),
-    calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE},
     limits=RigLimits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05),
 )
 POINT_0 = Point(
@@ -50,11 +49,11 @@ def test_a_bench_whose_numbers_make_no_sense_is_refused(wrong):
 
 
 def write(folder, size, kept=POINTS):
-    """A hundred rows in chunks of a size, whose volts are their number."""
-    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+    """A hundred rows in chunks of a size, whose values are their number."""
+    with Recorder.create(folder, {}, columns_of([FORCE_SENSOR.channel, PRESSURE_SENSOR.channel])) as recorder:
         for first in range(0, 100, size):
             number = np.arange(first, min(first + size, 100))
-            table = {"time": number / 1e3, "force": number / 100, "pressure": number / 20, "pulses": number}
+            table = {"time": number / 1e3, "force": number / 100, "pressure": number * 1e3, "pulses": number}
             recorder.append({**table, "plateau": np.zeros(len(number))})
             recorder.flush()
         for point in kept:
@@ -66,9 +65,9 @@ def test_each_point_gets_its_own_samples(tmp_path, size):
     write(tmp_path, size)
     data = assemble(tmp_path, BENCH, source="ours")
     rows = np.array([5 + 3 * np.arange(10), 70 + 3 * np.arange(10)])
-    np.testing.assert_allclose(data.table["force_samples"], FORCE.si(rows / 100), rtol=1e-6)
-    np.testing.assert_allclose(data.table["pressure_samples"], PRESSURE.si(rows / 20), rtol=1e-6)
-    np.testing.assert_allclose(data.force, FORCE.si(rows / 100).mean(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(data.table["force_samples"], rows / 100, rtol=1e-6)
+    np.testing.assert_allclose(data.table["pressure_samples"], rows * 1e3, rtol=1e-6)
+    np.testing.assert_allclose(data.force, (rows / 100).mean(axis=1), rtol=1e-6)
     assert data.table["time"].to_numpy().tolist() == [0.5, 2.5]
     assert data.repeats.tolist() == [0, 1] and data.table.attrs["source"] == "ours"
 
@@ -77,7 +76,7 @@ def test_points_of_different_lengths_have_means_and_no_samples(tmp_path):
     write(tmp_path, 9, [POINT_0, replace(POINT_0, number=1, first=40, rows=5, every=1, samples=5)])
     data = assemble(tmp_path, BENCH)
     assert "force_samples" not in data.table
-    assert data.force == pytest.approx([FORCE.si(0.185), FORCE.si(0.42)])
+    assert data.force == pytest.approx([0.185, 0.42])
 
 
 def test_what_is_not_there_is_told(tmp_path):
@@ -94,9 +93,9 @@ def test_a_point_without_all_its_samples_is_left_out(tmp_path):
     write(tmp_path, 9, [replace(POINT_0, first=90), replace(POINT_0, number=1)])
     with pytest.warns(McKibbenWarning, match="points 0 are missing"):
         data = assemble(tmp_path, BENCH)
-    assert data.force == pytest.approx([FORCE.si(0.185)], rel=1e-6)
+    assert data.force == pytest.approx([0.185], rel=1e-6)
 
 
-def test_a_point_counts_once_and_first_comes_first():
-    events = [Event(POINT, "", 0, asdict(point)) for point in (POINTS[2], POINT_0, replace(POINT_0, first=50))]
+def test_a_point_counts_once_as_it_was_measured_last():
+    events = [Event(POINT, "", 0, asdict(point)) for point in (POINTS[2], replace(POINT_0, first=50), POINT_0)]
     assert points([*events, Event("stopped", "", 0, {})]) == [POINT_0, POINTS[2]]

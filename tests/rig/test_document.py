@@ -1,5 +1,6 @@
 """Protocol files: what they say comes back, and what is wrong with them is told all at once."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -198,22 +199,27 @@ def test_the_example_is_the_papers_test():
 
 
 def test_a_card_and_its_calibrations(tmp_path):
-    from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
-    from mckibben.storage.files import to_json
-
+    forms = {
+        "force": {"name": "force", "unit": "N", "gain": 200.0, "low": -2000.0, "high": 2000.0},
+        "pressure": {"name": "pressure", "unit": "Pa", "gain": 1e5, "low": 0.0, "high": 1e6},
+        "valve": {"name": "valve", "unit": "Pa", "gain": 9e4, "low": 0.0, "high": 9e5},
+    }
     path = tmp_path / "calibration.json"
-    path.write_text(to_json({one.name: one.to_json() for one in (FORCE, PRESSURE, VALVE)}))
+    path.write_text(json.dumps(forms))
     text = HEAD.replace("rig: {simulated: {seed: 1}}", "rig: {nidaqmx: {device: Dev2, calibration: calibration.json}}")
     test = RigTest.parse(f"{text}protocol:\n  isobaric:\n", folder=tmp_path)
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
     checked = check(test)
     assert [channel.where for channel in checked.setup.backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
-    assert MuscleCardSettings(calibration=path).calibrations()["force"] == FORCE
-    path.write_text(to_json({"force": {**FORCE.to_json(), "gain": "much"}, "valve": PRESSURE.to_json()}))
-    with pytest.raises(ScenarioError) as found:
+    assert MuscleCardSettings(calibration=path).calibrations()["force"].gain == 200.0
+    path.write_text(json.dumps({"force": {**forms["force"], "gain": "much"}, "valve": forms["valve"]}))
+    with pytest.raises(ScenarioError) as refused:
         check(test)
-    assert "pressure: is missing" in str(found.value) and "'much'" in str(found.value)
-    assert {problem.field for problem in found.value.problems} == {"force", "pressure", "valve"}
+    assert [problem.field for problem in refused.value.problems] == ["force.gain"]
+    path.write_text(json.dumps({"force": forms["force"], "valve": forms["pressure"]}))
+    with pytest.raises(ScenarioError) as refused:
+        check(test)
+    assert {problem.field for problem in refused.value.problems} == {"pressure", "valve"}
 
 
 def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):

@@ -1,22 +1,24 @@
 """The recorder: what was appended is on the disk, in order, whatever becomes of the process or of the disk."""
 
 import errno
+import json
 import os
 import shutil
+import struct
 import time
 import warnings
 
+import mcap.reader
 import numpy as np
 import pytest
 
 from mckibben.errors import DatasetError, FileError, RangeError, RigError
-from mckibben.rig import journal
+from mckibben.rig import mcap_file
 from mckibben.rig import recorder as recorder_module
-from mckibben.rig.journal import HEADER, JournalReader
 from mckibben.rig.record import Column, read_record, rows_in, segments
 from mckibben.rig.recorder import Recorder
 
-COLUMNS = [Column("time", "s"), Column("force", "V", "float32"), Column("pulses", "1", "int32")]
+COLUMNS = [Column("time", "s"), Column("force", "N", "float32"), Column("pulses", "1", "int32")]
 
 
 def rows(first, count):
@@ -38,7 +40,7 @@ def filled(tmp_path):
 
 def test_what_goes_in_comes_out(filled):
     record = read_record(filled)
-    assert record.header == {"specimen": "ours"} and record.units == {"time": "s", "force": "V", "pulses": "1"}
+    assert record.header == {"specimen": "ours"} and record.units == {"time": "s", "force": "N", "pulses": "1"}
     np.testing.assert_array_equal(record.columns["pulses"], np.arange(1000))
     np.testing.assert_array_equal(record.columns["force"], np.sin(np.arange(1000)).astype(np.float32))
     assert record.columns["force"].dtype == np.float32
@@ -59,30 +61,49 @@ def test_single_rows_are_rows(tmp_path):
 def test_a_file_cut_anywhere_keeps_all_whole_chunks(filled):
     (path,) = segments(filled)
     content = path.read_bytes()
-    generator = np.random.default_rng(0)
-    header = len(content) - sum(48 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind != HEADER)
-    for cut in [len(content), *generator.integers(header + 60, len(content), 60).tolist()]:
+    begin = content.index(b"zstd") - 41
+    for cut in [len(content), *np.random.default_rng(0).integers(begin, len(content), 60).tolist()]:
         path.write_bytes(content[:cut])
         record = read_record(filled)
         np.testing.assert_array_equal(record.columns["pulses"], np.arange(len(record)))
-        assert len(record) in (20 * len(record.events), 20 * (len(record.events) + 1))
-        assert len(record) >= 1000 * (cut - header) // (len(content) - header) - 20
+        assert len(record) == 20 * len(record.events)
+        assert len(record) >= 1000 * (cut - begin) // (len(content) - begin) - 40
 
 
 def test_every_damaged_bit_costs_its_chunk_and_is_said(filled):
     (path,) = segments(filled)
     content = path.read_bytes()
-    about = sum(48 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind == HEADER)
-    for place in np.random.default_rng(2).integers(0, len(content), 60).tolist():
+    begin, end = content.index(b"zstd") - 41, len(content) - _summary(path)
+    for place in np.random.default_rng(2).integers(0, end, 60).tolist():
         path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             record = read_record(filled)
         assert record.header == {"specimen": "ours"}
-        lost = 50 - len(record.events) + (1000 - len(record)) / 20
-        assert lost == (place >= about) and len(said) >= lost
+        lost = 50 - len(record.events)
+        assert lost == (1000 - len(record)) / 20 <= (place >= begin) and len(said) >= lost
         pulses = record.columns["pulses"]
         assert (record.columns["force"] == np.sin(pulses).astype(np.float32)).all() and (np.diff(pulses) > 0).all()
+
+
+def _summary(path):
+    """Length of the part after the last chunk: indexes and footer."""
+    content = path.read_bytes()
+    return len(content) - content.rindex(struct.pack("<BQI", 0x0F, 4, 0))
+
+
+def test_other_tools_read_it(filled):
+    """The library's own reader, which seeks by the summary; units are in the schema."""
+    with segments(filled)[0].open("rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        samples = [(channel, message) for _, channel, message in reader.iter_messages(topics=["samples"])]
+        summary = reader.get_summary()
+        (attachment, *_) = reader.iter_attachments()
+    assert [json.loads(message.data)["pulses"] for _, message in samples] == list(range(1000))
+    assert [message.log_time for _, message in samples] == [number * 1_000_000 for number in range(1000)]
+    schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
+    assert schemas["samples"]["properties"]["force"] == {"type": "number", "unit": "N"}
+    assert summary.statistics.message_count == 1050 and attachment.name == "header.json"
 
 
 @pytest.mark.parametrize("lose", [shutil.rmtree, lambda folder: folder.rename(folder.with_name("elsewhere"))])
@@ -103,7 +124,7 @@ def test_a_folder_that_vanishes_is_noticed_within_a_period(tmp_path, lose):
 
 def test_a_record_goes_on_in_a_file_of_its_own_after_a_torn_end(filled):
     (path,) = segments(filled)
-    path.write_bytes(path.read_bytes()[:-120])
+    path.write_bytes(path.read_bytes()[: -_summary(path) - 120])
     there, before = rows_in(filled), path.read_bytes()
     assert there == 980
     with Recorder.resume(filled, {"specimen": "ours"}, COLUMNS) as recorder:
@@ -136,7 +157,7 @@ def test_samples_are_on_the_disk_within_a_second_and_without_being_asked(tmp_pat
 
 def test_what_was_flushed_was_brought_to_the_disk(tmp_path, monkeypatch):
     synced = []
-    monkeypatch.setattr(journal.os, "fsync", lambda file: synced.append(rows_in(tmp_path)))
+    monkeypatch.setattr(mcap_file.os, "fsync", lambda file: synced.append(rows_in(tmp_path)))
     with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
         recorder.append(rows(0, 10))
         recorder.flush()
@@ -167,7 +188,7 @@ def failing(monkeypatch):
     """Let a write fail when a part of it is written, as a full disk does."""
 
     def fail(after, number, meanwhile=lambda: None):
-        put, places = journal._write_at, []
+        put, places = mcap_file.write_at, []
 
         def write(file, at, content):
             places.append(at)
@@ -177,7 +198,7 @@ def failing(monkeypatch):
                 raise OSError(number, os.strerror(number))
             put(file, at, content)
 
-        monkeypatch.setattr(journal, "_write_at", write)
+        monkeypatch.setattr(mcap_file, "write_at", write)
         return places
 
     return fail
@@ -246,27 +267,27 @@ def test_what_comes_after_its_end_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeypatch):
-    put = journal._write_at
-    monkeypatch.setattr(journal, "_write_at", lambda *rest: (time.sleep(2e-3), put(*rest)))
+    put = mcap_file.write_at
+    monkeypatch.setattr(mcap_file, "write_at", lambda *rest: (time.sleep(2e-3), put(*rest)))
     monkeypatch.setattr(recorder_module, "_MOST_PENDING", 10_000)
     with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
         for first in range(0, 100_000, 1000):
             recorder.append(rows(first, 1000))
-            assert recorder._bytes <= 10_000 + 1000 * 16
+            assert recorder._waiting <= 10_000 + 1000 * 3
     np.testing.assert_array_equal(read_record(tmp_path).columns["pulses"], np.arange(100_000))
 
 
 def test_something_else_is_no_record(tmp_path):
     with pytest.raises(DatasetError, match="no record of a rig"):
         read_record(tmp_path)
-    (tmp_path / "record-0001.chunks").write_bytes(b"something else")
+    (tmp_path / "record-0001.mcap").write_bytes(b"something else")
     with pytest.raises(DatasetError, match="not a rig record"):
         read_record(tmp_path)
 
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_record_that_an_error_ended_is_left_if_anything_was_recorded(tmp_path, kept):
-    with pytest.raises(RigError, match="no device"), Recorder.create(tmp_path, {}, [Column("x", "V")]) as recorder:
+    with pytest.raises(RigError, match="no device"), Recorder.create(tmp_path, {}, [Column("x", "N")]) as recorder:
         if kept:
             recorder.event("opened")
         raise RigError("no device")

@@ -42,8 +42,8 @@ QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
 
 def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
     twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
-    bench = Bench(of=of, drive=twin.drive, calibrations=twin.calibrations, limits=limits, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+    bench = Bench(of=of, drive=twin.drive, limits=limits, steady=0.3)
+    with Recorder.create(folder, {}, columns_of(twin.inputs)) as recorder:
         Runner(RigSession(twin, bench, recorder, **given)).run(steps)
     twin.pass_time(1.5)
     assert twin.truth.pressure < 0.2 * bar
@@ -136,8 +136,8 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
     for after in np.linspace(1, counting.cycles - 2, 9, dtype=int).tolist():
         folder = tmp_path / str(after)
         twin = SimulatedRig(slow, seed=3, regulator=EXACT)
-        bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
-        with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+        bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
+        with Recorder.create(folder, {}, columns_of(twin.inputs)) as recorder:
             interrupting = Interrupting(after)
             flag = interrupting.stop_flag
             runner = Runner(RigSession(twin, bench, recorder, report=interrupting, stop_flag=flag))
@@ -150,7 +150,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         done = recorded_points(folder)
         stop = len(done)
         partly += bool((record.columns["plateau"] == stop).any())
-        with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
+        with Recorder.resume(folder, {}, columns_of(twin.inputs)) as recorder:
             again = SimulatedRig(slow, seed=4, regulator=EXACT)
             since = float(record.columns["time"][-1]) + 1e-3
             Runner(RigSession(again, bench, recorder, since=since), done=done).run(steps)
@@ -204,9 +204,9 @@ def go_on(folder, told=None):
     """Begin the test of a folder, or go on with it; the numbers of rows on the disk go to a pipe."""
     session = len(segments(folder))
     twin = SimulatedRig(MUSCLE, seed=session, regulator=EXACT)
-    bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.2)
+    bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.2)
     since = read_record(folder).columns["time"].max(initial=-1e-3) + 1e-3 if session else 0.0
-    with (Recorder.resume if session else Recorder.create)(folder, {}, columns_of(["force", "pressure"])) as record:
+    with (Recorder.resume if session else Recorder.create)(folder, {}, columns_of(twin.inputs)) as record:
 
         def report(_):
             record.flush()

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, StoppedError
-from mckibben.rig.backend import AnalogChannel, Block
+from mckibben.rig.backend import Block
 from mckibben.rig.bench import Drive, RigLimits
 from mckibben.rig.safety import RigMonitor
-from mckibben.rig.simulated.sensing import FORCE, PRESSURE
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR
 from mckibben.units import bar, mm
 
 LIMITS = RigLimits(pressure=4 * bar, force=500.0, stretch=5 * mm, shorten=40 * mm)
-INPUTS = (AnalogChannel("force", -10.0, 10.0), AnalogChannel("pressure", -10.0, 10.0))
+INPUTS = (FORCE_SENSOR.channel, PRESSURE_SENSOR.channel)
 
 
 class Backend:
@@ -39,15 +39,15 @@ class Backend:
 
 
 def monitored(limits=LIMITS, **given):
-    return RigMonitor(Backend(), limits, {"force": FORCE, "pressure": PRESSURE}, Drive().pulses_per_metre, **given)
+    return RigMonitor(Backend(), limits, Drive().pulses_per_metre, **given)
 
 
 def block(first=0, force=100.0, pressure=2 * bar, pulses=0, count=100):
     """Samples at 1 kHz; what is given as a pair goes evenly from the one to the other."""
-    volts = np.empty((count, 2))
-    for column, (value, calibration) in enumerate(((force, FORCE), (pressure, PRESSURE))):
-        volts[:, column] = calibration.volts(np.linspace(*value, count) if isinstance(value, tuple) else value)
-    return Block(first, np.arange(first, first + count) / 1e3, volts, np.full(count, pulses, np.int64))
+    values = np.empty((count, 2))
+    for column, value in enumerate((force, pressure)):
+        values[:, column] = np.linspace(*value, count) if isinstance(value, tuple) else value
+    return Block(first, np.arange(first, first + count) / 1e3, values, np.full(count, pulses, np.int64))
 
 
 def test_what_is_within_the_limits_passes_and_is_told():
@@ -63,8 +63,8 @@ def test_what_is_within_the_limits_passes_and_is_told():
         ({"pulses": 2001}, "the travel of 5.002 mm is outside the limits of -40 to 5 mm"),
         ({"pulses": -16001}, "the travel of -40 mm is outside"),
         ({"pressure": -0.3 * bar}, "the pressure sensor is lost"),
-        ({"force": 2000.0}, "the force sensor is lost: it gives 10 to 10 V"),
-        ({"force": -2000.0}, "the force sensor is lost"),
+        ({"force": 2001.0}, "the force sensor is lost"),
+        ({"force": -2001.0}, "the force sensor is lost"),
         ({"force": math.nan}, "the force sensor is lost"),
         ({"pressure": math.nan}, "the pressure sensor is lost"),
     ],
@@ -120,7 +120,7 @@ def test_a_sensor_that_hangs_is_lost_after_a_while():
     hangs = monitored(replace(LIMITS, frozen=0.5))
     for first in range(0, 600, 100):
         hangs.check_block(block(first, pressure=(1.9 * bar, 2 * bar)), first / 1e3 + 0.1)
-    with pytest.raises(StoppedError, match=r"the force sensor is lost: it has given 0\.5 V for 0\.6 s"):
+    with pytest.raises(StoppedError, match=r"the force sensor is lost: it has given 100 N for 0\.6 s"):
         hangs.check_block(block(600, pressure=(1.9 * bar, 2 * bar)), 0.7)
 
 

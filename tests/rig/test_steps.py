@@ -13,7 +13,7 @@ from mckibben.rig import IsobaricProtocol
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.runner import StepInterpreter
-from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE
 from mckibben.rig.steps import (
     Acquire,
     Dwell,
@@ -32,9 +32,7 @@ from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
-BENCH = Bench(
-    of=MUSCLE, drive=Drive(), calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE}, limits=LIMITS
-)
+BENCH = Bench(of=MUSCLE, drive=Drive(), limits=LIMITS)
 
 
 def problems(*steps, bench=BENCH, **arguments):
@@ -135,13 +133,13 @@ def test_a_way_longer_than_the_travel_is_refused():
 
 
 def test_limits_beyond_muscle_and_sensors_are_refused():
-    small = {**BENCH.calibrations, "force": replace(FORCE, low=-500.0, high=500.0)}
-    wide = replace(BENCH, limits=replace(LIMITS, force=700.0, pressure=12 * bar), calibrations=small)
-    said = "\n".join(problems(Dwell(duration=1.0), bench=wide))
+    small = FORCE_SENSOR.channel._replace(low=-500.0, high=500.0), PRESSURE_SENSOR.channel, VALVE
+    wide = replace(BENCH, limits=replace(LIMITS, force=700.0, pressure=12 * bar))
+    said = "\n".join(problems(Dwell(duration=1.0), bench=wide, channels=small))
     assert "700 N is above the rated 630 N" in said
     assert "12 bar is more than a tenth above the 6 bar" in said
-    assert "0..700 N leaves its span -500..500 N" in said
-    assert "0..1.2e+06 Pa leaves its span 0..1e+06 Pa" in said
+    assert "rig.force: 0..700 leaves its range -500..500 N" in said
+    assert "rig.pressure: 0..1.2e+06 leaves its range" in said
 
 
 def test_a_force_that_cannot_be_held_is_refused():

@@ -50,8 +50,8 @@ class Around:
 
 
 def start(folder, rig, steps, **given):
-    bench = Bench(of=MUSCLE, drive=rig.drive, calibrations=rig.calibrations, limits=LIMITS, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+    bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
+    with Recorder.create(folder, {}, columns_of(rig.inputs)) as recorder:
         stop_flag = getattr(given.get("report"), "stop_flag", None)
         Runner(RigSession(rig, bench, recorder, stop_flag=stop_flag, **given)).run(steps)
 
@@ -122,7 +122,7 @@ def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
     def away(progress):
         if not went:  # the host is away, and meanwhile air comes in: the samples that wait begin without it
             went.append(rig.pass_time(0.6))
-            rig.set_valves([float(rig.calibrations["valve"].volts(2 * bar))])
+            rig.set_valves([2 * bar])
             rig.pass_time(0.3)
 
     went = []
@@ -132,7 +132,7 @@ def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
     assert rig.truth.pressure < 0.2 * bar
     record = read_record(tmp_path)
     assert record.columns["time"][-1] > 0.1 + 0.6 + 0.3
-    assert record.columns["pressure"].max() > rig.calibrations["pressure"].volts(1 * bar)  # it saw it come and go
+    assert record.columns["pressure"].max() > 1 * bar  # it saw it come and go
 
 
 def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
@@ -140,7 +140,7 @@ def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
 
     def full(rig, count, timeout):
         block = rig._twin.read(count, timeout=timeout)
-        block.volts[:, 1] += float(rig.calibrations["pressure"].volts(1 * bar))
+        block.values[:, 1] += 1 * bar
         return block
 
     rig = Around(twin(), 0, read=full)
@@ -157,7 +157,7 @@ def test_what_the_watch_found_is_told_even_where_it_cannot_be_recorded(tmp_path,
             raise RigError("the disk is full")
 
         monkeypatch.setattr(Recorder, "append", full)
-        return block._replace(volts=np.full_like(block.volts, 10.0))
+        return block._replace(values=np.full_like(block.values, 1e9))
 
     with pytest.raises(StoppedError, match=r"the force sensor is lost.*the disk is full"):
         start(tmp_path, rig, UNDER_PRESSURE)
@@ -199,8 +199,8 @@ def resumed(folder, steps, stop_at, *, again=None, origin=0):
         start(folder, rig, steps, report=report)
     done = recorded_points(folder)
     again = again or twin()
-    bench = Bench(of=MUSCLE, drive=again.drive, calibrations=again.calibrations, limits=LIMITS, steady=0.3)
-    with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
+    bench = Bench(of=MUSCLE, drive=again.drive, limits=LIMITS, steady=0.3)
+    with Recorder.resume(folder, {}, columns_of(again.inputs)) as recorder:
         since = read_record(folder).columns["time"][-1]
         Runner(RigSession(again, bench, recorder, origin=origin, since=since), done=done).run(steps)
     return recorded_points(folder)
@@ -231,7 +231,7 @@ def test_going_on_takes_the_muscle_nowhere_it_was_not_taken_before(tmp_path):
     ]
     found = resumed(tmp_path, steps, 1)
     assert len(found) == 3 and read_record(tmp_path).events[-1].kind == "done"
-    force = twin().calibrations["force"].si(read_record(tmp_path).columns["force"])
+    force = read_record(tmp_path).columns["force"]
     assert force.max() < LIMITS.force / 2
 
 

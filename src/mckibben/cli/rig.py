@@ -80,7 +80,7 @@ def control(
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
-    check_free(make_folder(out), (*RunReport.file_names(), "record-0001.chunks"))
+    check_free(make_folder(out), (*RunReport.file_names(), "record-0001.mcap"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
         echo(f"warning: {session.reach.verdict()}", err=True)

@@ -20,4 +20,3 @@ from .simulated.isobaric import SimulatedIsobaricTest as SimulatedIsobaricTest
 from .simulated.joint import PERFECT as PERFECT
 from .simulated.joint import Sensing as Sensing
 from .simulated.joint import SimulatedJoint as SimulatedJoint
-from .wiring import Wiring as Wiring

@@ -17,30 +17,32 @@ from mckibben.errors import McKibbenWarning, RigError
 
 if TYPE_CHECKING:  # the watchdog's process needs little
     from mckibben.rig.bench import Drive
-    from mckibben.rig.calibration import Calibration
 
 
-class AnalogChannel(NamedTuple):
-    """Analog input or output.
+class Channel(NamedTuple):
+    """Sensor or valve of a rig.
 
     Attributes
     ----------
     name
         "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output.
+    unit
+        SI unit of its values.
     low, high
-        Range of the converter [V].
+        Range of a working sensor, or of the commands of a valve, in the unit; a reading outside is of a lost sensor.
     where
         Terminal, such as "Dev1/ai0".
     """
 
     name: str
-    low: float
-    high: float
+    unit: str
+    low: float = -math.inf
+    high: float = math.inf
     where: str = ""
 
 
 class Block(NamedTuple):
-    """Consecutive samples of all channels.
+    """Consecutive samples of all inputs.
 
     Attributes
     ----------
@@ -48,15 +50,15 @@ class Block(NamedTuple):
         Number of the first sample since opening; above the expected one if samples were dropped.
     time
         Times since opening [s] by the clock of the backend, shape (samples,).
-    volts
-        Readings [V], shape (samples, channels), in the order of `Backend.inputs`.
+    values
+        Readings in the units of the inputs, shape (samples, inputs), in the order of `Backend.inputs`.
     pulses
         Pulses of the motor since opening, positive = stretching, shape (samples,); zeros without a motor.
     """
 
     first: int
     time: NDArray[float64]
-    volts: NDArray[float64]
+    values: NDArray[float64]
     pulses: NDArray[int64]
 
 
@@ -70,10 +72,10 @@ class ChannelStatus(NamedTuple):
 
 
 class Backend(abc.ABC):
-    """Sensors and valves of a rig, in volts.
+    """Sensors and valves of a rig, in SI.
 
     A backend is vented when it is opened, and by its watchdog when `heartbeat` is not called within `patience`.
-    Subclasses give channels and calibrations, and `open`, `clock`, `read`, `set_valves`, `heartbeat`, `vent`, `close`.
+    Subclasses give the channels, and `open`, `clock`, `read`, `set_valves`, `heartbeat`, `vent`, `close`.
     """
 
     physical: ClassVar[bool] = True
@@ -88,18 +90,13 @@ class Backend(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def inputs(self) -> Sequence[AnalogChannel]:
+    def inputs(self) -> Sequence[Channel]:
         """Inputs, in the order of the columns of a block."""
 
     @property
     @abc.abstractmethod
-    def outputs(self) -> Sequence[AnalogChannel]:
+    def outputs(self) -> Sequence[Channel]:
         """Valves, in the order of the values of `set_valves`."""
-
-    @property
-    @abc.abstractmethod
-    def calibrations(self) -> Mapping[str, Calibration]:
-        """Calibrations by channel."""
 
     @property
     @abc.abstractmethod
@@ -140,8 +137,8 @@ class Backend(abc.ABC):
         """
 
     @abc.abstractmethod
-    def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signals of the valves [V], one per output."""
+    def set_valves(self, pressures: Sequence[float]) -> None:
+        """Set the pressures of the valves [Pa], one per output."""
 
     @abc.abstractmethod
     def heartbeat(self) -> None:
@@ -183,14 +180,14 @@ class Backend(abc.ABC):
         kind = self.description["kind"]
         yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
         with self.opened():
-            volts = self.read(max(1, round(0.1 * self.rate))).volts
-        for channel, read in zip(self.inputs, volts.T, strict=True):
-            calibration, mean = self.calibrations[channel.name], f"{read.mean():.4f} V"
-            problem = f"{mean}, lost: check its plug and its supply" if calibration.lost(read, channel).any() else ""
-            reading = f"{mean}, {calibration.si(read).mean():.4g} {calibration.unit}"
+            block = self.read(max(1, round(0.1 * self.rate)))
+        for channel, read in zip(self.inputs, block.values.T, strict=True):
+            reading = f"{read.mean():.4g} {channel.unit} (noise {read.std():.2g})"
+            works = ((read >= channel.low) & (read <= channel.high)).all()
+            problem = "" if works else f"{reading}, lost: check its plug and its supply"
             yield ChannelStatus(channel.name, channel.where, reading, problem)
         for channel in self.outputs:
-            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} V")
+            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} {channel.unit}")
 
 
 class MuscleRig(Keyed, abc.ABC):

@@ -1,9 +1,8 @@
-"""Test bench: motor, calibrations, limits."""
+"""Test bench: motor and limits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated
@@ -14,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.component.base import Checked, Inherited, check_fields
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle, Specimen
-from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
 from mckibben.units import (
     Angle,
@@ -137,7 +135,7 @@ class RigLimits(Checked):
     gap
         Highest age of the newest sample, and longest time without one [s].
     frozen
-        Longest time [s] for which a sensor may read the same volts; only for sensors with noise.
+        Longest time [s] for which a sensor may read the same value; only for sensors with noise.
     deviation
         Highest deviation of a point's mean force from the law [N].
 
@@ -210,7 +208,7 @@ class JointLimits(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Test bench: the muscle, its mounting, the motor, calibrations, limits and recording.
+    """Test bench: the muscle, its mounting, the motor, limits and recording.
 
     Parameters
     ----------
@@ -220,8 +218,6 @@ class Bench:
         Contraction [-] at which it is mounted, the origin of the motor.
     drive
         The motor with its gear.
-    calibrations
-        Calibrations of the inputs "force" and "pressure", and of the output "valve".
     limits
         Safety limits.
     rate
@@ -250,7 +246,6 @@ class Bench:
     of: Muscle | Specimen
     mounted_at: float = 0.0
     drive: Drive
-    calibrations: Mapping[str, Calibration]
     limits: RigLimits
     rate: float = 1000 * Hz
     cycle: MonitorTime = 100 * ms

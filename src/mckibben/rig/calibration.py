@@ -1,24 +1,20 @@
-"""Linear calibrations of channels, fitted to known loads."""
+"""Linear calibrations of the channels of a card, fitted to known loads."""
 
 from __future__ import annotations
 
-import json
 import math
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic_core import from_json
+from pydantic import ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
-from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted, refuse_problems
-from mckibben.rig.backend import AnalogChannel
+from mckibben.errors import Problem, RangeError, RigError, ScenarioError
+from mckibben.rig.backend import Channel
 from mckibben.units import percent
 
-_NUMBERS = ("gain", "offset", "tare", "low", "high")
 _COVERAGE = 60 * percent  # share of the span that the known values cover, of the smaller side of two signs
 _TOLERANCE = 1 * percent  # highest residual, as a share of the range of the known values
 
@@ -60,34 +56,31 @@ class Calibration:
     (200.0, 1.05)
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     name: str
     unit: str
-    gain: float
-    offset: float = 0.0
-    tare: float = 0.0
-    low: float
-    high: float
-    margin: float = 2 * percent
+    gain: FiniteFloat
+    offset: FiniteFloat = 0.0
+    tare: FiniteFloat = 0.0
+    low: FiniteFloat
+    high: FiniteFloat
+    margin: FiniteFloat = 2 * percent
     made: str = ""
     by: str = ""
     method: str = ""
     known: tuple[float, ...] = ()
     volts_read: tuple[float, ...] = ()
-    residual: float = 0.0
-
-    _texts: ClassVar[tuple[str, ...]] = ("name", "unit", "made", "by", "method")
+    residual: FiniteFloat = 0.0
 
     def __post_init__(self) -> None:
-        for field in (*_NUMBERS, "margin", "residual"):
-            value = getattr(self, field)
-            if not math.isfinite(value) or (field == "gain" and value == 0):
-                remedy = "it has to be finite" + (" and other than 0" if field == "gain" else "")
-                raise RangeError(f"calibration of {self.name}: {field} is {value:g}", value=value, remedy=remedy)
-        if not self.low < self.high or self.margin < 0:
+        numbers = self.gain, self.offset, self.tare, self.low, self.high
+        if self.gain == 0 or not self.low < self.high or self.margin < 0 or not np.isfinite(numbers).all():
             raise RangeError(
-                f"calibration of {self.name}: the span {self.low:g}..{self.high:g} {self.unit} with a margin of "
-                f"{self.margin / percent:g} % is empty",
-                remedy="give low below high, and a margin of 0 or more",
+                f"calibration of {self.name}: a gain of {self.gain:g}, and a span of {self.low:g}..{self.high:g} "
+                f"{self.unit} with a margin of {self.margin / percent:g} %",
+                field="gain" if self.gain == 0 else "low",
+                remedy="give finite numbers, a gain other than 0, low below high, and a margin of 0 or more",
             )
 
     def si(self, volts: ArrayLike) -> NDArray[np.float64]:
@@ -98,49 +91,15 @@ class Calibration:
         """Volts [V] at a quantity in the unit; any shape."""
         return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
 
-    def lost(self, volts: ArrayLike, channel: AnalogChannel | None = None) -> NDArray[np.bool_]:
-        """Return whether volts mark a lost sensor: outside its working range, or NaN.
+    def channel(self, where: str, low: float, high: float) -> Channel:
+        """Return the channel at a terminal whose converter has a range from `low` to `high` [V].
 
-        Parameters
-        ----------
-        volts
-            Readings [V], any shape.
-        channel
-            Channel of the converter; readings at the ends of its range count as lost.
+        Its range is the span and the margin, without the ends of the range of the converter, where a sensor is lost.
         """
-        volts = np.asarray(volts, np.float64)
-        lowest, highest = self.working_volts(channel)
-        return ~((volts >= lowest) & (volts <= highest))
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Lowest and highest volts [V] of a working sensor: its span and the margin."""
         beyond = self.margin * (self.high - self.low)
-        ends = sorted(end / self.gain + self.offset for end in (self.low - beyond, self.high + beyond))
-        return ends[0], ends[1]
-
-    def working_volts(self, channel: AnalogChannel | None) -> tuple[float, float]:
-        """Lowest and highest volts [V] of a working sensor; the ends of the converter's range are excluded."""
-        low, high = self.limits
-        if channel is None:
-            return low, high
-        return max(low, math.nextafter(channel.low, math.inf)), min(high, math.nextafter(channel.high, -math.inf))
-
-    def check(self, low: float, high: float, channel: AnalogChannel | None = None) -> list[Problem]:
-        """Return the problems of values from `low` to `high`, in the unit, beyond the span or the converter's range."""
-        problems: list[Problem] = []
-        if low < self.low or high > self.high:
-            message = f"{low:g}..{high:g} {self.unit} leaves its span {self.low:g}..{self.high:g} {self.unit}"
-            problems.append(Problem(message, field=self.name, remedy="stay within it, or use another sensor"))
-        if channel is not None:
-            ends = sorted(float(end) for end in self.volts([low, high]))
-            if ends[0] < channel.low or ends[1] > channel.high:
-                message = (
-                    f"{low:g}..{high:g} {self.unit} are {ends[0]:g}..{ends[1]:g} V, and the converter has "
-                    f"{channel.low:g}..{channel.high:g} V"
-                )
-                problems.append(Problem(message, field=self.name, remedy="stay within it, or set its range"))
-        return problems
+        ends = sorted(map(float, self.si([math.nextafter(low, math.inf), math.nextafter(high, -math.inf)])))
+        least, most = self.low - beyond - self.tare, self.high + beyond - self.tare
+        return Channel(self.name, self.unit, max(ends[0], least), min(ends[1], most), where)
 
     def tared(self, volts: ArrayLike) -> Calibration:
         """Return the calibration that reads 0 at the mean of volts [V] of the unloaded sensor.
@@ -148,65 +107,14 @@ class Calibration:
         Raises
         ------
         RigError
-            If a reading is that of a lost sensor, or the tare is more than a tenth of the span.
+            If a reading is not finite, or the tare is more than a tenth of the span.
         """
-        readings = np.asarray(volts, np.float64)
-        if not readings.size or self.lost(readings).any():
-            raise RigError(f"no {self.name} to tare: the sensor is lost", remedy="check its wiring and its supply")
-        tare = float(np.mean((readings - self.offset) * self.gain))
-        if abs(tare) > 0.1 * (self.high - self.low):
+        tare = float(np.mean((np.asarray(volts, np.float64) - self.offset) * self.gain))
+        if not abs(tare) <= 0.1 * (self.high - self.low):
             message = f"the unloaded {self.name} reads {tare:g} {self.unit}, more than a tenth of its span"
-            raise RigError(message, value=tare, unit=self.unit, remedy="take the load off, or repeat the calibration")
+            remedy = "take the load off, check wiring and supply, or repeat the calibration"
+            raise RigError(message, value=tare, unit=self.unit, remedy=remedy)
         return replace(self, tare=tare)
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON object for `from_json`."""
-        form: dict[str, Any] = {field: getattr(self, field) for field in (*self._texts[:2], *_NUMBERS, "margin")}
-        form |= {field: getattr(self, field) for field in self._texts[2:] if getattr(self, field)}
-        if self.known:
-            form |= {"known": list(self.known), "volts_read": list(self.volts_read), "residual": self.residual}
-        return form | {"checksum": _checksum(form)}
-
-    @classmethod
-    def from_json(cls, form: Mapping[str, Any]) -> Calibration:
-        """Return the calibration of a JSON object.
-
-        Raises
-        ------
-        RangeError
-            With all fields that are missing, unknown or wrong, or because the checksum does not match; an object
-            without a checksum is accepted.
-        """
-        lists, numbers = ("known", "volts_read"), (*_NUMBERS, "margin", "residual")
-        needed = ("name", "unit", "gain", "low", "high")
-        problems = [Problem("missing", field=field) for field in needed if field not in form]
-        form = dict(form)
-        checksum = form.pop("checksum", None)
-        if checksum not in (None, _checksum(form)):
-            remedy = "restore the file; if it was changed on purpose, leave the checksum out"
-            problems.append(Problem("does not match: the file was changed or damaged", field="checksum", remedy=remedy))
-        for field, value in form.items():
-            if field in cls._texts:
-                right, kind = isinstance(value, str), "text"
-            elif field in numbers:
-                right, kind = isinstance(value, int | float) and not isinstance(value, bool), "a number"
-            elif field in lists:
-                right = isinstance(value, list | tuple) and all(isinstance(one, int | float) for one in value)
-                kind = "a list of numbers"
-            else:
-                problems.append(Problem("is not a known key", field=str(field), value=value))
-                continue
-            if not right:
-                problems.append(Problem(f"{quoted(value)} is not {kind}", field=field, value=value))
-        refuse_problems(f"calibration of {form.get('name', 'a channel')}", problems)
-        values: dict[str, Any] = dict(form)
-        values |= {field: float(values[field]) for field in numbers if field in values}
-        values |= {field: tuple(map(float, values[field])) for field in lists if field in values}
-        return cls(**values)
-
-
-def _checksum(form: Mapping[str, Any]) -> str:
-    return f"{zlib.crc32(json.dumps(form, sort_keys=True).encode()):08x}"
 
 
 def calibrate(
@@ -290,13 +198,21 @@ def calibrate(
     )
 
 
+_FILE = TypeAdapter(dict[str, Calibration])
+
+
+def to_json(calibrations: Mapping[str, Calibration]) -> str:
+    """Content of a file for `read_calibrations`."""
+    return _FILE.dump_json(dict(calibrations), indent=2).decode()
+
+
 def read_calibrations(path: Path, units: Mapping[str, str]) -> dict[str, Calibration]:
     """Read the calibrations of a rig from a JSON file.
 
     Parameters
     ----------
     path
-        File with one object per channel, see `Calibration.to_json`.
+        File with one object per channel, see `to_json`.
     units
         SI units by channel; the file has to have these channels and no others.
 
@@ -307,24 +223,19 @@ def read_calibrations(path: Path, units: Mapping[str, str]) -> dict[str, Calibra
     """
     remedy = f"it needs {', '.join(units)}, see docs/rig-hardware.md"
     try:
-        content = from_json(path.read_text(encoding="utf-8"), allow_inf_nan=False)
-    except (OSError, ValueError) as error:
+        calibrations = _FILE.validate_json(path.read_bytes())
+    except OSError as error:
         raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy=remedy)]) from None
-    if not isinstance(content, dict):
-        raise ScenarioError(str(path), [Problem("is not a mapping of calibrations", remedy=remedy)])
-    found: dict[str, Calibration] = {}
-    problems = [Problem("is missing", field=name, remedy=remedy) for name in units if name not in content]
-    for name, form in content.items():
+    except ValidationError as error:
+        problems = [Problem(row["msg"], field=".".join(map(str, row["loc"])), remedy=remedy) for row in error.errors()]
+        raise ScenarioError(str(path), problems) from None
+    problems = [Problem("is missing", field=name, remedy=remedy) for name in units if name not in calibrations]
+    for name, calibration in calibrations.items():
         if name not in units:
             problems.append(Problem("is not a channel of this rig", field=name, remedy=remedy))
-            continue
-        try:
-            one = found[name] = Calibration.from_json(form)
-        except (McKibbenError, TypeError, AttributeError) as error:
-            problems.append(Problem(str(error), field=name))
-            continue
-        if (one.name, one.unit) != (name, units[name]):
-            problems.append(Problem(f"is of {one.name!r} in {one.unit}, not in {units[name]}", field=name))
+        elif (calibration.name, calibration.unit) != (name, units[name]):
+            message = f"is of {calibration.name!r} in {calibration.unit}, not in {units[name]}"
+            problems.append(Problem(message, field=name))
     if problems:
         raise ScenarioError(str(path), problems)
-    return found
+    return calibrations

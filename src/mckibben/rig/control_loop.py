@@ -19,10 +19,9 @@ from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.compiled import ControlProgram, LimitCycleDetection
-from mckibben.rig.joint_record import Phase, RowBuffer
+from mckibben.rig.joint_record import JointReading, Phase, RowBuffer
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor, StopFlag
-from mckibben.rig.wiring import Connected, JointReading
 from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
@@ -30,12 +29,14 @@ _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the syste
 _TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
 _SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
 
+VALVES = "valve1", "valve2"
+"""Outputs of a joint rig."""
+
 VENTED = 0.2 * bar
 """Below this pressure [Pa] a muscle counts as vented."""
 
 _VENTING = 5.0  # s for which the venting is observed
 _MOST = 1000  # samples read at once
-_FEW = 50  # periods for which a chunk does not pay
 
 
 @dataclass(frozen=True)
@@ -263,8 +264,8 @@ def control(
 _KINDS = {"SignalledError": "signal", "SilentError": "silent", "StoppedError": "stopped", "RigError": "rig"}
 
 
-def _check(backend: Backend, plan: RunPlan, connected: Connected) -> None:
-    """Raise if the backend does not match the plan."""
+def _channels(backend: Backend, plan: RunPlan) -> tuple[list[int], list[int]]:
+    """Columns of angle and pressures among the inputs, and numbers of the muscles by output, if the backend matches."""
     if not math.isclose(backend.rate * plan.period, 1.0, rel_tol=1e-9):
         raise RigError(
             f"the rig takes {backend.rate:g} samples per second, and the control period is {plan.period * 1e3:g} ms",
@@ -278,10 +279,22 @@ def _check(backend: Backend, plan: RunPlan, connected: Connected) -> None:
             unit="s",
             remedy="set its patience to several periods",
         )
+    inputs, outputs = ([channel.name for channel in channels] for channels in (backend.inputs, backend.outputs))
+    if not {*JointReading._fields} <= {*inputs} or sorted(outputs) != [*VALVES]:
+        raise RigError(
+            f"the inputs of the rig are {', '.join(inputs)}, its outputs {', '.join(outputs)}",
+            remedy=f"a joint needs {', '.join(JointReading._fields)}, and {' and '.join(VALVES)} alone",
+        )
     lowest, highest = zip(*plan.command_limits, strict=True)
-    problems = connected.check(min(*lowest, 0.0), max(highest))
-    if problems:
-        raise RigError("the valves cannot give the commanded pressures: " + "; ".join(map(str, problems)))
+    for valve in backend.outputs:
+        if not valve.low <= min(*lowest, 0.0) or not max(highest) <= valve.high:
+            raise RigError(
+                f"{valve.name} gives {valve.low / bar:g}..{valve.high / bar:g} bar, and commands go up to "
+                f"{max(highest) / bar:g} bar",
+                field=valve.name,
+                remedy="use another valve, or lower the rated pressure",
+            )
+    return [inputs.index(name) for name in JointReading._fields], [VALVES.index(name) for name in outputs]
 
 
 def _note(rows: RowBuffer, kind: str, text: str) -> None:
@@ -305,9 +318,8 @@ class ControlLoop:
         stop_flag: StopFlag,
         progress: Callable[[RunProgress], None] | None,
     ) -> None:
-        self._connected = Connected(backend)
-        _check(backend, plan, self._connected)
-        self.monitor = JointMonitor(backend, limits, self._connected.wiring.sensors, plan.period)
+        self._columns, self._valves = _channels(backend, plan)
+        self.monitor = JointMonitor(backend, limits, plan.period)
         self.rows = RowBuffer(recorder, program.telemetry)
         self._backend, self._program, self._plan = backend, program, plan
         self._stop_flag, self._progress = stop_flag, progress
@@ -330,14 +342,14 @@ class ControlLoop:
         while self._next < total:
             self._stop_flag.check()
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
-            self._step(block.first, block.time.tolist(), block.volts.tolist(), backend.clock())
+            self._step(block.first, block.time.tolist(), block.values.tolist(), backend.clock())
         end = self._next * plan.period
         while backend.clock() < end and not self._stop_flag.signal:  # the last command lasts for its period
             self.record_venting(backend.read(self._waiting(), timeout=silence))
 
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""
-        self._record(block.first, block.time.tolist(), block.volts.tolist(), self._backend.clock(), venting=True)
+        self._record(block.first, block.time.tolist(), block.values.tolist(), self._backend.clock(), venting=True)
 
     def _waiting(self) -> int:
         """Number of samples that can be read now; at least the next one, for which to wait."""
@@ -346,16 +358,16 @@ class ControlLoop:
         due = math.floor((self._backend.clock() - self._delay) / self._plan.period + 1e-6) + 1
         return min(max(due - self._next, 1), _MOST)
 
-    def _step(self, first: int, times: Sequence[float], volts: Sequence[Sequence[float]], clock: float) -> None:
+    def _step(self, first: int, times: Sequence[float], values: Sequence[Sequence[float]], clock: float) -> None:
         """Record and check samples, act on the newest, send the heartbeat."""
         plan, monitor, rows = self._plan, self.monitor, self.rows
         lost = first - self._next
         if lost < 0:
             raise RigError(f"sample {first} came when {self._next} was due", remedy="check the device")
         last = len(times) - 1
-        row, readings = self._record(first, times, volts, clock)
+        row, readings = self._record(first, times, values, clock)
         self._delay = min(self._delay, clock - times[last])
-        for i, (time, signals) in enumerate(zip(times, volts, strict=True)):
+        for i, (time, signals) in enumerate(zip(times, values, strict=True)):
             monitor.check_sample(time, signals, self._commands, clock if i == last else None)
         number, reading = self._next - 1, readings[-1]
         if number >= plan.periods:  # the last samples were dropped
@@ -377,17 +389,17 @@ class ControlLoop:
         self,
         first: int,
         times: Sequence[float],
-        volts: Sequence[Sequence[float]],
+        values: Sequence[Sequence[float]],
         clock: float,
         *,
         venting: bool = False,
     ) -> tuple[int, list[JointReading]]:
         """Record samples; return the row of the last one, and all readings."""
-        rows, connected, row, readings = self.rows, self._connected, -1, []
-        for number, (time, signals) in enumerate(zip(times, volts, strict=True), start=first):
+        rows, row, readings = self.rows, -1, []
+        for number, (time, signals) in enumerate(zip(times, values, strict=True), start=first):
             phase = Phase.VENTING if venting else self._plan.phase(number)
-            readings.append(connected.reading(signals))
-            row = rows.begin(number, phase, time, connected.picked(signals), readings[-1], clock)
+            readings.append(JointReading(*(signals[column] for column in self._columns)))
+            row = rows.begin(number, phase, time, readings[-1], clock)
         self._next = first + len(times)
         return row, readings
 
@@ -439,6 +451,6 @@ class ControlLoop:
             )
         (low1, high1), (low2, high2) = self._plan.command_limits
         commands = min(max(first, low1), high1), min(max(second, low2), high2)
-        self._backend.set_valves(self._connected.volts(commands))
+        self._backend.set_valves([commands[i] for i in self._valves])
         self._commands = commands
         return commands, commands != (first, second)

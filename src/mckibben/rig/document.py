@@ -91,7 +91,6 @@ class SimulatedRigSettings(Checked, MuscleRig):
         from mckibben.rig.simulated import (
             FORCE_SENSOR,
             PRESSURE_SENSOR,
-            Converter,
             RealTimeRig,
             SimulatedRig,
             Stretcher,
@@ -107,9 +106,8 @@ class SimulatedRigSettings(Checked, MuscleRig):
             parts = {
                 "regulator": replace(regulator, **ideal),
                 "stretcher": Stretcher(backlash=0.0),
-                "converter": Converter(bits=32),
-                "force_sensor": replace(FORCE_SENSOR, noise=0.0),
-                "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
+                "force_sensor": replace(FORCE_SENSOR, noise=0.0, resolution=0.0),
+                "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0, resolution=0.0),
             }
         kind = RealTimeRig if self.paced else SimulatedRig
         return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
@@ -206,7 +204,6 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         of=of,
         mounted_at=test.muscle.mounted_at,
         drive=backend.drive,
-        calibrations=backend.calibrations,
         limits=test.limits,
         rate=backend.rate,
         shuts=backend.shuts,

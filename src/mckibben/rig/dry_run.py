@@ -10,7 +10,7 @@ import numpy as np
 
 from mckibben.errors import McKibbenError, Problem
 from mckibben.muscle import Muscle, forces
-from mckibben.rig.backend import AnalogChannel
+from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.protocol import MOST_POINTS, MOST_STEPS
 from mckibben.rig.runner import StepInterpreter
@@ -62,7 +62,7 @@ class DryRun(StepInterpreter):
         """Return the disk space [bytes] of rows of a size [bytes], with a tenth to spare."""
         return math.ceil(1.1 * self.rows * row_size) + (1 << 20)
 
-    def run(self, steps: Sequence[ProtocolStep], inputs: Sequence[AnalogChannel], patience: float) -> None:
+    def run(self, steps: Sequence[ProtocolStep], channels: Sequence[Channel], patience: float) -> None:
         """Go through the steps, and check the bench; arguments as for `dry_run`."""
         bench, limits = self.bench, self.bench.limits
         self._do_within_limits(steps)
@@ -79,7 +79,8 @@ class DryRun(StepInterpreter):
         if self._acquired <= MOST_POINTS:
             self._check_duration()
         self._check_law()
-        self._check_sensors(inputs)
+        if channels:
+            self._check_sensors(channels)
 
     def _do_within_limits(self, steps: Sequence[ProtocolStep]) -> None:
         counts = [count_steps([step]) for step in steps]
@@ -286,19 +287,16 @@ class DryRun(StepInterpreter):
             )
             self._report(message, [*self._visited.values()][at], "stay at higher contractions, or lower the pressure")
 
-    def _check_sensors(self, inputs: Sequence[AnalogChannel]) -> None:
-        """Check the spans of sensors and valve."""
-        calibrations, channels = self.bench.calibrations, {channel.name: channel for channel in inputs}
-        for name in channels:
-            if name not in calibrations:
-                self._report(f"{name} has no calibration", f"rig.{name}", "give one, see docs/rig-hardware.md")
-        limits = self.bench.limits
+    def _check_sensors(self, channels: Sequence[Channel]) -> None:
+        """Check the ranges of sensors and valve."""
+        named, limits = {channel.name: channel for channel in channels}, self.bench.limits
         for name, highest in (("force", limits.force), ("pressure", limits.pressure), ("valve", self.pressure[1])):
-            if name not in calibrations:
+            channel = named.get(name)
+            if channel is None:
                 self._report(f"there is no {name}", "rig", "a test needs force, pressure and valve")
-                continue
-            for problem in calibrations[name].check(0.0, highest, channels.get(name)):
-                self._report(problem.message, f"rig.{problem.field}", problem.remedy)
+            elif not (channel.low <= 0 and highest <= channel.high):
+                message = f"0..{highest:g} leaves its range {channel.low:g}..{channel.high:g} {channel.unit}"
+                self._report(message, f"rig.{name}", "stay within it, or use another one")
 
 
 class _TooLongError(Exception):
@@ -315,7 +313,7 @@ _KEYS: dict[type[ProtocolStep], str] = {
 
 
 def dry_run(
-    steps: Sequence[ProtocolStep], bench: Bench, inputs: Sequence[AnalogChannel] = (), *, patience: float = math.inf
+    steps: Sequence[ProtocolStep], bench: Bench, channels: Sequence[Channel] = (), *, patience: float = math.inf
 ) -> DryRun:
     """Go through the steps of a test without a rig.
 
@@ -324,9 +322,9 @@ def dry_run(
     steps
         Steps of the test.
     bench
-        Its bench: muscle, limits, calibrations.
-    inputs
-        Inputs of the rig, whose converters have to have the range of the limits.
+        Its bench: muscle and limits.
+    channels
+        Inputs and outputs of the rig, which have to have the range of the limits.
     patience
         Timeout of the watchdog [s], which two cycles have to fit into.
 
@@ -339,15 +337,14 @@ def dry_run(
     --------
     >>> from mckibben import catalog
     >>> from mckibben.rig.bench import Drive, RigLimits
-    >>> from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-    >>> bench = Bench(of=muscle, drive=Drive(), calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE},
-    ...               limits=RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm))
+    >>> limits = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+    >>> bench = Bench(of=muscle, drive=Drive(), limits=limits)
     >>> dry_run([Move(to=0.05), Acquire()], bench).plateaus
     1
     >>> [problem.field for problem in dry_run([Move(to=0.5)], bench).problems]
     ['[0].move.to', '[0].move.to']
     """
     found = DryRun(bench)
-    found.run(steps, inputs, patience)
+    found.run(steps, channels, patience)
     return found

@@ -16,12 +16,27 @@ from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.wiring import JointReading
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
 from mckibben.simulation.loop import Record
 
 _TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
 _LONGEST = 0.1  # s that a row waits for others, if they are fewer
+
+
+class JointReading(NamedTuple):
+    """Reading of a joint.
+
+    Attributes
+    ----------
+    angle
+        Measured angle [rad].
+    pressure1, pressure2
+        Measured gauge pressures [Pa].
+    """
+
+    angle: float
+    pressure1: float
+    pressure2: float
 
 
 class Phase(enum.IntEnum):
@@ -39,9 +54,6 @@ _OWN = (
     ("time", "s", "float64"),
     ("read_at", "s", "float64"),
     ("commanded_at", "s", "float64"),
-    ("volts_angle", "V", "float64"),
-    ("volts_pressure1", "V", "float64"),
-    ("volts_pressure2", "V", "float64"),
     ("angle", "rad", "float64"),
     ("pressure1", "Pa", "float64"),
     ("pressure2", "Pa", "float64"),
@@ -51,7 +63,7 @@ _OWN = (
     ("command2", "Pa", "float64"),
     ("limited", "1", "float64"),
 )
-_TIME, _COMMANDED, _VOLTS, _READING, _REFERENCE, _COMMAND = 2, 4, 5, 8, 11, 13
+_TIME, _COMMANDED, _READING, _REFERENCE, _COMMAND = 2, 4, 5, 8, 10
 _TELEMETRY = len(_OWN)
 
 
@@ -78,9 +90,7 @@ class RowBuffer:
         self._table: NDArray[np.float64] = np.full((_TOGETHER, len(self._names)), np.nan)
         self._filled = 0
 
-    def begin(
-        self, sample: int, phase: int, time: float, volts: Sequence[float], reading: JointReading, read_at: float
-    ) -> int:
+    def begin(self, sample: int, phase: int, time: float, reading: JointReading, read_at: float) -> int:
         """Begin the row of a sample; return its index.
 
         Parameters
@@ -89,14 +99,13 @@ class RowBuffer:
             Number of the sample, and phase of the run.
         time, read_at
             Times of the sample and of its reading [s].
-        volts, reading
-            Volts of angle and pressures [V], and the same in SI.
+        reading
+            Angle and pressures.
         """
         if self._filled == _TOGETHER or (self._filled and time - self._table[0, _TIME] > _LONGEST):
             self.flush()
         row = self._filled
         self._table[row, :_COMMANDED] = (sample, phase, time, read_at)
-        self._table[row, _VOLTS : _VOLTS + 3] = volts
         self._table[row, _READING : _READING + 3] = reading
         self._filled = row + 1
         return row

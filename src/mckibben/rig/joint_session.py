@@ -22,7 +22,6 @@ from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.safety import stop_on_signals
 from mckibben.rig.simulated.joint import rated_commands
-from mckibben.rig.wiring import Wiring
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
@@ -108,8 +107,9 @@ class JointSession:
             realtime_process_settings() if self.backend.paced else nullcontext("ordinary") as priority,
         ):
             header = {**self.header, "priority": priority}
+            attached = {"scenario.yaml": self.scenario.dumps().encode()}
             try:
-                with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
+                with Recorder.create(folder, header, columns(self.program.telemetry), attached) as recorder:
                     outcome = control(
                         self.backend,
                         self.program,
@@ -194,7 +194,6 @@ def prepare(
         "scenario": scenario.dumps(),
         "rig": rig.to_json(),
         "backend": dict(backend.description),
-        "calibrations": Wiring.of(backend.calibrations).to_json(),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
         "plan": {"raising": plan.raising, "settling": plan.settling, "run": len(references), "period": period},
         "versions": software_versions("jax", "numpy"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,18 +13,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from pydantic_core import from_json
 
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
-from mckibben.rig.journal import HEADER, JournalReader
+from mckibben.rig.mcap_file import McapReader, Message
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording
 
-VERSION = 2
-
-SAMPLES, EVENT = b"S", b"E"
-"""Kinds of journal records after the header; their index is the number of rows before them."""
+SAMPLES, EVENTS = 0, 1
+"""Numbers of the topics of a record."""
+HEADER = "header.json"
+"""Attachment that describes the record."""
 
 
 class Column(NamedTuple):
@@ -31,61 +34,68 @@ class Column(NamedTuple):
     Attributes
     ----------
     name, unit
-        Its name, and its SI unit; "V" for a reading.
+        Its name, and its SI unit.
     dtype
-        NumPy type of its values, stored little-endian.
+        NumPy type of its values; of float32, nine digits are recorded.
     """
 
     name: str
     unit: str
     dtype: str = "float64"
 
-    @property
-    def stored(self) -> np.dtype[Any]:
-        """The type of the values in a file."""
-        return np.dtype(self.dtype).newbyteorder("<")
 
-
-def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray]) -> bytes:
-    """Return the payload of samples: one column after the other.
+def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray], first: int) -> list[Message]:
+    """Return samples as messages; numbers that are missing (NaN) are left out.
 
     Parameters
     ----------
     columns, arrays
         Columns, and an array of shape (rows,) for each.
+    first
+        Number of the first row.
 
     Examples
     --------
-    >>> columns = [Column("time", "s"), Column("pulses", "1", "int32")]
-    >>> payload = pack_rows(columns, [np.array([0.0, 0.1]), np.array([1, 2])])
-    >>> len(payload), unpack_rows(columns, payload)["pulses"].tolist()
-    (24, [1, 2])
+    >>> columns = [Column("time", "s"), Column("force", "N", "float32")]
+    >>> messages = pack_rows(columns, [np.array([0.0, 0.1]), np.array([np.nan, 2.0])], first=5)
+    >>> [message.data for message in messages], unpack_rows(columns, messages)["force"].tolist()
+    ([b'{"time":0.0}', b'{"time":0.1,"force":2}'], [nan, 2.0])
     """
-    return b"".join(
-        np.ascontiguousarray(array, column.stored).tobytes() for column, array in zip(columns, arrays, strict=True)
-    )
+    places = [_PLACES.get(column.dtype, "%d") for column in columns]
+    whole = "{" + ",".join(f'"{column.name}":{place}' for column, place in zip(columns, places, strict=True)) + "}"
+    names = [column.name for column in columns]
+    at = names.index("time") if "time" in names else None
+    messages = []
+    for number, row in enumerate(zip(*(array.tolist() for array in arrays), strict=True), start=first):
+        if all(map(math.isfinite, row)):
+            text = whole % row
+        else:
+            known = [cell for cell in zip(names, places, row, strict=True) if math.isfinite(cell[2])]
+            parts = [f'"{name}":{place % value}' for name, place, value in known]
+            text = "{" + ",".join(parts) + "}"
+        time = number * 1e-9 if at is None else max(row[at], 0.0)
+        messages.append(Message(SAMPLES, number & _SEQUENCE, time, text.encode()))
+    return messages
 
 
-def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarray]:
-    """The columns of a payload of samples, read-only."""
-    row = sum(column.stored.itemsize for column in columns)
-    count, at = len(payload) // row, 0
-    found: dict[str, np.ndarray] = {}
-    for column in columns:
-        found[column.name] = np.frombuffer(payload, column.stored, count, at)
-        at += count * column.stored.itemsize
-    return found
+_PLACES = {"float64": "%r", "float32": "%.9g"}
+_SEQUENCE = 0xFFFFFFFF
+
+
+def unpack_rows(columns: Sequence[Column], messages: Sequence[Message]) -> dict[str, np.ndarray]:
+    """Columns of messages with samples."""
+    rows = from_json(b"[" + b",".join(message.data for message in messages) + b"]")
+    return {column.name: np.array([row.get(column.name, math.nan) for row in rows], column.dtype) for column in columns}
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
-    """Content of a segment's header and its columns; `DatasetError` if the file is not a record of this version."""
-    content = JournalReader(path, DatasetError).checked_header()
-    if content is None or "columns" not in content:
-        raise DatasetError(str(path), [Problem("is not a rig record", remedy="give the folder of `rig run --out`")])
-    if content["version"] != VERSION:
-        message = f"is of version {content['version']}, and this mckibben reads version {VERSION}"
-        raise DatasetError(str(path), [Problem(message, remedy="update mckibben")])
-    return content, [Column(**column) for column in content["columns"]]
+    """Content of a segment's header and its columns; `DatasetError` if the file is not a record of a rig."""
+    for part in McapReader(path):
+        if isinstance(part, tuple) and part[0] == HEADER:
+            content = json.loads(part[1])
+            return content, [Column(**column) for column in content["columns"]]
+    message = "is not a rig record, or its header is lost"
+    raise DatasetError(str(path), [Problem(message, remedy="give the folder of `rig run --out`, or restore the file")])
 
 
 class Event(NamedTuple):
@@ -198,27 +208,38 @@ def entries(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
     expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
-        reader, known = JournalReader(path, DatasetError), 0
-        for record in reader:
-            gap, lost = record.number - expected, reader.damaged - known
-            known, damaged = reader.damaged, damaged or lost > 0
-            if gap < 0 or (gap and not damaged):
-                message = f"{gap} rows are missing before row {record.number}" if gap > 0 else f"{-gap} rows repeat"
-                raise DatasetError(str(path), [Problem(message, remedy="a file was changed, or is missing")])
-            if gap or (lost and record.kind != HEADER):  # the header is stored twice
-                what = f"rows {expected} to {record.number - 1}" if gap else f"{lost} chunk(s) before row {expected}"
-                _warn_of_damage(path, f"{what} are lost")
-                expected = record.number
-            if record.kind == SAMPLES:
-                rows = unpack_rows(columns, record.payload)
-                expected += len(rows[columns[0].name])
-                yield Rows(record.number, rows)
-            elif record.kind == EVENT:
-                content = json.loads(record.payload)
-                yield Event(content["kind"], content["text"], record.number, content["data"])
+        reader, known = McapReader(path), 0
+        for part in reader:
+            if isinstance(part, tuple):
+                continue
+            lost, known = reader.damaged - known, reader.damaged
+            damaged |= lost > 0
+            for topic, group in itertools.groupby(part, key=lambda message: message.topic):
+                messages = list(group)
+                if topic == EVENTS:
+                    yield from (_event(message) for message in messages)
+                    continue
+                first = messages[0].sequence
+                if first != expected and not (damaged and first > expected):
+                    gap = first - expected
+                    message = f"{gap} rows are missing before row {first}" if gap > 0 else f"{-gap} rows repeat"
+                    raise DatasetError(str(path), [Problem(message, remedy="a file was changed, or is missing")])
+                if first > expected:
+                    _warn_of_damage(path, f"rows {expected} to {first - 1} are lost")
+                    lost = 0
+                expected = first + len(messages)
+                yield Rows(first, unpack_rows(columns, messages))
+            if lost:
+                _warn_of_damage(path, f"{lost} part(s) before row {expected} are lost")
         if reader.damaged > known:
+            damaged = True
             _warn_of_damage(path, "its end is lost")
-        damaged = damaged or reader.end < path.stat().st_size
+        damaged |= reader.is_cut
+
+
+def _event(message: Message) -> Event:
+    content = from_json(message.data)
+    return Event(content["kind"], content["text"], content["row"], content["data"])
 
 
 def _warn_of_damage(path: Path, lost: str) -> None:
@@ -232,7 +253,7 @@ def rows_in(folder: str | os.PathLike[str]) -> int:
 
 def segments(folder: Path) -> list[Path]:
     """The files of a record in order; none if the folder does not exist."""
-    return sorted(folder.glob("record-*.chunks"))
+    return sorted(folder.glob("record-*.mcap"))
 
 
 def _rows(folder: str | os.PathLike[str]) -> Iterator[Rows]:
@@ -285,11 +306,11 @@ class Point:
 
 
 def points(events: Iterable[Event]) -> list[Point]:
-    """The points among events, in the order of their numbers, each once."""
+    """The points among events, in the order of their numbers, each as it was measured last."""
     found: dict[int, Point] = {}
     for event in events:
         if event.kind in (POINT, PLACE):
-            found.setdefault(event.data["number"], Point(**event.data))
+            found[event.data["number"]] = Point(**event.data)
     return [found[number] for number in sorted(found)]
 
 
@@ -306,7 +327,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     folder
         Folder of the record.
     bench
-        Bench of the test, of whose calibrations the samples are converted.
+        Bench of the test.
     source
         Source of the dataset.
 
@@ -329,8 +350,6 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     shape = (len(kept), max(counts))
     force, pressure = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     _fill(folder, kept, {"force": force, "pressure": pressure})
-    for name, samples in (("force", force), ("pressure", pressure)):
-        _to_si(samples, bench, name)
     complete = np.count_nonzero(~np.isnan(force), axis=1) == [point.samples for point in kept]
     if not complete.all():
         lost = [point.number for point, whole in zip(kept, complete, strict=True) if not whole]
@@ -369,11 +388,10 @@ def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = 
     from mckibben.dataset import Recording
 
     columns = read_record(folder).columns
-    force, pressure = (bench.calibrations[name].si(columns[name].astype(float)) for name in ("force", "pressure"))
     return Recording.of(
         time=columns["time"],
-        pressure=pressure,
-        force=force,
+        pressure=columns["pressure"].astype(float),
+        force=columns["force"].astype(float),
         contraction=[bench.contraction_at(pulses) for pulses in columns["pulses"].tolist()],
         specimen=bench.specimen.name,
         initial_length=float(bench.specimen.initial_length),
@@ -404,14 +422,6 @@ def _fill(folder: str | os.PathLike[str], kept: Sequence[Point], into: dict[str,
                     samples[index, begin:stop] = one.columns[name][rows]
         while waiting < len(order) and kept[order[waiting]].first + kept[order[waiting]].rows <= end:
             waiting += 1
-
-
-def _to_si(samples: np.ndarray, bench: Bench, name: str) -> None:
-    """Volts to newtons or pascals in place, some rows at a time."""
-    calibration = bench.calibrations[name]
-    for start in range(0, len(samples), 256):
-        part = samples[start : start + 256]
-        part[:] = calibration.si(part)
 
 
 def _words(words: list[str]) -> list[str] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import platform
 import threading
@@ -18,14 +19,14 @@ from numpy.typing import ArrayLike
 
 import mckibben
 from mckibben.errors import FileError, Problem, RangeError, RigError
-from mckibben.rig.journal import Journal, JournalRecord, json_record
-from mckibben.rig.record import EVENT, SAMPLES, VERSION, Column, pack_rows, read_header, rows_in, segments
+from mckibben.rig.mcap_file import McapWriter, Message, Topic
+from mckibben.rig.record import EVENTS, HEADER, Column, pack_rows, read_header, rows_in, segments
 from mckibben.storage.files import make_folder
 
 PERIOD = 0.25
 """Interval [s] at which appended rows are written and synced to the disk."""
 
-_MOST_PENDING = 1 << 20  # bytes: an append waits while more than that is pending
+_MOST_PENDING = 1 << 17  # numbers: an append waits while more than that is pending
 _RESERVE = 1 << 22  # bytes kept free for pending rows, and for the reason, when the disk is full
 _RESERVE_NAME = "reserve"
 _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -51,30 +52,38 @@ class Recorder:
     ([0.0, 0.1], 'point', 2)
     """
 
-    def __init__(self, path: Path, header: Mapping[str, Any], columns: Sequence[Column], first: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: Mapping[str, Any],
+        columns: Sequence[Column],
+        first: int,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
         self.path = path
         self.columns = tuple(columns)
-        self._row_size = sum(column.stored.itemsize for column in self.columns)
         self.rows = first  # of the record, those included that are still to be written
         self._is_empty = True
         self._written = first  # of those, in the file
-        self._pending: list[list[np.ndarray] | JournalRecord] = []
-        self._bytes = 0
+        self._pending: list[list[np.ndarray] | dict[str, Any]] = []
+        self._waiting = 0  # numbers in pending rows
+        self._time = 0.0  # of the latest row [s]
         self._failure: Exception | None = None
         self._closing = self._hurry = False
         self._asked = self._done = 0  # flushes
         self._change = threading.Condition()
         content = {
             "format": "mckibben record",
-            "version": VERSION,
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "columns": [column._asdict() for column in self.columns],
             "header": dict(header),
         }
+        files = {HEADER: json.dumps(content, ensure_ascii=False, allow_nan=False).encode(), **(attachments or {})}
+        topics = [Topic("samples", {column.name: column.unit for column in columns}), Topic("events", {})]
         try:
             self._reserve = path.with_name(_RESERVE_NAME)
             _keep_free(self._reserve)
-            self._journal = Journal.create(path, content, number=first)
+            self._file = McapWriter(path, topics, files)
         except OSError as error:
             self._reserve.unlink(missing_ok=True)
             raise FileError(str(path), [Problem(f"it cannot be written: {error.strerror}")]) from error
@@ -82,7 +91,13 @@ class Recorder:
         self._thread.start()
 
     @classmethod
-    def create(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
+    def create(
+        cls,
+        folder: str | os.PathLike[str],
+        header: Mapping[str, Any],
+        columns: Sequence[Column],
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> Self:
         """Begin a record.
 
         Parameters
@@ -93,6 +108,8 @@ class Recorder:
             Description of the test, an object of JSON.
         columns
             Columns of its rows, of unique names.
+        attachments
+            Files that it carries, by name.
 
         Raises
         ------
@@ -105,10 +122,16 @@ class Recorder:
         if segments(folder):
             remedy = "resume it, or choose another folder"
             raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
-        return cls(folder / _name(1), header, _checked(columns), 0)
+        return cls(folder / _name(1), header, _checked(columns), 0, attachments)
 
     @classmethod
-    def resume(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
+    def resume(
+        cls,
+        folder: str | os.PathLike[str],
+        header: Mapping[str, Any],
+        columns: Sequence[Column],
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> Self:
         """Continue a record in a new file of its folder; parameters as `create`.
 
         Raises
@@ -125,7 +148,7 @@ class Recorder:
                 str(folder), [Problem("contains a record with other columns", remedy="choose another folder")]
             )
         number = int(there[-1].stem.rpartition("-")[2]) + 1
-        return cls(folder / _name(number), header, columns, rows_in(folder))
+        return cls(folder / _name(number), header, columns, rows_in(folder), attachments)
 
     def append(self, table: Mapping[str, ArrayLike]) -> None:
         """Append rows; they are copied, and on the disk within a second.
@@ -142,7 +165,7 @@ class Recorder:
         RigError
             If the recorder is closed, or earlier rows could not be written.
         """
-        arrays = [np.array(table[column.name], column.stored, ndmin=1) for column in self.columns]
+        arrays = [np.array(table[column.name], column.dtype, ndmin=1) for column in self.columns]
         count = len(arrays[0])
         if len(table) != len(arrays) or any(array.shape != (count,) for array in arrays):
             given = ", ".join(f"{name} {np.shape(values)}" for name, values in table.items())
@@ -153,14 +176,14 @@ class Recorder:
         with self._change:
             self._raise_closed()
             self._raise_failure()
-            while self._bytes > _MOST_PENDING and self._failure is None:
+            while self._waiting > _MOST_PENDING and self._failure is None:
                 self._hurry = True
                 self._change.notify_all()
                 self._change.wait(PERIOD)
             self._raise_failure()
             self._pending.append(arrays)
             self._is_empty = False
-            self._bytes += count * self._row_size
+            self._waiting += count * len(arrays)
             self.rows += count
 
     def event(self, kind: str, text: str = "", /, **data: Any) -> None:
@@ -178,12 +201,10 @@ class Recorder:
         RigError
             As `append`, but not if the disk is full.
         """
-        content = {"kind": kind, "text": text, "data": data}
         with self._change:
-            chunk = json_record(EVENT, self.rows, content)
             self._raise_closed()
             self._raise_failure(but_full=True)
-            self._pending.append(chunk)
+            self._pending.append({"kind": kind, "text": text, "row": self.rows, "data": data})
             self._is_empty = False
 
     def flush(self) -> None:
@@ -214,8 +235,8 @@ class Recorder:
             self._closing = True
             self._change.notify_all()
         self._thread.join()
-        if not self._journal.closed:
-            self._journal.close()
+        if not self._file.closed:
+            self._file.close(summary=self._failure is None)
             self._reserve.unlink(missing_ok=True)
             self._raise_failure()
 
@@ -252,7 +273,7 @@ class Recorder:
                     self._change.wait(PERIOD)
                 pending, self._pending = self._pending, []
                 asked, closing = self._asked, self._closing
-                self._bytes, self._hurry = 0, False
+                self._waiting, self._hurry = 0, False
             try:
                 if pending and not lost:
                     self._write(self._packed(pending))
@@ -266,32 +287,28 @@ class Recorder:
                 if closing and not self._pending:
                     return
 
-    def _packed(self, pending: list[list[np.ndarray] | JournalRecord]) -> list[JournalRecord]:
-        """Consecutive rows as one chunk."""
-        packed: list[JournalRecord] = []
-        together: list[list[np.ndarray]] = []
-        for one in [*pending, None]:
-            if isinstance(one, list):
-                together.append(one)
+    def _packed(self, pending: list[list[np.ndarray] | dict[str, Any]]) -> list[Message]:
+        """Messages of rows and events, in their order."""
+        messages: list[Message] = []
+        for entry in pending:
+            if isinstance(entry, dict):
+                data = json.dumps(entry, ensure_ascii=False, allow_nan=False).encode()
+                messages.append(Message(EVENTS, 0, self._time, data))
                 continue
-            if together:
-                arrays = [np.concatenate(parts) for parts in zip(*together, strict=True)]
-                packed.append(JournalRecord(SAMPLES, self._written, pack_rows(self.columns, arrays)))
-                self._written += len(arrays[0])
-                together = []
-            if one is not None:
-                packed.append(one)
-        return packed
+            rows = pack_rows(self.columns, entry, self._written)
+            self._written, self._time = self._written + len(rows), rows[-1].time
+            messages += rows
+        return messages
 
-    def _write(self, records: list[JournalRecord]) -> None:
-        """Append to the journal; on a full disk, in the space of the reserve."""
+    def _write(self, messages: list[Message]) -> None:
+        """Append to the file; on a full disk, in the space of the reserve."""
         try:
-            self._journal.append(*records)
+            self._file.append(messages)
         except OSError as error:
             if error.errno not in _FULL:
                 raise
             self._reserve.unlink(missing_ok=True)
-            self._journal.append(*records)
+            self._file.append(messages)
             with self._change:
                 self._failure = error  # it is kept, but nothing more should come
 
@@ -311,7 +328,7 @@ def _keep_free(path: Path) -> None:
 
 
 def _name(number: int) -> str:
-    return f"record-{number:04d}.chunks"
+    return f"record-{number:04d}.mcap"
 
 
 def _checked(columns: Sequence[Column]) -> Sequence[Column]:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 
 from mckibben.errors import StoppedError
 from mckibben.muscle import Muscle, forces
+from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.session import RigSession
@@ -21,14 +22,14 @@ DONE, RESUMED = "done", "resumed"
 _TURNING = 5 * mm  # travel before a reversal that is repeated on resuming, so that the friction has its direction
 
 
-def columns_of(inputs: Sequence[str]) -> tuple[Column, ...]:
+def columns_of(inputs: Sequence[Channel]) -> tuple[Column, ...]:
     """Return the columns of the record of a test.
 
-    >>> [column.name for column in columns_of(["force", "pressure"])]
+    >>> [column.name for column in columns_of([Channel("force", "N"), Channel("pressure", "Pa")])]
     ['time', 'force', 'pressure', 'pulses', 'plateau']
     """
-    volts = (Column(name, "V", "float32") for name in inputs)
-    return (Column("time", "s"), *volts, Column("pulses", "1", "int32"), Column("plateau", "1", "int32"))
+    values = (Column(channel.name, channel.unit, "float32") for channel in inputs)
+    return (Column("time", "s"), *values, Column("pulses", "1", "int32"), Column("plateau", "1", "int32"))
 
 
 class StepInterpreter(abc.ABC):
@@ -198,7 +199,7 @@ class Runner(StepInterpreter):
         rows = (acquire.samples - 1) * every + 1
         first, pulses = recorder.rows, self._rig.pulses
         taken = self._rig.acquire(rows, number)
-        force, pressure = (float(bench.calibrations[name].si(taken.means[name])) for name in ("force", "pressure"))
+        force, pressure = taken.means["force"], taken.means["pressure"]
         point = Point(
             number=number,
             first=first,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
 import time
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset, Recording
-from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
-from mckibben.rig.calibration import Calibration
+from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
-from mckibben.rig.record import Event, Point, assemble, entries, header_of, points, read_header, recording_of, segments
+from mckibben.rig.record import Event, Point, assemble, entries, header_of, points, recording_of, segments
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
@@ -33,10 +32,10 @@ if TYPE_CHECKING:
 
 def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     """Status of the channels of a protocol's rig, or of the paper's terminals: lines, each with whether it works."""
-    from mckibben.rig.ni import channel_status
+    from mckibben.rig.ni import NiRig
 
     if protocol is None:
-        yield from map(_status_line, channel_status())
+        yield from map(_status_line, NiRig().status())
         return
     test, document = read_test(protocol)
     yield from map(_status_line, test.rig.backend().status())
@@ -117,11 +116,10 @@ def check(
         raise ScenarioError(
             source, _parse_problems(str(error), ("protocol", test.protocol.short_name), lines)
         ) from None
-    run = dry_run(steps, setup.bench, setup.backend.inputs, patience=setup.backend.patience)
+    run = dry_run(steps, setup.bench, [*setup.backend.inputs, *setup.backend.outputs], patience=setup.backend.patience)
     if run.problems:
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
-    row = sum(column.stored.itemsize for column in columns_of([channel.name for channel in setup.backend.inputs]))
-    return CheckedTest(test, setup, steps, run, run.bytes(row) + 2 * 4 * run.samples)
+    return CheckedTest(test, setup, steps, run, run.bytes(_ROW) + 2 * 4 * run.samples)
 
 
 def check_disk_space(folder: Path, needed: int) -> None:
@@ -160,6 +158,8 @@ def _time(duration: float) -> str:
     seconds = round(duration)
     return f"{seconds // 3600} h {seconds // 60 % 60:02d} min {seconds % 60:02d} s"
 
+
+_ROW = 64  # bytes of a row of the record, compressed
 
 PROTOCOL = "protocol.yaml"
 """Protocol in the folder of a record."""
@@ -247,7 +247,6 @@ def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
     folder = Path(folder)
     checked = check(_kept_test(folder))
     with file_lock(folder / "lock", "running a test here"):
-        _warn_of_calibration(checked, folder)
         return _save_dataset(checked, folder)
 
 
@@ -255,7 +254,6 @@ def gather_recording(folder: str | os.PathLike[str]) -> Recording:
     """Return all samples of the record in a folder over time; `FileError` if there is none."""
     folder = Path(folder)
     checked = check(_kept_test(folder))
-    _warn_of_calibration(checked, folder)
     return recording_of(folder, checked.setup.bench, source=_source(checked, folder))
 
 
@@ -267,14 +265,6 @@ def _kept_test(folder: Path) -> RigTest:
     if not path.exists():
         raise FileError(str(folder), [Problem("contains no test", remedy="give the folder of `rig run --out`")])
     return RigTest.read(path)
-
-
-def _warn_of_calibration(checked: CheckedTest, folder: Path) -> None:
-    for path in segments(folder):
-        stored = read_header(path)[0]["header"]["calibration"].items()
-        if {name: Calibration.from_json(form) for name, form in stored} != dict(checked.setup.bench.calibrations):
-            message = f"{path} was recorded with another calibration; the dataset is made with the present one"
-            warnings.warn(message, McKibbenWarning, stacklevel=3)
 
 
 def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
@@ -294,10 +284,10 @@ def _run_session(
 ) -> None:
     bench, backend = checked.setup.bench, checked.setup.backend
     origin = _origin(checked, folder, past, standing_at)
-    columns = columns_of([channel.name for channel in backend.inputs])
+    columns, protocol = columns_of(backend.inputs), checked.test.dumps(folder=folder)
     begin = Recorder.resume if segments(folder) else Recorder.create
     with (
-        begin(folder, _header(checked, folder), columns) as recorder,
+        begin(folder, _header(checked, protocol), columns, {PROTOCOL: protocol.encode()}) as recorder,
         backend.host_watchdog(),
         stop_on_signals() as stop_flag,
     ):
@@ -321,15 +311,21 @@ def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at
 def _past(folder: Path) -> _PastSessions:
     """State of the recorded test."""
     events: list[Event] = []
-    since, position = 0.0, 0
+    since, position, end, gaps = 0.0, 0, 0, list[range]()  # rows that are lost
     step = 1 / header_of(folder)[0]["rate_Hz"] if segments(folder) else 0.0
     for entry in entries(folder):
         if isinstance(entry, Event):
             events.append(entry)
         elif len(entry.columns["time"]):
             since, position = float(entry.columns["time"][-1]) + step, int(entry.columns["pulses"][-1])
+            gaps += [range(end, entry.first)] if entry.first > end else []
+            end = entry.first + len(entry.columns["time"])
     recorded = points(events)
-    done = tuple(point for number, point in enumerate(recorded) if point.number == number)
+    whole = [
+        all(gap.stop <= point.first or point.first + point.rows <= gap.start for gap in gaps) for point in recorded
+    ]
+    kept = itertools.takewhile(lambda row: row[1].number == row[0] and row[2], zip(itertools.count(), recorded, whole))
+    done = tuple(point for _, point, _ in kept)
     finished = any(event.kind == DONE for event in events)
     at_rest = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
     return _PastSessions(
@@ -338,7 +334,7 @@ def _past(folder: Path) -> _PastSessions:
 
 
 def _check_same(checked: CheckedTest, folder: Path) -> None:
-    """Check that the test in the folder is this one, with the same steps; warn of another calibration."""
+    """Check that the test in the folder is this one, with the same steps."""
     recorded = _kept_test(folder)
     if not checked.test.is_same(recorded):
         remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
@@ -346,14 +342,13 @@ def _check_same(checked: CheckedTest, folder: Path) -> None:
     if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):
         remedy = "restore the files that the protocol names, such as that of its law"
         raise ScenarioError(str(folder), [Problem("contains a test of other steps", field="steps", remedy=remedy)])
-    _warn_of_calibration(checked, folder)
 
 
-def _header(checked: CheckedTest, folder: Path) -> dict[str, object]:
+def _header(checked: CheckedTest, protocol: str) -> dict[str, object]:
     bench = checked.setup.bench
     specimen = bench.specimen
     return {
-        "protocol": checked.test.dumps(folder=folder),
+        "protocol": protocol,
         "steps": describe_steps(checked.steps),
         "specimen": {
             "name": specimen.name,
@@ -362,7 +357,6 @@ def _header(checked: CheckedTest, folder: Path) -> dict[str, object]:
             "rated_force_N": specimen.rated_force,
             "mounted_at": bench.mounted_at,
         },
-        "calibration": {name: calibration.to_json() for name, calibration in bench.calibrations.items()},
         "drive": {"pulses_per_metre": bench.drive.pulses_per_metre},
         "rig": dict(checked.setup.backend.description),
         "rate_Hz": bench.rate,

@@ -5,16 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.errors import SignalledError, StoppedError
-from mckibben.rig.backend import AnalogChannel, Backend, Block, MovingBackend
+from mckibben.errors import RigError, SignalledError, StoppedError
+from mckibben.rig.backend import Backend, Block, Channel, MovingBackend
 from mckibben.rig.bench import JointLimits, RigLimits
-from mckibben.rig.calibration import Calibration
 from mckibben.storage.files import handle_signals
 from mckibben.units import bar, deg, mm, ms
 
@@ -24,49 +22,34 @@ _SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
 
 class SignalLimits(NamedTuple):
-    """Limits of one input.
+    """Limits of one input, in its unit.
 
     Attributes
     ----------
-    name, column
-        Name of the input, and its column in a block.
-    gain, zero
-        Value in the unit = gain * volts + zero.
+    name, column, unit
+        Name, column in a block, and unit.
     low, high
-        Range of the volts of a working sensor [V].
-    unit, lower, upper
-        Unit, and range of the value in it.
+        Range of a working sensor.
+    lower, upper
+        Allowed range.
     rate
         Highest rate [unit/s] between the means over two windows.
     """
 
     name: str
     column: int
-    gain: float
-    zero: float
+    unit: str
     low: float
     high: float
-    unit: str
     lower: float = -math.inf
     upper: float = math.inf
     rate: float = math.inf
 
     @classmethod
-    def of(
-        cls,
-        calibration: Calibration,
-        inputs: Sequence[AnalogChannel],
-        *,
-        lower: float = -math.inf,
-        upper: float = math.inf,
-        rate: float = math.inf,
-    ) -> SignalLimits:
-        """Limits in the unit of a calibration, for the input of its name."""
-        column = [channel.name for channel in inputs].index(calibration.name)
-        low, high = calibration.working_volts(inputs[column])
-        zero = float(calibration.si(0.0))
-        name = calibration.name.replace("pressure1", "pressure 1").replace("pressure2", "pressure 2")
-        return cls(name, column, calibration.gain, zero, low, high, calibration.unit, lower, upper, rate)
+    def of(cls, channel: Channel, column: int, **limits: float) -> SignalLimits:
+        """Limits of a channel."""
+        name = channel.name.replace("pressure1", "pressure 1").replace("pressure2", "pressure 2")
+        return cls(name, column, channel.unit, channel.low, channel.high, **limits)
 
 
 class StopFlag:
@@ -142,7 +125,7 @@ class SafetyMonitor:
     maximum_age
         Highest age of the newest sample, and longest time without one [s].
     frozen
-        Longest time for which an input may read the same volts [s].
+        Longest time for which an input may have the same value [s].
     window
         Calls of `check` per window of the rates.
     """
@@ -160,14 +143,12 @@ class SafetyMonitor:
         self.signals = tuple(signals)
         self.stopped_at: float | None = None  # by the clock of the backend [s]
         self._stopped = False
-        self._maximum_age, self._frozen = maximum_age, frozen
+        self._maximum_age, self._frozen, self._width = maximum_age, frozen, window
         self._time: float | None = None  # of the newest sample
-        self._constant: dict[str, tuple[float, float]] = {}  # volts, and since when
+        self._constant: dict[str, tuple[float, float]] = {}  # value, and since when
         self._rates_from = -math.inf
-        self._width = window
-        self._recent: deque[list[float]] = deque(maxlen=2 * window)
-        self._rated = [(k, one) for k, one in enumerate(self.signals) if one.rate < math.inf]
-        self._older, self._newer = ([0.0] * (1 + len(self._rated)) for _ in range(2))
+        self._window: list[list[float]] = []  # times and values of the present window
+        self._before: list[float] | None = None  # means of the window before
 
     def check(
         self,
@@ -185,44 +166,32 @@ class SafetyMonitor:
         first, last
             Times of the first and the last sample [s].
         lowest, highest, means
-            Volts of each input: lowest, highest and mean over the samples [V].
+            Values of each input: lowest, highest and mean over the samples.
         clock
             Time of the backend after reading [s]; None to leave the age unchecked.
 
         Returns
         -------
         list of float
-            Means of the inputs with limits, in their units.
+            Means of the inputs with limits.
 
         Raises
         ------
         StoppedError
             If a limit is exceeded, a sensor is lost, or samples are late, missing or repeated.
         """
-        values = []
-        for name, column, gain, zero, low, high, unit, lower, upper, _ in self.signals:
+        for name, column, unit, low, high, lower, upper, _ in self.signals:
             least, most = lowest[column], highest[column]
             if not (least >= low and most <= high):  # NaN too
-                raise StoppedError(
-                    f"the {name} sensor is lost: it gives {least:.4g} to {most:.4g} V, and a working one {low:.4g} to "
-                    f"{high:.4g} V",
-                    value=least if not least >= low else most,
-                    lower=low,
-                    upper=high,
-                    unit="V",
-                    remedy=_PLUG,
-                )
-            if gain < 0:
-                least, most = most, least
-            least, most = least * gain + zero, most * gain + zero
+                bad = least if not least >= low else most
+                raise _exceeded(f"{name} sensor is lost: its reading", bad, low, high, unit, remedy=_PLUG)
             if not (lower <= least and most <= upper):
                 raise _exceeded(name, least if not lower <= least else most, lower, upper, unit)
-            values.append(means[column] * gain + zero)
         if self._frozen < math.inf:
             self._check_constant(lowest, highest, last)
         self._check_time(first, last, clock)
-        if self._rated:
-            self._check_rates((first + last) / 2, values)
+        values = [means[one.column] for one in self.signals]
+        self._check_rates((first + last) / 2, values)
         return values
 
     def heartbeat(self) -> None:
@@ -277,18 +246,17 @@ class SafetyMonitor:
                 backend.vent()
                 record(block)
                 newest, left = float(block.time[-1]), left - len(block.time)
-                fresh = block.time > begun - 1 / rate
-                if not fresh.any():
+                fresh = block.values[block.time > begun - 1 / rate]
+                if not len(fresh):
                     continue
-                first, last = int(block.pulses[0]), int(block.pulses[-1])
-                volts = block.volts[fresh]
-                for one in pressures:
-                    column = volts[:, one.column]
-                    if not ((column >= one.low) & (column <= one.high)).all():
-                        return VentResult()
-                highest = max(float(volts[:, one.column].mean()) * one.gain + one.zero for one in pressures)
+                read = fresh[:, [one.column for one in pressures]]
+                low, high = ([getattr(one, end) for one in pressures] for end in ("low", "high"))
+                if not ((low <= read) & (read <= high)).all():
+                    return VentResult()
+                highest = float(read.mean(axis=0).max())
                 empty = highest <= threshold
-                found = VentResult(highest, newest - begun if empty else None, last if first == last else None)
+                still = int(block.pulses[-1]) if block.pulses[0] == block.pulses[-1] else None
+                found = VentResult(highest, newest - begun if empty else None, still)
                 if empty or newest >= begun + duration:
                     return found
         except (Exception, KeyboardInterrupt):  # it was vented before
@@ -298,13 +266,12 @@ class SafetyMonitor:
     def _check_constant(self, lowest: Sequence[float], highest: Sequence[float], time: float) -> None:
         for one in self.signals:
             least, most = lowest[one.column], highest[one.column]
-            volts, since = self._constant.get(one.name, (math.nan, time))
-            since = since if least == most == volts else time
+            value, since = self._constant.get(one.name, (math.nan, time))
+            since = since if least == most == value else time
             self._constant[one.name] = least, since
             if time - since > self._frozen and one.low > -math.inf:
-                raise StoppedError(
-                    f"the {one.name} sensor is lost: it has given {volts:.6g} V for {time - since:.3g} s", remedy=_PLUG
-                )
+                message = f"the {one.name} sensor is lost: it has given {value:.6g} {one.unit} for {time - since:.3g} s"
+                raise StoppedError(message, field=one.name, value=value, unit=one.unit, remedy=_PLUG)
 
     def _check_time(self, first: float, last: float, clock: float | None) -> None:
         before, self._time = self._time, last
@@ -322,21 +289,17 @@ class SafetyMonitor:
             raise StoppedError(message, value=clock - last, upper=self._maximum_age, unit="s", remedy=_BUSY)
 
     def _check_rates(self, time: float, values: Sequence[float]) -> None:
-        """Check the rates of change between the means over the last two windows."""
-        recent, older, newer, width = self._recent, self._older, self._newer, self._width
-        if len(recent) == 2 * width:
-            _add(older, recent[0], -1.0)
-        if len(recent) >= width:
-            middle = recent[-width]
-            _add(newer, middle, -1.0)
-            _add(older, middle, 1.0)
-        recent.append([time, *(values[k] for k, _ in self._rated)])
-        _add(newer, recent[-1], 1.0)
-        if len(recent) < 2 * width or time <= self._rates_from:
+        """Check the rates of change between the means over two consecutive windows."""
+        self._window.append([time, *values])
+        if len(self._window) < self._width:
             return
-        elapsed = max(newer[0] - older[0], 1e-9)
-        for k, (_, one) in enumerate(self._rated, start=1):
-            rate = abs(newer[k] - older[k]) / elapsed
+        means = [sum(column) / self._width for column in zip(*self._window, strict=True)]
+        self._window.clear()
+        before, self._before = self._before, means
+        if before is None or time <= self._rates_from:
+            return
+        for one, new, old in zip(self.signals, means[1:], before[1:], strict=True):
+            rate = abs(new - old) / max(means[0] - before[0], 1e-9)
             if not rate <= one.rate:
                 raise _exceeded(f"rate of {one.name}", rate, -math.inf, one.rate, one.unit, per="/s")
 
@@ -344,12 +307,9 @@ class SafetyMonitor:
 _MOST = 1000  # samples read at once
 
 
-def _add(sums: list[float], row: Sequence[float], sign: float) -> None:
-    for k, value in enumerate(row):
-        sums[k] += sign * value
-
-
-def _exceeded(name: str, value: float, lower: float, upper: float, unit: str, *, per: str = "") -> StoppedError:
+def _exceeded(
+    name: str, value: float, lower: float, upper: float, unit: str, *, per: str = "", remedy: str = ""
+) -> StoppedError:
     shown, scale = _SHOWN.get(unit, (unit, 1.0))
     limits = (
         f"beyond the limit of {upper / scale:.4g} {shown}{per}"
@@ -358,10 +318,12 @@ def _exceeded(name: str, value: float, lower: float, upper: float, unit: str, *,
     )
     return StoppedError(
         f"the {name} of {value / scale:.4g} {shown}{per} is {limits}",
+        field=name,
         value=value,
         lower=lower,
         upper=upper,
         unit=unit + per,
+        remedy=remedy,
     )
 
 
@@ -389,48 +351,30 @@ class RigMonitor(SafetyMonitor):
 
     Parameters
     ----------
-    backend, limits, calibrations
-        Backend, its limits, and its calibrations by channel.
+    backend, limits
+        Backend and its limits.
     pulses_per_metre
         Of the motor, see `Drive`.
     origin
         Position of the motor when it was opened [pulses], from the mounted one.
     """
 
-    def __init__(
-        self,
-        backend: MovingBackend,
-        limits: RigLimits,
-        calibrations: Mapping[str, Calibration],
-        pulses_per_metre: float,
-        origin: int = 0,
-    ) -> None:
-        inputs, self._motor = backend.inputs, backend
-        bounds = {"force": (limits.force, math.inf), "pressure": (limits.pressure, limits.pressure_rate)}
-        signals = []
-        for channel in inputs:
-            if channel.name in calibrations:
-                upper, rate = bounds.get(channel.name, (math.inf, math.inf))
-                signals.append(SignalLimits.of(calibrations[channel.name], inputs, upper=upper, rate=rate))
+    def __init__(self, backend: MovingBackend, limits: RigLimits, pulses_per_metre: float, origin: int = 0) -> None:
+        bounds = {
+            "force": {"upper": limits.force},
+            "pressure": {"upper": limits.pressure, "rate": limits.pressure_rate},
+        }
+        signals = [SignalLimits.of(one, k, **bounds.get(one.name, {})) for k, one in enumerate(backend.inputs)]
         names = [signal.name for signal in signals]
+        if missing := bounds.keys() - {*names}:
+            raise RigError(f"the rig has no {' and no '.join(sorted(missing))}", remedy="connect them by these names")
         self._force, self._pressure = names.index("force"), names.index("pressure")
-        per_pulse, play = 1 / pulses_per_metre, 1e-9
-        signals.append(
-            SignalLimits(
-                "travel",
-                len(inputs),
-                per_pulse,
-                origin * per_pulse,
-                -math.inf,
-                math.inf,
-                "m",
-                -limits.shorten - play,
-                limits.stretch + play,
-            )
-        )
+        ends = -limits.shorten - _PLAY, limits.stretch + _PLAY
+        signals.append(SignalLimits("travel", len(signals), "m", -math.inf, math.inf, *ends))
         super().__init__(backend, signals, maximum_age=limits.gap, frozen=limits.frozen)
         self.limits = limits
-        self.sums = np.zeros(len(inputs))
+        self.sums = np.zeros(len(backend.inputs))
+        self._motor, self._travel = backend, (1 / pulses_per_metre, origin)
         self._setpoint: float | None = None
         self._set_at = 0.0
 
@@ -461,16 +405,17 @@ class RigMonitor(SafetyMonitor):
         StoppedError
             As `SafetyMonitor.check`; or if the travel is outside the limits, or the pressure does not settle.
         """
-        columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as fast along the last axis
+        columns = np.ascontiguousarray(block.values.T)  # NumPy is several times as fast along the last axis
         self.sums = columns.sum(axis=1)
-        pulses = block.pulses[[0, -1]]
+        per_pulse, origin = self._travel
         first, last = float(block.time[0]), float(block.time[-1])
+        start, end = ((int(pulses) + origin) * per_pulse for pulses in block.pulses[[0, -1]])
         values = self.check(
             first,
             last,
-            [*columns.min(axis=1).tolist(), int(pulses.min())],
-            [*columns.max(axis=1).tolist(), int(pulses.max())],
-            [*(self.sums / columns.shape[1]).tolist(), int(pulses[-1])],
+            [*columns.min(axis=1).tolist(), min(start, end)],
+            [*columns.max(axis=1).tolist(), max(start, end)],
+            [*(self.sums / columns.shape[1]).tolist(), end],
             clock,
         )
         pressure, setpoint = values[self._pressure], self._setpoint
@@ -485,28 +430,27 @@ class RigMonitor(SafetyMonitor):
         return BlockMeans(last, values[self._force], pressure, values[-1])
 
 
+_PLAY = 1e-9  # m
+
+
 class JointMonitor(SafetyMonitor):
     """Safety monitor of a joint rig: also the deviation of the pressures from their commands.
 
     Parameters
     ----------
     backend, limits
-        Backend and its limits.
-    sensors
-        Calibrations of angle and both pressures.
+        Backend with the inputs "angle", "pressure1" and "pressure2", and its limits.
     period
         Sampling period [s].
     """
 
-    def __init__(self, backend: Backend, limits: JointLimits, sensors: Sequence[Calibration], period: float) -> None:
-        angle, *pressures = sensors
+    def __init__(self, backend: Backend, limits: JointLimits, period: float) -> None:
+        pressure = {"upper": limits.pressure, "rate": limits.pressure_rate}
+        angle = {"lower": limits.lowest_angle, "upper": limits.highest_angle, "rate": limits.angle_rate}
+        columns = {channel.name: column for column, channel in enumerate(backend.inputs)}
         signals = [
-            SignalLimits.of(
-                angle, backend.inputs, lower=limits.lowest_angle, upper=limits.highest_angle, rate=limits.angle_rate
-            )
-        ]
-        signals += [
-            SignalLimits.of(one, backend.inputs, upper=limits.pressure, rate=limits.pressure_rate) for one in pressures
+            SignalLimits.of(backend.inputs[columns[name]], columns[name], **bounds)
+            for name, bounds in (("angle", angle), ("pressure1", pressure), ("pressure2", pressure))
         ]
         super().__init__(backend, signals, maximum_age=limits.late, window=max(1, round(limits.window / period)))
         self.limits = limits
@@ -514,7 +458,7 @@ class JointMonitor(SafetyMonitor):
         self.errors = [0.0, 0.0]  # of the pressures from their commands, filtered [Pa]
 
     def check_sample(
-        self, time: float, volts: Sequence[float], commands: Sequence[float] | None, clock: float | None
+        self, time: float, values: Sequence[float], commands: Sequence[float] | None, clock: float | None
     ) -> None:
         """Check one sample.
 
@@ -522,8 +466,8 @@ class JointMonitor(SafetyMonitor):
         ----------
         time
             Its time [s].
-        volts
-            Volts of all inputs [V].
+        values
+            Values of all inputs.
         commands
             Commands until then [Pa]; None where the pressures need not follow.
         clock
@@ -534,12 +478,12 @@ class JointMonitor(SafetyMonitor):
         StoppedError
             As `SafetyMonitor.check`; or if a pressure stays off its command.
         """
-        values = self.check(time, time, volts, volts, volts, clock)
+        checked = self.check(time, time, values, values, values, clock)
         if commands is None:
             return
         errors, share, limit = self.errors, self.share, self.limits.pressure_error
         for i in (0, 1):
-            pressure = values[1 + i]
+            pressure = checked[1 + i]
             errors[i] += share * (pressure - commands[i] - errors[i])
             if abs(errors[i]) > limit:
                 raise StoppedError(

@@ -59,7 +59,7 @@ class PlateauSamples(NamedTuple):
     begun
         Time of the first one [s].
     means
-        Mean volts [V] by input.
+        Mean values by input.
     """
 
     begun: float
@@ -98,7 +98,7 @@ class RigSession:
         self.bench = bench
         self.recorder = recorder
         self.pulses = origin
-        self.monitor = RigMonitor(backend, bench.limits, bench.calibrations, bench.drive.pulses_per_metre, origin)
+        self.monitor = RigMonitor(backend, bench.limits, bench.drive.pulses_per_metre, origin)
         self._origin = origin
         self._since = since
         self._report = report
@@ -257,7 +257,7 @@ class RigSession:
         self._expect_settled(0.0)
 
     def _set_valve(self, pressure: float) -> None:
-        self.backend.set_valves([float(self.bench.calibrations["valve"].volts(max(pressure, 0.0)))])
+        self.backend.set_valves([max(pressure, 0.0)])
 
     def _settle(
         self, near: Callable[[BlockMeans], bool], in_time: Callable[[BlockMeans], None], duration: float
@@ -309,15 +309,15 @@ class RigSession:
             self.recorder.event(DROPPED, text, samples=lost, time=self._since + float(block.time[0]))
         self._expected = block.first + len(block.time)
         kept = slice(-block.first % every, None, every)
-        volts = block.volts[kept]
-        if not len(volts):
+        values = block.values[kept]
+        if not len(values):
             return
         table = {
             "time": block.time[kept] + self._since,
             "pulses": block.pulses[kept] + self._origin,
-            "plateau": np.full(len(volts), plateau, np.int32),
+            "plateau": np.full(len(values), plateau, np.int32),
         }
-        self.recorder.append(table | dict(zip(self._names, volts.T, strict=True)))
+        self.recorder.append(table | dict(zip(self._names, values.T, strict=True)))
 
     def record_stop(self, error: BaseException) -> StoppedError:
         """Record the reason of a stop, observe the venting, and return both as an error.

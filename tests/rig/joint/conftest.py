@@ -129,7 +129,7 @@ def knee():
 
 
 class Borrowed(Backend):
-    """The volts come from elsewhere, all optional members are the defaults."""
+    """The values come from elsewhere, all optional members are the defaults."""
 
     def __init__(self, other, port):
         self.other, self.port = other, port
@@ -137,7 +137,6 @@ class Borrowed(Backend):
 
     inputs = property(lambda self: self.other.inputs)
     outputs = property(lambda self: self.other.outputs)
-    calibrations = property(lambda self: self.other.calibrations)
     description = property(lambda self: {"kind": "borrowed", "port": str(self.port)})
 
     def open(self):
@@ -149,8 +148,8 @@ class Borrowed(Backend):
     def read(self, count, *, timeout=1.0):
         return self.other.read(count, timeout=timeout)
 
-    def set_valves(self, volts):
-        self.other.set_valves(volts)
+    def set_valves(self, pressures):
+        self.other.set_valves(pressures)
 
     def heartbeat(self):
         self.other.heartbeat()

@@ -24,7 +24,7 @@ def on_card():
     servers = []
 
     def make(joint):
-        server, address = device.serve(device.Card(joint, SENSORS, VALVES))
+        server, address = device.serve(device.Card(joint, SENSORS, VALVES, device.KNEE))
         servers.append(server)
         terminals = Terminals(
             inputs=dict(zip(("angle", "pressure1", "pressure2"), SENSORS, strict=True)),
@@ -32,7 +32,7 @@ def on_card():
             counter="",
         )
         given = {"rate": 1 / PERIOD, "patience": 5.0, "server": address}
-        return NiBackend(terminals, calibrations=joint.calibrations, **given)
+        return NiBackend(terminals, calibrations=device.KNEE, **given)
 
     yield make
     for server in servers:
@@ -46,7 +46,7 @@ def test_on_a_card_a_run_is_the_one_without(stiff, on_card):
     outcome, kept = stiff.run(on_card(joint), plan=plan)
     alone, expected = stiff.run(stiff.joint(vented=True), plan=plan)
     assert outcome.completed and alone.completed
-    for name in ("volts_angle", "volts_pressure1", "volts_pressure2", "command1", "command2"):
+    for name in ("angle", "pressure1", "pressure2", "command1", "command2"):
         mine, other = kept.columns[name][:69], expected.columns[name][:69]
         np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-9)
     assert outcome.vented_after < 0.1

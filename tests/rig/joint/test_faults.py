@@ -58,9 +58,9 @@ def check_vented(joint, kept, outcome, kind):
 
 # What fails, the kind of outcome, words of its text, and the time from the first sample that shows it to the vent [s].
 FAULTS = {
-    "angle lost": (lambda at: SensorDisconnected(at, "angle", 0.0), "stopped", "the angle sensor is lost", 0.0),
-    "pressure 1 lost": (lambda at: SensorDisconnected(at, "pressure1", 0.0), "stopped", "pressure 1 sensor is lost", 0),
-    "pressure 2 lost": (lambda at: SensorDisconnected(at, "pressure2", 0.0), "stopped", "pressure 2 sensor is lost", 0),
+    "angle lost": (lambda at: SensorDisconnected(at, "angle"), "stopped", "the angle sensor is lost", 0.0),
+    "pressure 1 lost": (lambda at: SensorDisconnected(at, "pressure1"), "stopped", "pressure 1 sensor is lost", 0),
+    "pressure 2 lost": (lambda at: SensorDisconnected(at, "pressure2"), "stopped", "pressure 2 sensor is lost", 0),
     "silent": (SamplesStopped, "silent", "", LIMITS.silence),
     "late": (lambda at: SamplesDelayed(at, 60 * ms), "stopped", "old", 60 * ms),
     "host away": (lambda at: HostDelayed(at, 0.12), "stopped", "", None),
@@ -150,7 +150,7 @@ def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
         joint = stiff.joint(patience=20 * ms)
         joint.open()
         joint.read(1)
-        joint.set_valves([4.0, 4.0])
+        joint.set_valves([3.6 * bar, 3.6 * bar])
         joint.heartbeat()
         while joint.clock() < instant:
             joint.read(1)

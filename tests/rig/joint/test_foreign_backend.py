@@ -8,7 +8,7 @@ from typing import Annotated
 
 import pytest
 
-from mckibben.errors import McKibbenWarning, RigError, ScenarioError
+from mckibben.errors import McKibbenWarning, ScenarioError
 from mckibben.rig import PERFECT, JointHardware, JointRig, SimulatedJoint, prepare
 from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario
@@ -63,13 +63,6 @@ def test_hardware_of_ones_own_runs_a_scenario_and_warns_that_no_process_watches(
 def test_ideal_is_for_simulated_hardware(scenario):
     with pytest.raises(ScenarioError, match="not a simulated joint"):
         prepare(scenario, JointRig.parse(TEXT), ideal=True)
-
-
-def test_calibrations_of_other_channels_are_refused(scenario, monkeypatch):
-    for lacking in ({}, {"angle": None}):
-        monkeypatch.setattr(Borrowed, "calibrations", lacking)
-        with pytest.raises(RigError, match="valve2"):
-            prepare(scenario, JointRig.parse(TEXT))
 
 
 def test_the_muscle_bench_is_no_hardware_of_a_joint():

@@ -9,7 +9,7 @@ a call that is not here fails as unimplemented.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent import futures
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, SilentError
+from mckibben.rig.calibration import Calibration
+from mckibben.units import bar, deg
 
 grpc = pytest.importorskip("grpc", reason="needs the extra daq")
 messages = pytest.importorskip("nidaqmx._stubs.nidaqmx_pb2", reason="needs the extra daq")
@@ -28,6 +30,21 @@ LINES = [f"Dev1/port0/line{k}" for k in range(8)]
 HEARTBEAT, HOLD, DIRECTION = LINES[:3]
 FINITE, CONTINUOUS = 10178, 10123
 TIMEOUT, OVERWRITTEN, NO_DEVICE, NO_CHANNEL, RESERVED, GONE = -200284, -200279, -200220, -200170, -50103, -88709
+
+
+BENCH = {
+    "force": Calibration(name="force", unit="N", gain=200.0, low=-2000.0, high=2000.0),
+    "pressure": Calibration(name="pressure", unit="Pa", gain=1 * bar, low=0.0, high=10 * bar),
+    "valve": Calibration(name="valve", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar),
+}
+KNEE = {
+    "angle": Calibration(name="angle", unit="rad", gain=36 * deg, offset=5.0, low=-170 * deg, high=170 * deg),
+    **{
+        name: Calibration(name=name, unit="Pa", gain=2.5 * bar, offset=1.0, low=-0.3 * bar, high=10 * bar)
+        for name in ("pressure1", "pressure2")
+    },
+    **{name: Calibration(name=name, unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar) for name in ("valve1", "valve2")},
+}
 
 
 @dataclass
@@ -49,8 +66,17 @@ class RefusedError(Exception):
 class Card(service.NiDAQmxServicer):
     """A PCI-6281 with a simulated rig at its terminals, and the relay that watches its heartbeat."""
 
-    def __init__(self, twin: Any, inputs: Sequence[str] = INPUTS, outputs: Sequence[str] = OUTPUTS) -> None:
+    def __init__(
+        self,
+        twin: Any,
+        inputs: Sequence[str] = INPUTS,
+        outputs: Sequence[str] = OUTPUTS,
+        calibrations: Mapping[str, Calibration] | None = None,
+    ) -> None:
         self.twin = twin
+        known = BENCH if calibrations is None else calibrations
+        self.sensors = [known[channel.name] for channel in twin.inputs]
+        self.regulators = [known[channel.name] for channel in twin.outputs]
         self.inputs, self.outputs = list(inputs), list(outputs)
         self.tasks: dict[str, Task] = {}
         self.lines = dict.fromkeys(LINES, False)
@@ -187,7 +213,8 @@ class Card(service.NiDAQmxServicer):
             raise RefusedError(TIMEOUT, "Some or all of the samples requested have not yet been acquired.") from error
         except RigError as error:
             raise RefusedError(OVERWRITTEN, "The application is not able to keep up with the hardware.") from error
-        columns = [block.volts[:, self.inputs.index(channel)] for channel in task.channels]
+        places = [self.inputs.index(channel) for channel in task.channels]
+        columns = [np.clip(self.sensors[place].volts(block.values[:, place]), -10, 10) for place in places]
         return messages.ReadAnalogF64Response(read_array=np.concatenate(columns), samps_per_chan_read=count)
 
     def WriteAnalogF64(self, request: Any, context: Any) -> Any:
@@ -213,7 +240,8 @@ class Card(service.NiDAQmxServicer):
             self.twin.vent()
         elif self.twin.is_open:
             try:
-                self.twin.set_valves(self.valves)
+                pairs = zip(self.regulators, self.valves, strict=True)
+                self.twin.set_valves([float(calibration.si(volts)) for calibration, volts in pairs])
             except RigError:  # the relay has let go
                 self.twin.vent()
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib
-import json
 import signal
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
+from mckibben.rig.calibration import to_json
 from mckibben.rig.document import read_test
 from mckibben.rig.ni import NiBackend
 from mckibben.rig.record import read_record, segments
@@ -57,8 +57,7 @@ def on_card(tmp_path, watched):
         twin = SimulatedRig(MUSCLE, seed=len(servers), mounted_at=mounted_at, **settings)
         server, address = device.serve(device.Card(twin))
         servers.append(server)
-        calibrations = {name: one.to_json() for name, one in twin.calibrations.items()}
-        (tmp_path / "bench.json").write_text(json.dumps(calibrations))
+        (tmp_path / "bench.json").write_text(to_json(device.BENCH))
         (tmp_path / "p.yaml").write_text(TEXT.format(address=address))
         # the folder's own copy names the card that was there before
         if (copy := tmp_path / "out" / "protocol.yaml").exists():

@@ -15,7 +15,6 @@ from mckibben.rig.simulated import (
     FORCE_SENSOR,
     PRESSURE_SENSOR,
     Burst,
-    Converter,
     HostDelayed,
     RealTimeRig,
     Regulator,
@@ -36,10 +35,9 @@ SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
 PLAIN = Muscle(SPECIMEN, catalog.law("lei-mas-10-180n"))
 REAL = Muscle(SPECIMEN, PLAIN.law, MaxwellSlip(12.0, 0.5 * mm), MaxwellCreep(500.0, 5.0, arms=2))
 QUIET = {
-    "force_sensor": dataclasses.replace(FORCE_SENSOR, noise=0.0),
-    "pressure_sensor": dataclasses.replace(PRESSURE_SENSOR, noise=0.0),
+    "force_sensor": dataclasses.replace(FORCE_SENSOR, noise=0.0, resolution=0.0),
+    "pressure_sensor": dataclasses.replace(PRESSURE_SENSOR, noise=0.0, resolution=0.0),
     "regulator": Regulator(hysteresis=0.0, repeatability=0.0, leak=0.0),
-    "converter": Converter(bits=40),
 }
 SAFE = 0.2 * bar
 
@@ -51,7 +49,7 @@ def opened(muscle=PLAIN, **settings):
 
 
 def press(rig, pressure):
-    rig.set_valves([float(rig.calibrations["valve"].volts(pressure))])
+    rig.set_valves([pressure])
 
 
 def blocks(rig, duration, count=100):
@@ -65,8 +63,7 @@ def blocks(rig, duration, count=100):
 
 def columns(rig, kept):
     """Times, force [N], pressure [Pa], pulses."""
-    volts = np.concatenate([block.volts for block in kept])
-    si = [rig.calibrations[channel.name].si(volts[:, k]) for k, channel in enumerate(rig.inputs)]
+    si = np.concatenate([block.values for block in kept]).T
     return np.concatenate([block.time for block in kept]), *si, np.concatenate([block.pulses for block in kept])
 
 
@@ -103,7 +100,7 @@ def test_noise_steps_and_zeros_are_those_of_the_sensors():
     assert line[0] == pytest.approx(1.0, abs=0.01)
     assert np.std(force - np.polyval(line, time)) == pytest.approx(0.5, rel=0.03)
     assert np.std(pressure) == pytest.approx(0.5 * kPa, rel=0.03)
-    steps = (force / 200) / (20 / 2**18)
+    steps = force / (4000 / 2**18)
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
     assert abs(np.mean(pressure)) < 25
 
@@ -111,15 +108,15 @@ def test_noise_steps_and_zeros_are_those_of_the_sensors():
 def test_zero_that_wanders_is_a_random_walk():
     wander = dataclasses.replace(QUIET["force_sensor"], wander=5.0)
     rig = opened(seed=3, **{**QUIET, "force_sensor": wander}, rate=1.0, patience=1e9)
-    force = rig.calibrations["force"].si(rig.read(400_000).volts[:, 0])
+    force = rig.read(400_000).values[:, 0]
     steps = np.diff(force[::10]) / math.sqrt(10 / 3600)
     assert np.std(steps) == pytest.approx(5.0, rel=0.03) and abs(np.mean(steps)) < 0.1
 
 
 def test_reading_that_leaves_the_converter_sits_on_its_rail():
     rig = opened(**{**QUIET, "force_sensor": dataclasses.replace(FORCE_SENSOR, noise=1e4)})
-    volts = rig.read(500).volts[:, 0]
-    assert volts.max() == 10.0 and volts.min() == -10.0
+    force = rig.read(500).values[:, 0]
+    assert force.max() == 2040 and force.min() == -2040
 
 
 def test_same_seed_same_samples_however_they_are_read():
@@ -172,10 +169,10 @@ def test_slack_muscle_is_left_in_the_play_of_the_screw():
 
 def test_calibration_of_the_host_may_be_wrong():
     """Gains that differ by 2 % show as 2 % of the reading."""
-    off = dataclasses.replace(FORCE_SENSOR.calibration, gain=204.0)
-    rig = opened(**{**QUIET, "force_sensor": dataclasses.replace(FORCE_SENSOR, calibration=off, noise=0.0)})
-    volts = rig.read(10).volts[0, 0]
-    assert FORCE_SENSOR.calibration.si(volts) == pytest.approx(rig.truth.force / 1.02)
+    rig = opened(**{**QUIET, "force_sensor": dataclasses.replace(QUIET["force_sensor"], gain=1.02)})
+    press(rig, 3 * bar)
+    force = blocks(rig, 2.0)[-1].values[-1, 0]
+    assert force == pytest.approx(1.02 * rig.truth.force, rel=1e-6)
 
 
 # Vented
@@ -240,14 +237,14 @@ def test_stuck_regulator_fills_to_the_supply():
 
 
 def test_unplugged_sensor_reads_a_rail_a_plausible_value_or_the_mains():
-    for volts, low, high in ((10.0, 10.0, 10.0), (0.5, 0.5, 0.5), (None, -1.1, 3.1)):
-        rig, (time, force, pressure, _) = after(SensorDisconnected(1.5, "pressure", volts))
+    for value, low, high in ((math.inf, 10.2, 10.2), (0.5 * bar, 0.5, 0.5), (None, -1.1, 3.1)):
+        rig, (time, force, pressure, _) = after(SensorDisconnected(1.5, "pressure", value))
         read = pressure[time >= 1.5] / bar
         assert low - 1e-6 <= read.min() <= read.max() <= high + 1e-6
         assert rig.truth.pressure == pytest.approx(4 * bar, rel=1e-3) and force[-1] == pytest.approx(rig.truth.force)
-    assert np.std(read) == pytest.approx(2 / math.sqrt(2), rel=0.05)
+    assert np.std(read) == pytest.approx(2.04 / math.sqrt(2), rel=0.05)
     _, (time, force, *_) = after(SensorDisconnected(1.5, "force"))
-    assert (force[time >= 1.5] == 2000).all() and force[1400] < 500
+    assert (force[time >= 1.5] == 2040).all() and force[1400] < 500
 
 
 def test_muscle_that_slips_pulls_at_nothing():
@@ -327,7 +324,7 @@ def test_wrong_use_is_refused():
     rig.open()
     for what in (
         lambda: rig.open(),
-        lambda: rig.set_valves([11.0]),
+        lambda: rig.set_valves([11 * bar]),
         lambda: rig.set_valves([math.nan]),
         lambda: rig.set_valves([]),
     ):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import AnalogChannel, Backend, Block, ChannelStatus, MovingBackend, Watchdog
+from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend, Watchdog
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.ni.driver import Driver, Terminals
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mckibben.rig.ni.watchdog import WatchdogLink
 
 _BUFFER = 10.0  # s of samples in the buffer of the driver
-_OFF = 1e-3  # V from the signal at rest
+_OFF = 1e-3  # V from the signal at rest, and beyond the range of the outputs
 _SAME = 1e-9
 
 
@@ -64,7 +64,7 @@ class NiBackend(Backend):
         self.rate = float(rate)
         self.patience = float(patience)
         self.server = server
-        self._calibrations = calibrations or {}
+        self.calibrations = calibrations or {}
         self._driver: Driver | None = None
         self._tasks: list[Any] = []
         self._inputs: Any = None
@@ -78,18 +78,21 @@ class NiBackend(Backend):
         self._facts: dict[str, str] = {}
 
     @property
-    def inputs(self) -> Sequence[AnalogChannel]:
-        return tuple(AnalogChannel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
+    def inputs(self) -> Sequence[Channel]:
+        return self._channels(self.wiring.inputs, self.wiring.input_range)
 
     @property
-    def outputs(self) -> Sequence[AnalogChannel]:
+    def outputs(self) -> Sequence[Channel]:
+        low, high = self.wiring.output_range
+        return self._channels(self.wiring.outputs, (low - _OFF, high + _OFF))
+
+    def _channels(self, terminals: Mapping[str, str], ends: tuple[float, float]) -> Sequence[Channel]:
         return tuple(
-            AnalogChannel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items()
+            self.calibrations[name].channel(where, *ends)
+            if name in self.calibrations
+            else Channel(name, "V", math.nextafter(ends[0], math.inf), math.nextafter(ends[1], -math.inf), where)
+            for name, where in terminals.items()
         )
-
-    @property
-    def calibrations(self) -> Mapping[str, Calibration]:
-        return self._calibrations
 
     @property
     def description(self) -> Mapping[str, str]:
@@ -103,6 +106,7 @@ class NiBackend(Backend):
             **self._facts,
             "wiring": ", ".join(f"{name} at {where}" for name, where in wired.items()),
             "patience": f"{self.patience:g} s, of the relay",
+            **{f"calibration of {name}": repr(calibration) for name, calibration in self.calibrations.items()},
         }
 
     def open(self) -> None:
@@ -133,19 +137,22 @@ class NiBackend(Backend):
         first = self._taken
         self._taken += count
         times = np.arange(first, self._taken) / self.rate
+        for row, name in zip(volts, self.wiring.inputs, strict=True):
+            if name in self.calibrations:
+                row[:] = self.calibrations[name].si(row)
         return Block(first, times, np.ascontiguousarray(volts.T), self._counted(times))
 
-    def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signals of the valves [V]; one other than that at rest closes the vent valve again."""
+    def set_valves(self, pressures: Sequence[float]) -> None:
+        """Set the pressures of the valves [Pa]; one that is not at rest closes the vent valve again."""
         driver = self._check_armed()
         low, high = self.wiring.output_range
-        signals = np.asarray(volts, np.float64)
-        if signals.shape != (len(self.wiring.outputs),) or not ((signals >= low) & (signals <= high)).all():
-            raise RigError(
-                f"{list(volts)} V cannot be given at {len(self.wiring.outputs)} output(s) of {low:g}..{high:g} V"
-            )
+        names = [*self.wiring.outputs]
+        known = [self.calibrations[name].volts if name in self.calibrations else np.asarray for name in names]
+        signals = np.array([float(volts(value)) for volts, value in zip(known, pressures, strict=False)])
+        if len(pressures) != len(names) or not ((signals >= low - _OFF) & (signals <= high + _OFF)).all():
+            raise RigError(f"{list(pressures)} cannot be given at {len(names)} output(s) of {low:g}..{high:g} V")
         with driver.translated("the valves"):
-            self._writer.write_one_sample(signals)
+            self._writer.write_one_sample(np.clip(signals, low, high))
             if (np.abs(signals - self.wiring.rest) > _OFF).any():
                 self._set(hold=True)
 
@@ -185,7 +192,19 @@ class NiBackend(Backend):
         return host_watchdog(self)
 
     def status(self) -> Iterator[ChannelStatus]:
-        yield from channel_status(self.wiring, self.calibrations, server=self.server)
+        """Driver and devices, and the readings of the sensors; whatever is missing is a row, no error."""
+        there = self.server or "this machine"
+        try:
+            driver = Driver(self.server)
+            try:
+                yield ChannelStatus("driver", there, f"NI-DAQmx {driver.version()}")
+                for name, (model, serial) in driver.devices().items():
+                    yield ChannelStatus("device", name, f"{model}, serial {serial}")
+            finally:
+                driver.close()
+            yield from super().status()
+        except RigError as error:
+            yield ChannelStatus("rig", there, "", str(error))
 
     def _open_tasks(self, driver: Driver) -> None:
         self._open_outputs(driver)
@@ -401,72 +420,3 @@ class NiRig(NiBackend, MovingBackend):
 
     def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
         return self._position + self._sent(times)
-
-
-_READING = 0.1  # s
-
-
-def channel_status(
-    wiring: Terminals | None = None, calibrations: Mapping[str, Calibration] | None = None, *, server: str = ""
-) -> list[ChannelStatus]:
-    """Status of driver, devices and terminals; each sensor is read for 0.1 s, in its unit if it has a calibration.
-
-    The muscle stays vented, and nothing moves. Missing parts are reported, not raised.
-    """
-    wiring, calibrations = wiring or Terminals(), calibrations or {}
-    found: list[ChannelStatus] = []
-    try:
-        driver = Driver(server)
-    except RigError as error:
-        return [ChannelStatus("package", "", "", str(error))]
-    try:
-        found.append(ChannelStatus("driver", server or "this machine", f"NI-DAQmx {driver.version()}"))
-        devices = driver.devices()
-    except RigError as error:
-        return [*found, ChannelStatus("driver", server or "this machine", "", str(error))]
-    finally:
-        driver.close()
-    found += [ChannelStatus("device", name, f"{model}, serial {serial}") for name, (model, serial) in devices.items()]
-    if not devices:
-        found.append(ChannelStatus("device", "", "", "no device is connected; check its cable and power"))
-    for name, where in wiring.inputs.items():
-        found.append(
-            _input_status(AnalogChannel(name, *wiring.input_range, where), wiring, calibrations.get(name), server)
-        )
-    others = {**wiring.outputs, **wiring.lines} | ({"counter": wiring.counter} if wiring.counter else {})
-    for name, where in others.items():
-        device = where.split("/")[0]
-        missing = "" if device in devices else f"no device {device}; correct the address in the wiring"
-        found.append(ChannelStatus(name, where, "" if missing else "not tested", missing))
-    return found
-
-
-def _input_status(
-    channel: AnalogChannel, wiring: Terminals, calibration: Calibration | None, server: str
-) -> ChannelStatus:
-    """Status of one input, in a task of its own, so that a missing one does not hide the others."""
-    alone = _InputsOnly(
-        Terminals(inputs={channel.name: channel.where}, input_range=wiring.input_range, counter=""), server=server
-    )
-    try:
-        alone.open()
-        volts = alone.read(round(_READING * alone.rate)).volts[:, 0]
-    except RigError as error:
-        return ChannelStatus(channel.name, channel.where, "", str(error))
-    finally:
-        alone.close()
-    reading = f"{np.mean(volts):.4f} V"
-    lost = np.abs(volts) >= max(map(abs, wiring.input_range))
-    if calibration is not None:
-        reading += f", {float(np.mean(calibration.si(volts))):.4g} {calibration.unit}"
-        lost = calibration.lost(volts, channel)
-    reading += f" (noise {np.std(volts) * 1e3:.2f} mV)"
-    problem = "the sensor is lost; check its plug and its supply" if lost.any() else ""
-    return ChannelStatus(channel.name, channel.where, reading, problem)
-
-
-class _InputsOnly(NiBackend):
-    """Inputs without outputs, lines and counter."""
-
-    def _open_outputs(self, driver: Driver) -> None:
-        return

@@ -17,5 +17,4 @@ from .rig import SimulatedRig as SimulatedRig
 from .sensing import FORCE_SENSOR as FORCE_SENSOR
 from .sensing import PRESSURE_SENSOR as PRESSURE_SENSOR
 from .sensing import VALVE as VALVE
-from .sensing import Converter as Converter
 from .sensing import Sensor as Sensor

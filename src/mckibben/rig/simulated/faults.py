@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -56,22 +57,22 @@ class SensorDisconnected(Fault):
     ----------
     sensor
         Name of its input.
-    volts
-        Its reading [V], by default a rail; None: it floats, with hum.
+    value
+        Its reading, in its unit, by default beyond its range; None: it floats, with hum.
     """
 
     sensor: str = "force"
-    volts: float | None = 10.0
+    value: float | None = math.inf
 
-    def volts_at(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return readings [V] at times [s], of the same shape.
+    def values_at(self, time: NDArray[np.float64], span: float) -> NDArray[np.float64]:
+        """Return readings at times [s], of the same shape, of a sensor whose readings go up to a span.
 
-        >>> SensorDisconnected(1.0, "force", volts=0.7).volts_at(np.array([1.0, 2.0])).tolist()
+        >>> SensorDisconnected(1.0, "force", value=0.7).values_at(np.array([1.0, 2.0]), 9.0).tolist()
         [0.7, 0.7]
         """
-        if self.volts is None:
-            return 1.0 + 2.0 * np.sin(2 * np.pi * _MAINS * time)
-        return np.full(len(time), self.volts)
+        if self.value is None:
+            return span * (0.1 + 0.2 * np.sin(2 * np.pi * _MAINS * time))
+        return np.full(len(time), min(self.value, span))
 
     def check(self, sensors: Sequence[str]) -> None:
         """Raise `RangeError` unless the rig has that sensor."""

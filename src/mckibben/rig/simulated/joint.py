@@ -6,7 +6,6 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
@@ -14,8 +13,7 @@ from mckibben.component.base import Checked
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.plant import JointPlant, PlantState
-from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
-from mckibben.rig.calibration import Calibration
+from mckibben.rig.backend import Backend, Block, Channel, Watchdog
 from mckibben.rig.compiled import PlantProgram, complete_state, vented_angle
 from mckibben.rig.simulated.faults import (
     Fault,
@@ -26,13 +24,15 @@ from mckibben.rig.simulated.faults import (
     SensorDisconnected,
     SupplyLost,
 )
-from mckibben.rig.wiring import Wiring
-from mckibben.units import AngleStep, PressureNoise, Quantity, deg, kPa, ms
+from mckibben.units import AngleStep, PressureNoise, bar, deg, kPa, ms
 
 _SPIN = 80e-6  # s of spinning, as a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
-_INPUTS = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
-_OUTPUTS = tuple(AnalogChannel(name, 0.0, 10.0, "simulated") for name in ("valve1", "valve2"))
+_INPUTS = (
+    Channel("angle", "rad", -170 * deg, 170 * deg, "simulated"),
+    *(Channel(name, "Pa", -0.5 * bar, 10.2 * bar, "simulated") for name in ("pressure1", "pressure2")),
+)
+_RAIL = 1.05  # reading of a lost sensor over the end of its range
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,13 @@ class Sensing(Checked):
         Resolution of the encoder [rad], 14 bits per revolution; 0 for none.
     pressure_noise
         Standard deviation of each sample [Pa].
-    volts_step
-        Resolution of the converter [V], 16 bits; 0 for none.
     """
 
     angle_step: AngleStep = 0.022 * deg
     pressure_noise: PressureNoise = 4 * kPa
-    volts_step: Annotated[float, Quantity("V", "V", 0, 20)] = 20 / 2**16
 
 
-PERFECT = Sensing(0.0, 0.0, 0.0)
+PERFECT = Sensing(0.0, 0.0)
 """Ideal sensors, as in a simulation."""
 
 
@@ -66,7 +63,7 @@ def rated_commands(plant: JointPlant) -> tuple[tuple[float, float], tuple[float,
 
 
 class SimulatedJoint(Backend):
-    """The plant of a scenario as a backend: angle and two pressures in, two valves out, in volts.
+    """The plant of a scenario as a backend: angle and two pressures in, two valves out.
 
     Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
     when they are set, between two samples, or after the plant's command delay. Without a heartbeat the watchdog
@@ -102,7 +99,6 @@ class SimulatedJoint(Backend):
         period: float,
         substeps: int = 4,
         start: PlantState | None = None,
-        wiring: Wiring | None = None,
         sensing: Sensing | None = None,
         patience: float = 100 * ms,
         paced: bool = False,
@@ -124,13 +120,12 @@ class SimulatedJoint(Backend):
         self.rate, self.patience, self.paced = 1 / period, patience, paced
         self._delay = float(plant.command_delay or 0.0)
         self._period, self._seed, self._faults = period, seed, tuple(faults)
-        self._wiring, self.sensing = wiring or Wiring(), sensing or Sensing()
+        self.sensing = sensing or Sensing()
         self.program = program or PlantProgram(plant, substeps)
         first = PlantState(vented_angle(plant), 0.0, (0.0, 0.0)) if start is None else start  # type: ignore[arg-type]
         self._start = self.program.state(complete_state(plant, first))
         self._initial_commands = (0.0, 0.0) if start is None else (float(start.pressures[0]), float(start.pressures[1]))
         self._rated = rated_commands(plant)
-        self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)
         self.is_open = False
         self._reset()
 
@@ -147,16 +142,13 @@ class SimulatedJoint(Backend):
         self._origin = time.perf_counter()
 
     @property
-    def inputs(self) -> Sequence[AnalogChannel]:
+    def inputs(self) -> Sequence[Channel]:
         return _INPUTS
 
     @property
-    def outputs(self) -> Sequence[AnalogChannel]:
-        return _OUTPUTS
-
-    @property
-    def calibrations(self) -> Mapping[str, Calibration]:
-        return vars(self._wiring)
+    def outputs(self) -> Sequence[Channel]:
+        highest = max(9 * bar, *(high for _, high in self._rated))
+        return tuple(Channel(name, "Pa", 0.0, highest, "simulated") for name in ("valve1", "valve2"))
 
     @property
     def description(self) -> Mapping[str, str]:
@@ -181,19 +173,8 @@ class SimulatedJoint(Backend):
         self._check_watchdog(now)
         self._watchdog.reset(now)
 
-    def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signals of the valves.
-
-        Parameters
-        ----------
-        volts
-            Signals [V], one per valve.
-
-        Raises
-        ------
-        RigError
-            If the watchdog has expired, or it is not open.
-        """
+    def set_valves(self, pressures: Sequence[float]) -> None:
+        """Set the pressures of the valves [Pa]; `RigError` if the watchdog has expired, or it is not open."""
         self._check_open()
         now = self.clock()
         self._check_watchdog(now)
@@ -202,10 +183,7 @@ class SimulatedJoint(Backend):
                 f"the joint vented by itself: there was no heartbeat for {self.patience:g} s",
                 remedy="find out what kept the host busy, and reopen it",
             )
-        commands = []
-        for signal, valve, channel, (low, high) in zip(volts, self._wiring.valves, _OUTPUTS, self._rated, strict=True):
-            given = min(max(float(signal), channel.low), channel.high)
-            commands.append(min(max((given - valve.offset) * valve.gain - valve.tare, low), high))
+        commands = [min(max(float(p), low), high) for p, (low, high) in zip(pressures, self._rated, strict=True)]
         self._command(now, (commands[0], commands[1]))
 
     def vent(self) -> None:
@@ -284,7 +262,7 @@ class SimulatedJoint(Backend):
             self._at = until if stretch - step <= little else self._at + step
 
     def _sensed(self, due: float) -> list[float]:
-        """Volts of the sensors."""
+        """Readings of the sensors."""
         angle, _, pressure1, pressure2 = self._state[:4].tolist()
         sensing = self.sensing
         if sensing.angle_step:
@@ -294,18 +272,12 @@ class SimulatedJoint(Backend):
                 self._noise = self._drawn()
             noise1, noise2 = self._noise.pop()
             pressure1, pressure2 = pressure1 + noise1, pressure2 + noise2
-        volts = []
-        for value, (gain, offset, tare), channel in zip(
-            (angle, pressure1, pressure2), self._volts_of, _INPUTS, strict=True
-        ):
-            signal = (value + tare) / gain + offset
-            for fault in self._faults:
-                if isinstance(fault, SensorDisconnected) and fault.sensor == channel.name and fault.at <= due:
-                    signal = float(fault.volts_at(np.array([due]))[0])
-            if sensing.volts_step:
-                signal = round(signal / sensing.volts_step) * sensing.volts_step
-            volts.append(min(max(signal, channel.low), channel.high))
-        return volts
+        values = [angle, pressure1, pressure2]
+        for fault in self._faults:
+            if isinstance(fault, SensorDisconnected) and fault.at <= due:
+                column = [channel.name for channel in _INPUTS].index(fault.sensor)
+                values[column] = float(fault.values_at(np.array([due]), _RAIL * _INPUTS[column].high)[0])
+        return values
 
     def _drawn(self) -> list[list[float]]:
         """Noise of the pressures [Pa]."""

@@ -1,28 +1,18 @@
-"""Parts of the simulated rig: regulator and air chamber, motor and carriage of the stretching device."""
+"""Parts of the simulated rig: regulator, motor and carriage of the stretching device."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.actuator import PressureRegulator
 from mckibben.component.base import Checked
 from mckibben.errors import RangeError, RigError
-from mckibben.muscle.air import (
-    ATMOSPHERE,
-    ENERGY,
-    FLOATS,
-    GAS_CONSTANT,
-    HEAT_CAPACITY_RATIO,
-    L_PER_S_BAR,
-    TEMPERATURE,
-    CriticalRatio,
-    mass_flow,
-)
+from mckibben.muscle.air import L_PER_S_BAR, CriticalRatio
 from mckibben.rig.bench import Drive
 from mckibben.units import (
     Conductance,
@@ -48,8 +38,7 @@ from mckibben.units import (
 class Regulator(Checked):
     """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
 
-    The command follows the signal with play (hysteresis), offset and lag. The opening is proportional to the pressure
-    error within a band, to the supply or to the exhaust. Behind it is a shut-off valve, and behind this a 3/2 valve:
+    A `PressureRegulator` whose commands have an offset. Behind it is a shut-off valve, and behind this a 3/2 valve:
     without current its spring shuts off the regulator and vents the muscle.
 
     Numbers "of the maker" are quoted from memory from the ITV0000 data sheet, unverified; others are ours.
@@ -106,144 +95,20 @@ class Regulator(Checked):
         if self.supply <= self.band:
             raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
 
-
-_STEP = 2 * kPa  # largest change of pressure in a step: within 0.2 kPa of much shorter steps
-_SHORTEST = 1e-5  # s
-_REST = 0.05  # Pa from the target of a settled command
-_STILL = 0.5  # Pa/s, highest rate of a pressure at rest
-_NUDGE = 1.0  # Pa
-_COLD = 1e-3  # K from the temperature of the room at rest
-_GROWTH = HEAT_CAPACITY_RATIO - 1
-
-
-class Chamber:
-    """Air of the muscle. Its mass is the state, and with a wall its temperature; the pressure follows.
-
-    Parameters
-    ----------
-    regulator
-        Regulator with its vent valve.
-    volume
-        Volume of the muscle at the beginning [m^3], vented.
-    """
-
-    def __init__(self, regulator: Regulator, volume: float) -> None:
-        self.regulator = regulator
-        self.supply = regulator.supply
-        self.hole = 0.0
-        self.exhausting = True
-        self.shut = False
-        self.temperature = TEMPERATURE
-        self.wall = regulator.wall_conductance
-        self.stuck: float | None = None
-        self.offset = 0.0
-        self.pressure = 0.0  # gauge [Pa]
-        self.flow = 0.0  # into the muscle [kg/s]
-        self.mass = ATMOSPHERE * (volume + regulator.dead_volume) / ENERGY
-        self.resting = False
-        self.signal = 0.0  # of the regulator, as a pressure [Pa]
-        self._played = 0.0
-        self._command = 0.0
-        self._last = _SHORTEST  # length of the last adaptive step
-
-    def set_signal(self, pressure: float, offset: float) -> None:
-        """Set a new signal, as a pressure [Pa], with the offset of the regulator [Pa]."""
-        half = self.regulator.hysteresis / 2
-        self.signal = min(max(pressure, 0.0), self.regulator.highest)
-        self._played = min(max(self._played, self.signal - half), self.signal + half)
-        self.offset = offset if self.signal > 0 else 0.0
-        self.resting = False
-
-    @property
-    def target(self) -> float:
-        """Target of the command [Pa]; 0 at a signal of 0."""
-        return self._played + self.offset if self.signal > 0 else 0.0
-
-    def step(self, span: float, volume: Callable[[float], float]) -> float:
-        """Integrate a step.
-
-        Parameters
-        ----------
-        span
-            Longest step [s].
-        volume
-            Volume of the muscle [m^3], a function of the time from now [s].
-
-        Returns
-        -------
-        float
-            The step [s].
-        """
-        dead = self.regulator.dead_volume
-        decay, wall = self.regulator.lag, self.wall
-        target, command = self.target, self._command
-        h, warmth, index = min(span, 2 * self._last), self.temperature / TEMPERATURE, 1.0
-        if wall is not None:
-            index = HEAT_CAPACITY_RATIO
-            heating = _GROWTH * wall * abs(self.temperature - TEMPERATURE) / (volume(0.0) + dead)  # Pa/s
-            h = min(h, _STEP / max(heating, 1e-9))
-        while True:
-            half = target + (command - target) * math.exp(-h / (2 * decay))
-            room = volume(h / 2) + dead
-            now = self.mass * (ENERGY * warmth / room) - ATMOSPHERE
-            per_mass = index * ENERGY / room
-            flow, nudged = self._into(now, half), self._into(now + _NUDGE, half)
-            if flow < 0:  # ISO 6358, with the temperature of the air upstream
-                flow, nudged = flow * warmth**-0.5, nudged * warmth**-0.5
-            slope = (nudged - flow) / _NUDGE * per_mass * h
-            grown = flow * h * (math.expm1(slope) / slope if slope < -1e-9 else 1.0)
-            if abs(grown * per_mass) <= _STEP or h <= _SHORTEST:
-                break
-            h = max(h * max(0.8 * _STEP / abs(grown * per_mass), 0.1), _SHORTEST)
-        self._last = h if h < span or h > self._last else self._last  # not of a short span
-        before, room = self.pressure, volume(h) + dead
-        if wall is not None:
-            self._warm(grown, (volume(0.0) + dead) / room, wall * h)
-        self.mass += grown
-        self.pressure = self.mass * (GAS_CONSTANT * self.temperature) / room - ATMOSPHERE
-        self.flow = grown / h
-        self._command = target + (command - target) * math.exp(-h / decay)
-        self.resting = abs(self.pressure - before) < _STILL * h and abs(self._command - target) < _REST
-        self.resting &= abs(self.temperature - TEMPERATURE) < _COLD
-        return h
-
-    def _warm(self, grown: float, compression: float, conducted: float) -> None:
-        """Change the temperature by a mass that flows in [kg], a ratio of volumes, and heat from the wall [J/K]."""
-        mass = self.mass + grown
-        left = math.exp(-conducted / 2 * _GROWTH / (mass * GAS_CONSTANT))  # half of the heat before, half after
-        warm = TEMPERATURE + (self.temperature - TEMPERATURE) * left
-        if grown < 0:  # what is left expands without heat
-            warm *= (mass / self.mass) ** _GROWTH
-        else:
-            warm = (self.mass * warm + HEAT_CAPACITY_RATIO * TEMPERATURE * grown) / mass
-        self.temperature = TEMPERATURE + (warm * compression**_GROWTH - TEMPERATURE) * left
-
-    def widen(self, volume: float) -> None:
-        """Change the volume of the muscle [m^3] at once, at constant mass."""
-        self.pressure = self.mass * (GAS_CONSTANT * self.temperature) / (volume + self.regulator.dead_volume)
-        self.pressure -= ATMOSPHERE
-        self.resting = False
-
-    def _into(self, gauge: float, command: float) -> float:
-        """Flow into the muscle [kg/s] at a pressure and a command [Pa, gauge]."""
-        part, pressure = self.regulator, gauge + ATMOSPHERE
-        out = part.leak + self.hole  # leaks and hole in parallel
-        if self.exhausting:
-            return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure, FLOATS)
-        if self.shut:
-            return mass_flow(out, part.critical, ATMOSPHERE, pressure, FLOATS)
-        opening = min(max((command - gauge) / part.band, -1.0), 1.0) if self.stuck is None else self.stuck
-        if opening <= 0:
-            return mass_flow(out - part.conductance * opening, part.critical, ATMOSPHERE, pressure, FLOATS)
-        flow = mass_flow(part.conductance * opening, part.critical, self.supply + ATMOSPHERE, pressure, FLOATS)
-        return flow + mass_flow(out, part.critical, ATMOSPHERE, pressure, FLOATS) if out else flow
-
-    @property
-    def opening(self) -> float:
-        """Opening of the regulator, -1 (exhaust) to 1 (supply)."""
-        if self.stuck is not None:
-            return self.stuck
-        return min(max((self._command - self.pressure) / self.regulator.band, -1.0), 1.0)
+    def valve(self) -> PressureRegulator:
+        """The same as an actuator."""
+        return PressureRegulator(
+            conductance=self.conductance,
+            supply=self.supply,
+            time_constant=self.lag,
+            hysteresis=self.hysteresis,
+            critical_ratio=self.critical,
+            band=self.band,
+            polytropic_index=1.0,
+            wall_conductance=self.wall_conductance,
+            dead_volume=self.dead_volume,
+            leak=self.exhaust,
+        )
 
 
 _ROUNDING = 1e-6  # pulses

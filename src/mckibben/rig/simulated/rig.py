@@ -14,13 +14,12 @@ import numpy as np
 from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
-from mckibben.rig.backend import AnalogChannel, Block, MovingBackend, Watchdog
+from mckibben.rig.backend import Block, Channel, MovingBackend, Watchdog
 from mckibben.rig.bench import Drive
-from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
 from mckibben.rig.simulated.machine import INSTANT, Machine, Truth
 from mckibben.rig.simulated.parts import Regulator, Stretcher
-from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sampling, Sensor
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Sampling, Sensor
 from mckibben.units import Hz, s
 
 
@@ -30,10 +29,9 @@ class SimulatedRig(MovingBackend):
     Simulated time advances only in `read`, by the duration of the samples; `RealTimeRig` paces it in real time. The
     same seed and the same calls give the same samples.
 
-    - The force is that of the law (tabulated, see `error` in `description`), with the friction and creep of the
-      muscle. It is constant from 3 % beyond the contraction range of the specimen.
-    - The air follows ISO 6358 and the ideal gas, in the volume of the braid between the clamps; at room temperature, or
-      with a `wall_conductance` of the regulator by the energy balance of `AirActuator`.
+    - The force is that of the muscle, with its friction and creep.
+    - The air is that of a `PressureRegulator`, in the volume of the braid between the clamps: isothermal, or with a
+      `wall_conductance` of the regulator by the energy balance of `AirActuator`.
     - After `vent`, or a missed heartbeat, a spring-return valve vents, independent of the regulator: from 8 bar, at any
       contraction, the true pressure is below 0.2 bar within 1 s (tested), in spite of any other fault.
     - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
@@ -44,15 +42,15 @@ class SimulatedRig(MovingBackend):
         Seed of noise, wander and the regulator's offsets, each with its own stream.
     mounted_at
         Contraction [-] at which the muscle is clamped, relaxed.
-    regulator, stretcher, converter, force_sensor, pressure_sensor, valve
-        Its parts; `valve` is the calibration of the regulator's signal.
+    regulator, stretcher, force_sensor, pressure_sensor
+        Its parts.
     rate, patience
         Sampling rate of each input [Hz], timeout of the watchdog [s].
 
     Raises
     ------
     RangeError
-        If a number is out of range, or the law is not smooth enough for a table.
+        If a number is out of range.
 
     Examples
     --------
@@ -61,12 +59,12 @@ class SimulatedRig(MovingBackend):
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     >>> rig = SimulatedRig(muscle, seed=1)
     >>> rig.open()
-    >>> rig.set_valves([float(rig.calibrations["valve"].volts(6 * bar))])
+    >>> rig.set_valves([6 * bar])
     >>> for _ in range(20):
     ...     block = rig.read(100)
     ...     rig.heartbeat()
-    >>> force, pressure = block.volts.mean(axis=0)
-    >>> round(float(rig.calibrations["force"].si(force)))  # of Eq. 3: 585 N
+    >>> force, pressure = block.values.mean(axis=0)
+    >>> round(float(force))  # of Eq. 3: 585 N
     582
     >>> rig.vent()
     >>> rig.pass_time(1.0)
@@ -85,10 +83,8 @@ class SimulatedRig(MovingBackend):
         faults: Sequence[Fault] = (),
         regulator: Regulator | None = None,
         stretcher: Stretcher | None = None,
-        converter: Converter | None = None,
         force_sensor: Sensor = FORCE_SENSOR,
         pressure_sensor: Sensor = PRESSURE_SENSOR,
-        valve: Calibration = VALVE,
         rate: float = 1000 * Hz,
         patience: float = 1 * s,
     ) -> None:
@@ -99,18 +95,17 @@ class SimulatedRig(MovingBackend):
         self.rate = float(rate)
         self.patience = float(patience)
         self._muscle, self._seed, self._faults = muscle, seed, tuple(faults)
+        self._mounted_at = mounted_at
         self._regulator = regulator or Regulator()
         self.supply = min(self._regulator.supply, self._regulator.highest)
         self._stretcher = stretcher or Stretcher()
-        self._converter = converter or Converter()
         self._sensors = {"force": force_sensor, "pressure": pressure_sensor}
         for fault in self._faults:
             if isinstance(fault, SensorDisconnected):
                 fault.check([*self._sensors])
-        self._valve = valve
         noise, offsets, *wanders = np.random.default_rng(seed).spawn(4)
         self._offsets = offsets
-        self._sampling = Sampling(self._sensors, self._converter, self.rate, noise, wanders)
+        self._sampling = Sampling(self._sensors, self.rate, noise, wanders)
         self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
         self._opened = 0.0  # by the machine's time [s]
         self.is_open = False
@@ -121,17 +116,12 @@ class SimulatedRig(MovingBackend):
         heapq.heapify(self._schedule)
 
     @property
-    def inputs(self) -> Sequence[AnalogChannel]:
-        low, high = self._converter.low, self._converter.high
-        return tuple(AnalogChannel(name, low, high, f"simulated {name}") for name in self._sensors)
+    def inputs(self) -> Sequence[Channel]:
+        return tuple(sensor.channel for sensor in self._sensors.values())
 
     @property
-    def outputs(self) -> Sequence[AnalogChannel]:
-        return (AnalogChannel("valve", -10.0, 10.0, "simulated regulator"),)
-
-    @property
-    def calibrations(self) -> Mapping[str, Calibration]:
-        return {**{name: sensor.calibration for name, sensor in self._sensors.items()}, "valve": self._valve}
+    def outputs(self) -> Sequence[Channel]:
+        return (VALVE,)
 
     @property
     def drive(self) -> Drive:
@@ -145,11 +135,9 @@ class SimulatedRig(MovingBackend):
             "law": repr(self._muscle.law),
             "friction": repr(self._muscle.friction),
             "creep": repr(self._muscle.creep),
-            "error": f"the table of the law is within {self._machine.grip.table.error:.2g} N",
-            "mounted_at": f"{self._machine.grip.start:g}",
+            "mounted_at": f"{self._mounted_at:g}",
             "regulator": repr(self._regulator),
             "stretcher": repr(self._stretcher),
-            "converter": repr(self._converter),
             **{f"{name} sensor": repr(sensor) for name, sensor in self._sensors.items()},
             "faults": ", ".join(map(repr, self._faults)) or "none",
             "seed": str(self._seed),
@@ -203,24 +191,24 @@ class SimulatedRig(MovingBackend):
             self._advance(machine.now + late)
         return sampling.take(count)
 
-    def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signal of the valve; one of more than 0 bar ends a `vent`.
+    def set_valves(self, pressures: Sequence[float]) -> None:
+        """Set the pressure of the valve; one of more than 0 bar ends a `vent`.
 
         Parameters
         ----------
-        volts
-            Signal [V], one value.
+        pressures
+            Pressure [Pa], one value.
 
         Raises
         ------
         RigError
-            If the signal cannot be given, the rig is not open, or its watchdog has expired.
+            If the pressure cannot be given, the rig is not open, or its watchdog has expired.
         """
         self._catch_up()
         self._check_armed()
-        if len(volts) != 1 or not -10 <= volts[0] <= 10:
-            raise RigError(f"{list(volts)} V cannot be given at one output of -10..10 V")
-        pressure = float(self._valve.si(volts[0]))
+        if len(pressures) != 1 or not VALVE.low <= pressures[0] <= VALVE.high:
+            raise RigError(f"{list(pressures)} Pa cannot be given at one valve of 0..{VALVE.high:g} Pa")
+        pressure = float(pressures[0])
         if self._machine.differs(pressure):
             most = self._regulator.repeatability
             self._machine.set_signal(pressure, float(self._offsets.uniform(-most, most)))
@@ -229,7 +217,7 @@ class SimulatedRig(MovingBackend):
     def shut(self) -> None:
         self._catch_up()
         self._check_armed()
-        self._machine.shut()
+        self._machine.close()
 
     def heartbeat(self) -> None:
         self._catch_up()

@@ -1,4 +1,4 @@
-"""Sensors, converters and sampling of the simulated rig."""
+"""Sensors and sampling of the simulated rig."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RigError
-from mckibben.rig.backend import Block
-from mckibben.rig.calibration import Calibration
+from mckibben.rig.backend import Block, Channel
 from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected
 from mckibben.rig.simulated.machine import Knots
 from mckibben.rig.simulated.parts import Motor
@@ -20,113 +19,61 @@ from mckibben.units import N, bar, kPa
 
 _HOUR = 3600.0
 _WANDER = 10.0  # s between two points of the random walk of a zero
+_RAIL = 1.02  # reading of a lost sensor over the end of its range
+_BUFFER = 10.0  # s of samples that wait for the host at most (ours)
+_ROUNDING = 1e-6  # samples
 
-FORCE = Calibration(
-    name="force",
-    unit="N",
-    gain=200 * N,
-    low=-2000 * N,
-    high=2000 * N,
-    method="TSH-200, 200 kg, behind an amplifier to 10 V; the amplifier is ours",
-)
-PRESSURE = Calibration(
-    name="pressure",
-    unit="Pa",
-    gain=1 * bar,
-    low=0.0,
-    high=10 * bar,
-    method="SDE1-D10, 0 to 10 bar at 0 to 10 V; the output is inferred from its designation, unverified",
-)
-VALVE = Calibration(
-    name="valve",
-    unit="Pa",
-    gain=0.9 * bar,
-    low=0.0,
-    high=9 * bar,
-    method="ITV0050-3, 0 to 9 bar at 0 to 10 V; inferred from its designation, unverified",
-)
+VALVE = Channel("valve", "Pa", 0.0, 9 * bar, "simulated regulator")
+"""ITV0050-3, 0 to 9 bar; inferred from its designation, unverified."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """Sensor with its amplifier.
+    """Sensor with its converter; readings end 2 % beyond its range.
 
     Parameters
     ----------
-    calibration
-        The true calibration, which may differ from that of the host.
+    channel
+        Its name, unit and range.
     noise
-        Standard deviation of a sample, white, in the calibration's unit.
+        Standard deviation of a sample, white, in its unit.
     drift, wander
-        Drift of its zero, and standard deviation of the random walk of its zero, after an hour, in that unit.
-    saturation
-        Highest output of its amplifier, in both directions [V].
+        Drift of its zero, and standard deviation of the random walk of its zero, after an hour, in its unit.
+    resolution
+        Step of its readings, in its unit; 0 for none.
+    gain
+        Reading over the true value, of a wrong calibration.
     """
 
-    calibration: Calibration
+    channel: Channel
     noise: float = 0.0
     drift: float = 0.0
     wander: float = 0.0
-    saturation: float = 10.5
+    resolution: float = 0.0
+    gain: float = 1.0
 
     def __post_init__(self) -> None:
-        name, unit = self.calibration.name, self.calibration.unit
-        check_positive(name, unit, zero=True, noise=self.noise, wander=self.wander)
+        name, unit = self.channel.name, self.channel.unit
+        amounts = {"noise": self.noise, "wander": self.wander, "resolution": self.resolution}
+        check_positive(name, unit, zero=True, **amounts)
         check_within(name, -1e9, 1e9, unit, drift=self.drift)
-        check_positive(name, "V", saturation=self.saturation)
 
 
-FORCE_SENSOR = Sensor(calibration=FORCE, noise=0.5 * N)
-"""The noise is ours, 0.03 % of the sensor, as in `SimulatedIsobaricTest`."""
+FORCE_SENSOR = Sensor(
+    channel=Channel("force", "N", -2000 * N, 2000 * N, "simulated force"), noise=0.5 * N, resolution=4000 / 2**18
+)
+"""TSH-200, 200 kg, on 18 bits of 20 V; the noise is ours, 0.03 % of the sensor, as in `SimulatedIsobaricTest`."""
 
-PRESSURE_SENSOR = Sensor(calibration=PRESSURE, noise=0.5 * kPa)
-"""The noise is ours, 0.05 % of the sensor, as in `SimulatedIsobaricTest`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Converter:
-    """Data acquisition card such as the PCI-6281.
-
-    Parameters
-    ----------
-    bits
-        Resolution: 18 bits.
-    low, high
-        Range [V]; -10 to 10 V is its widest.
-    buffer
-        Length of its buffer [s] (ours).
-
-    Examples
-    --------
-    >>> Converter(bits=2, low=-2.0, high=2.0).quantise(np.array([-3.0, 0.4, 0.6])).tolist()
-    [-2.0, 0.0, 1.0]
-    """
-
-    bits: int = 18
-    low: float = -10.0
-    high: float = 10.0
-    buffer: float = 10.0
-
-    def __post_init__(self) -> None:
-        check_within("converter", 1, 64, bits=self.bits)
-        check_positive("converter", "V", range=self.high - self.low)
-        check_positive("converter", "s", buffer=self.buffer)
-
-    @property
-    def step(self) -> float:
-        """Resolution [V]."""
-        return (self.high - self.low) / 2**self.bits
-
-    def quantise(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Quantise volts [V] in place, within the range."""
-        volts *= 1 / self.step
-        np.rint(volts, out=volts)
-        volts *= self.step
-        return np.clip(volts, self.low, self.high, out=volts)
+PRESSURE_SENSOR = Sensor(
+    channel=Channel("pressure", "Pa", -0.2 * bar, 10 * bar, "simulated pressure"),
+    noise=0.5 * kPa,
+    resolution=20 * bar / 2**18,
+)
+"""SDE1-D10, 10 bar, on 18 bits of 20 V; the noise is ours, 0.05 % of the sensor, as in `SimulatedIsobaricTest`."""
 
 
-class SensorChannel:
-    """Signal of a sensor over time.
+class SensorReadings:
+    """Readings of a sensor over time.
 
     Parameters
     ----------
@@ -137,35 +84,29 @@ class SensorChannel:
     """
 
     def __init__(self, sensor: Sensor, generator: np.random.Generator) -> None:
-        self._sensor = sensor
-        self._generator = generator
-        self._walk = [0.0]
-        calibration = sensor.calibration
-        self._per_volt = 1 / calibration.gain
-        self._zero = calibration.tare / calibration.gain + calibration.offset
-        self.noise = sensor.noise / abs(calibration.gain)
+        self._sensor, self._generator, self._walk = sensor, generator, [0.0]
         self.disconnected: SensorDisconnected | None = None
 
-    def volts(
+    def values(
         self, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the volts [V] of a true value.
+        """Return the readings of a true value.
 
         Parameters
         ----------
         time, truth, noise
-            Times [s], true values in the unit, and noise [V], each of shape (samples,).
+            Times [s], true values and noise in the unit, each of shape (samples,).
         """
+        sensor, channel = self._sensor, self._sensor.channel
         if self.disconnected is not None:
-            return self.disconnected.volts_at(time) + (noise if self.disconnected.volts is None else 0.0)
-        sensor = self._sensor
-        volts = truth * self._per_volt
-        volts += noise
-        if self._zero:
-            volts += self._zero
+            read = self.disconnected.values_at(time, _RAIL * channel.high)
+            return read if self.disconnected.value is not None else read + noise
+        read = truth * sensor.gain + noise
         if sensor.drift or sensor.wander:
-            volts += self._zero_error(time) * self._per_volt
-        return np.clip(volts, -sensor.saturation, sensor.saturation, out=volts)
+            read += self._zero_error(time)
+        if sensor.resolution:
+            read = np.rint(read / sensor.resolution) * sensor.resolution
+        return np.clip(read, _RAIL * channel.low, _RAIL * channel.high)
 
     def _zero_error(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Drift and wander of its zero, in the unit."""
@@ -182,18 +123,15 @@ class SensorChannel:
         return moved
 
 
-_ROUNDING = 1e-6  # samples
-
-
 class Sampling:
-    """Sensors, converter and its buffer.
+    """Sensors and the buffer of their samples.
 
     Parameters
     ----------
     sensors
-        Sensors by input.
-    converter, rate
-        The converter, and its sampling rate of each input [Hz].
+        Sensors of force and pressure, by input.
+    rate
+        Sampling rate of each input [Hz].
     noise, wanders
         Generator of noise, and of the wander of each sensor.
     """
@@ -201,7 +139,6 @@ class Sampling:
     def __init__(
         self,
         sensors: Mapping[str, Sensor],
-        converter: Converter,
         rate: float,
         noise: np.random.Generator,
         wanders: list[np.random.Generator],
@@ -209,12 +146,12 @@ class Sampling:
         self.rate = rate
         self.next = 0  # number of the next sample to read
         self.delay = 0.0  # s
-        self._converter = converter
         self._noise = noise
         self._readings = {
-            name: SensorChannel(sensor, wander) for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
+            name: SensorReadings(sensor, wander)
+            for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
         }
-        self._sigma = np.array([reading.noise for reading in self._readings.values()])
+        self._sigma = np.array([sensor.noise for sensor in sensors.values()])
         self._began = 0.0
         self._zero = 0  # pulses then
         self._taken = 0
@@ -250,20 +187,16 @@ class Sampling:
         first, self._taken = max(self._taken, self.next), last
         if last <= first:
             return
-        if last - self.next > max(self._converter.buffer * self.rate, self._wanted):
+        if last - self.next > max(_BUFFER * self.rate, self._wanted):
             self._overrun, self._waiting = True, []
             return
         since = np.arange(first, last) / self.rate
         time = since + self._began
-        noise = self._noise.standard_normal((last - first, len(self._sigma)))
-        noise *= self._sigma
-        volts = np.empty_like(noise)
-        truths = knots.force, knots.pressure
-        for column, (reading, truth) in enumerate(zip(self._readings.values(), truths, strict=True)):
-            still = len(truth) == 2 and truth[0] == truth[1]
-            there = np.full(len(time), truth[0]) if still else np.interp(time, knots.time, truth)
-            volts[:, column] = reading.volts(time, there, noise[:, column])
-        self._waiting.append(Block(first, since, self._converter.quantise(volts), motor.counted(time) - self._zero))
+        noise = self._noise.standard_normal((last - first, len(self._sigma))) * self._sigma
+        truths = (np.interp(time, knots.time, truth) for truth in (knots.force, knots.pressure))
+        columns = zip(self._readings.values(), truths, noise.T, strict=True)
+        values = np.stack([readings.values(time, truth, column) for readings, truth, column in columns], axis=1)
+        self._waiting.append(Block(first, since, values, motor.counted(time) - self._zero))
 
     def take(self, count: int) -> Block:
         """Return the next samples of the buffer.
@@ -275,20 +208,15 @@ class Sampling:
         """
         if self._overrun:
             raise RigError(
-                f"samples were overwritten: the host did not read for more than {self._converter.buffer:g} s",
+                f"samples were overwritten: the host did not read for more than {_BUFFER:g} s",
                 remedy="reopen the rig",
             )
         waiting, first = self._waiting, self.next
         self.next += count
-        if len(waiting) == 1 and len(waiting[0].time) == count:
-            self._waiting = []
-            return waiting[0]
-        time = np.concatenate([block.time for block in waiting])
-        volts = np.concatenate([block.volts for block in waiting])
-        pulses = np.concatenate([block.pulses for block in waiting])
-        rest = Block(self.next, time[count:], volts[count:], pulses[count:])
+        time, values, pulses = (np.concatenate(parts) for parts in list(zip(*waiting, strict=True))[1:])
+        rest = Block(self.next, time[count:], values[count:], pulses[count:])
         self._waiting = [rest] if len(rest.time) else []
-        return Block(first, time[:count], volts[:count], pulses[:count])
+        return Block(first, time[:count], values[:count], pulses[:count])
 
     def forget(self) -> None:
         """Clear the buffer."""

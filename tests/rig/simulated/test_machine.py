@@ -1,0 +1,129 @@
+"""Muscle and air of the simulated rig, against closed forms and an integrator that knows nothing of ours."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben import catalog
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
+from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR
+from mckibben.rig.simulated import Regulator, Stretcher
+from mckibben.rig.simulated.faults import ValveStuck
+from mckibben.rig.simulated.machine import Machine
+from mckibben.units import bar
+from tests.air import flow
+
+SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
+LAW = catalog.law("lei-mas-10-180n")
+TIGHT = Regulator(leak=0.0, hysteresis=0.0, repeatability=0.0)
+VOLUME = float(SPECIMEN.volume(0.1)) + 5e-6
+
+
+def at_work(muscle, pressure, regulator=TIGHT):
+    machine = Machine(muscle, 0.1, regulator, Stretcher(backlash=0.0))
+    machine.set_signal(pressure, 0.0)
+    machine.hold()
+    return machine
+
+
+def passed(machine, duration):
+    """Times, forces and pressures of the knots within a duration."""
+    return np.array([np.array(column) for column in machine.pass_until(machine.now + duration)])
+
+
+def test_friction_along_a_way_is_that_of_the_muscle():
+    """Moves back and forth at a pressure that changes."""
+    friction = MaxwellSlip(12.0, 0.5e-3, growth=5e-6)
+    machine, states = at_work(Muscle(SPECIMEN, LAW, friction), 3 * bar), []
+    for pulses in (-1200, 200, -600, 2000, -320, 200):
+        machine.motor.move(machine.now, pulses, 400.0)
+        while machine.motor.moving(machine.now):
+            passed(machine, 0.01)
+            states.append(machine.truth)
+    contraction, pressure, force = (
+        np.array([getattr(s, n) for s in states]) for n in ("contraction", "pressure", "force")
+    )
+    tension = forces(Muscle(SPECIMEN, LAW), contraction, pressure)
+    expected = tension + friction.path_response(0.18 * (1 - contraction), tension, pressure)
+    taut = np.flatnonzero(pressure > 2.9 * bar)[20:]
+    np.testing.assert_allclose(force[taut], expected[taut], atol=0.05)
+
+
+def test_creep_after_moves_is_that_of_the_muscle():
+    creep = MaxwellCreep(1500.0, 2.0, arms=2)
+    machine, stops, read = at_work(Muscle(SPECIMEN, LAW, creep=creep), 3 * bar), [0, 800, 400, 1600], []
+    passed(machine, 30.0)
+    for before, after in itertools.pairwise(stops):
+        machine.motor.move(machine.now, after - before, 800.0)
+        passed(machine, abs(after - before) / 800.0)
+        states = []
+        for _ in range(12):
+            passed(machine, 0.25)
+            states.append(machine.truth)
+        read.append([s.force - float(forces(Muscle(SPECIMEN, LAW), s.contraction, s.pressure)) for s in states])
+    length = 0.162 + np.array(stops) / 400e3
+    tension, moves = forces(Muscle(SPECIMEN, LAW), 1 - length / 0.18, 3 * bar), np.abs(np.diff(stops, prepend=0)) / 800
+    expected = creep.path_response(
+        length, tension, move_time=moves, hold_time=3.0, sample_times=0.25 * np.arange(1, 13)
+    )
+    np.testing.assert_allclose(read, expected[1:], atol=0.05)
+
+
+def test_choked_exhaust_is_an_exponential():
+    machine = at_work(Muscle(SPECIMEN, LAW), 8 * bar)
+    passed(machine, 20.0)
+    machine.cut()
+    machine.now += TIGHT.exhaust_delay
+    machine.settle()
+    before = machine.truth.pressure + ATMOSPHERE
+    time, _, pressure = passed(machine, 0.3)
+    rate = TIGHT.exhaust * DENSITY * ENERGY / VOLUME
+    choked = pressure + ATMOSPHERE > ATMOSPHERE / TIGHT.critical
+    assert choked.sum() > 10
+    expected = before * np.exp(-rate * (time - time[0]))
+    np.testing.assert_allclose(pressure[choked] + ATMOSPHERE, expected[choked], rtol=1e-3)
+
+
+def test_warm_air_is_that_of_an_independent_integrator():
+    """Filled, shut, vented in part and shut: masses and energies, with a leak and a wall."""
+    leaky = Regulator(conductance=0.1 * L_PER_S_BAR, leak=2e-4 * L_PER_S_BAR, wall_conductance=0.15, repeatability=0.0)
+
+    def rates(time, state, opening):
+        mass, energy = state  # kg, J
+        temperature = energy / (mass * 720)
+        pressure = mass * 288 * temperature / VOLUME
+        inflow = flow(1e-9, 9.01325e5, pressure) if opening > 0 else 0.0
+        outflow = -flow(2e-12 + (1e-9 if opening < 0 else 0.0), 101325, pressure, temperature=temperature)
+        heat = 0.15 * (293.15 - temperature)
+        return [inflow - outflow, 1008 * (293.15 * inflow - temperature * outflow) + heat]
+
+    machine, now = at_work(Muscle(SPECIMEN, LAW), 3 * bar, leaky), 0.0
+    state = np.array([1.0, 720 * 293.15]) * 101325 * VOLUME / (288 * 293.15)
+    for opening, duration in ((1.0, 0.12), (0.0, 1.5), (-1.0, 0.1), (0.0, 1.0)):
+        machine.apply(ValveStuck(0.0, opening))
+        if opening == 0.0:
+            machine.close()
+        else:
+            machine.hold()
+        exact = solve_ivp(
+            rates, (now, now + duration), state, method="LSODA", rtol=1e-9, atol=1e-12, max_step=1e-3, args=(opening,)
+        )
+        time, _, pressure = passed(machine, duration)
+        there = 0.4 * exact.y[1] / VOLUME - 101325
+        assert np.abs(np.interp(time, exact.t, there) - pressure).max() < 0.003 * bar
+        state, now = exact.y[:, -1], now + duration
+        assert machine.truth.temperature == pytest.approx(state[1] / (state[0] * 720), abs=0.3)
+
+
+def test_signals_from_above_and_below_differ_by_the_hysteresis():
+    plain, ends = Regulator(leak=0.0, repeatability=0.0), []
+    for first in (1.0, 5.0):
+        machine = at_work(Muscle(SPECIMEN, LAW), first * bar, plain)
+        passed(machine, 5.0)
+        machine.set_signal(3 * bar, 0.0)
+        passed(machine, 5.0)
+        ends.append(machine.truth.pressure)
+    assert ends[1] - ends[0] == pytest.approx(plain.hysteresis, rel=0.01)
+    assert sum(ends) / 2 == pytest.approx(3 * bar, rel=1e-4)
