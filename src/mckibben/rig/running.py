@@ -321,10 +321,11 @@ def _past(folder: Path) -> _PastSessions:
             gaps += [range(end, entry.first)] if entry.first > end else []
             end = entry.first + len(entry.columns["time"])
     recorded = points(events)
-    whole = [
-        all(gap.stop <= point.first or point.first + point.rows <= gap.start for gap in gaps) for point in recorded
-    ]
-    kept = itertools.takewhile(lambda row: row[1].number == row[0] and row[2], zip(itertools.count(), recorded, whole))
+    ends = [(point.first, point.first + point.rows) for point in recorded]
+    whole = [all(gap.stop <= first or last <= gap.start for gap in gaps) for first, last in ends]
+    kept = itertools.takewhile(
+        lambda row: row[1].number == row[0] and row[2], zip(itertools.count(), recorded, whole, strict=False)
+    )
     done = tuple(point for _, point, _ in kept)
     finished = any(event.kind == DONE for event in events)
     at_rest = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
