@@ -53,8 +53,8 @@ class Topic(NamedTuple):
         return json.dumps({"type": "object", "title": self.name, "properties": numbers}).encode()
 
 
-class Message(NamedTuple):
-    """Message of a file.
+class McapMessage(NamedTuple):
+    """McapMessage of a file.
 
     Attributes
     ----------
@@ -91,11 +91,11 @@ class McapWriter:
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp(), "a.mcap")
     >>> writer = McapWriter(path, [Topic("samples", {"force": "N"})], {"protocol.yaml": b"name: ours"})
-    >>> writer.append([Message(0, 7, 0.5, b'{"force": 585.0}')])
+    >>> writer.append([McapMessage(0, 7, 0.5, b'{"force": 585.0}')])
     >>> writer.close()
     >>> attachment, _, (message,) = McapReader(path)
     >>> attachment, message
-    (('protocol.yaml', b'name: ours'), Message(topic=0, sequence=7, time=0.5, data=b'{"force": 585.0}'))
+    (('protocol.yaml', b'name: ours'), McapMessage(topic=0, sequence=7, time=0.5, data=b'{"force": 585.0}'))
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic], attachments: Mapping[str, bytes]) -> None:
@@ -115,7 +115,7 @@ class McapWriter:
         self._end = len(content)
         self._file = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
 
-    def append(self, messages: Sequence[Message]) -> None:
+    def append(self, messages: Sequence[McapMessage]) -> None:
         """Append messages as one chunk, all or none.
 
         Raises
@@ -232,14 +232,14 @@ class McapReader:
         self.damaged = 0
         self.is_cut = False
 
-    def __iter__(self) -> Iterator[tuple[str, bytes] | list[Message]]:
+    def __iter__(self) -> Iterator[tuple[str, bytes] | list[McapMessage]]:
         with self.path.open("rb") as file:
             if os.fstat(file.fileno()).st_size <= len(MAGIC):
                 return
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                 yield from self._parts(content)
 
-    def _parts(self, content: mmap.mmap) -> Iterator[tuple[str, bytes] | list[Message]]:
+    def _parts(self, content: mmap.mmap) -> Iterator[tuple[str, bytes] | list[McapMessage]]:
         at = len(MAGIC)
         while at + _FRONT.size <= len(content):
             opcode, length = _FRONT.unpack_from(content, at)
@@ -258,7 +258,7 @@ class McapReader:
                 self.damaged += 1
             at = end
 
-    def _part(self, opcode: int, body: bytes) -> tuple[str, bytes] | list[Message] | None:
+    def _part(self, opcode: int, body: bytes) -> tuple[str, bytes] | list[McapMessage] | None:
         """Content of an attachment or a chunk; None if it is damaged."""
         try:
             if opcode == _ATTACHMENT and zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
@@ -271,7 +271,7 @@ class McapReader:
             return None
         return None
 
-    def _messages(self, body: bytes) -> list[Message] | None:
+    def _messages(self, body: bytes) -> list[McapMessage] | None:
         _, _, size, checksum = _CHUNK_FIELDS.unpack_from(body)
         rest = body[_CHUNK_FIELDS.size :]
         if not rest.startswith(_CHUNK_MARK):
@@ -286,6 +286,6 @@ class McapReader:
             if opcode == MESSAGE_OPCODE:
                 _, _, topic, sequence, time, _ = _MESSAGE.unpack_from(content, at)
                 data = content[at + _MESSAGE.size : at + _FRONT.size + length]
-                messages.append(Message(topic - 1, sequence, time / 1e9, data))
+                messages.append(McapMessage(topic - 1, sequence, time / 1e9, data))
             at += _FRONT.size + length
         return messages

@@ -17,7 +17,7 @@ from pydantic_core import from_json
 
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
-from mckibben.rig.mcap_file import McapReader, Message
+from mckibben.rig.mcap_file import McapReader, McapMessage
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording
@@ -44,7 +44,7 @@ class Column(NamedTuple):
     dtype: str = "float64"
 
 
-def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray], first: int) -> list[Message]:
+def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray], first: int) -> list[McapMessage]:
     """Return samples as messages; numbers that are missing (NaN) are left out.
 
     Parameters
@@ -74,7 +74,7 @@ def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray], first: in
             parts = [f'"{name}":{place % value}' for name, place, value in known]
             text = "{" + ",".join(parts) + "}"
         time = number * 1e-9 if at is None else max(row[at], 0.0)
-        messages.append(Message(SAMPLES, number & _SEQUENCE, time, text.encode()))
+        messages.append(McapMessage(SAMPLES, number & _SEQUENCE, time, text.encode()))
     return messages
 
 
@@ -82,7 +82,7 @@ _PLACES = {"float64": "%r", "float32": "%.9g"}
 _SEQUENCE = 0xFFFFFFFF
 
 
-def unpack_rows(columns: Sequence[Column], messages: Sequence[Message]) -> dict[str, np.ndarray]:
+def unpack_rows(columns: Sequence[Column], messages: Sequence[McapMessage]) -> dict[str, np.ndarray]:
     """Columns of messages with samples."""
     rows = from_json(b"[" + b",".join(message.data for message in messages) + b"]")
     return {column.name: np.array([row.get(column.name, math.nan) for row in rows], column.dtype) for column in columns}
@@ -237,7 +237,7 @@ def entries(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
         damaged |= reader.is_cut
 
 
-def _event(message: Message) -> Event:
+def _event(message: McapMessage) -> Event:
     content = from_json(message.data)
     return Event(content["kind"], content["text"], content["row"], content["data"])
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 import mckibben
 from mckibben.errors import FileError, Problem, RangeError, RigError
-from mckibben.rig.mcap_file import McapWriter, Message, Topic
+from mckibben.rig.mcap_file import McapWriter, McapMessage, Topic
 from mckibben.rig.record import EVENTS, HEADER, Column, pack_rows, read_header, rows_in, segments
 from mckibben.storage.files import make_folder
 
@@ -287,20 +287,20 @@ class Recorder:
                 if closing and not self._pending:
                     return
 
-    def _packed(self, pending: list[list[np.ndarray] | dict[str, Any]]) -> list[Message]:
+    def _packed(self, pending: list[list[np.ndarray] | dict[str, Any]]) -> list[McapMessage]:
         """Messages of rows and events, in their order."""
-        messages: list[Message] = []
+        messages: list[McapMessage] = []
         for entry in pending:
             if isinstance(entry, dict):
                 data = json.dumps(entry, ensure_ascii=False, allow_nan=False).encode()
-                messages.append(Message(EVENTS, 0, self._time, data))
+                messages.append(McapMessage(EVENTS, 0, self._time, data))
                 continue
             rows = pack_rows(self.columns, entry, self._written)
             self._written, self._time = self._written + len(rows), rows[-1].time
             messages += rows
         return messages
 
-    def _write(self, messages: list[Message]) -> None:
+    def _write(self, messages: list[McapMessage]) -> None:
         """Append to the file; on a full disk, in the space of the reserve."""
         try:
             self._file.append(messages)
