@@ -17,7 +17,7 @@ from pydantic_core import from_json
 
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
-from mckibben.rig.mcap_file import McapReader, McapMessage
+from mckibben.rig.mcap_file import McapMessage, McapReader
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording

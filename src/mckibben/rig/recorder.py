@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 import mckibben
 from mckibben.errors import FileError, Problem, RangeError, RigError
-from mckibben.rig.mcap_file import McapWriter, McapMessage, Topic
+from mckibben.rig.mcap_file import McapMessage, McapWriter, Topic
 from mckibben.rig.record import EVENTS, HEADER, Column, pack_rows, read_header, rows_in, segments
 from mckibben.storage.files import make_folder
 
