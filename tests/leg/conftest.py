@@ -39,7 +39,7 @@ def pair() -> mk.AntagonisticJoint:
 def leg_of(pair: mk.AntagonisticJoint, freedom: str, names: tuple[str, ...] = ("hip", "knee", "ankle")) -> Leg:
     """A leg of up to three joints, of which the knee bends backwards as its angle increases."""
     links = (Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.18, 0.005), Link(0.1, 0.1, 0.05, 0.001))
-    joints = tuple(LegJoint(pair, -5 * deg, 5 * deg, name=name, forward=name != "knee") for name in names)
+    joints = tuple(LegJoint(-5 * deg, 5 * deg, pair, name=name, forward=name != "knee") for name in names)
     return Leg(Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom), links[: len(names)], joints)  # type: ignore
 
 

@@ -71,8 +71,8 @@ def test_knee_with_locked_hip_and_fixed_trunk_is_the_joint_of_the_paper(
     load = catalog.load("knee-table-2")
     inertia, moment = float(load.total_inertia), float(load.gravity_moment)
     centre = moment / 9.81  # of a body of 1 kg
-    hip = LegJoint(pair, -5 * deg, 5 * deg, name="hip", locked=0.0)
-    knee = LegJoint(pair, -30 * deg, 30 * deg, link_angle=-load.hanging_angle, damping=load.damping, name="knee")
+    hip = LegJoint(-5 * deg, 5 * deg, pair, name="hip", locked=0.0)
+    knee = LegJoint(-30 * deg, 30 * deg, pair, link_angle=-load.hanging_angle, damping=load.damping, name="knee")
     links = (Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 1.0, centre, inertia - centre**2))
     plant = LegPlant(Leg(Trunk(1.0, freedom="fixed"), links, (hip, knee)), valve)
     joint = mk.JointPlant(pair, load, valve)

@@ -57,14 +57,14 @@ def plant_of(freedom, *, side=False, valve=None, ground=LEVEL):
     In space a side swing above the hip, and a turn about an oblique axis in place of the ankle's.
     """
     joints = (
-        LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="hip", damping=0.05, link_angle=20 * deg),
-        LegJoint(pair(KNEE), -25 * deg, 30 * deg, name="knee", damping=0.05, link_angle=-40 * deg, forward=False),
-        LegJoint(pair(PULLEYS), -20 * deg, 20 * deg, name="ankle", damping=0.03, link_angle=50 * deg),
+        LegJoint(-15 * deg, 15 * deg, pair(KNEE), name="hip", damping=0.05, link_angle=20 * deg),
+        LegJoint(-25 * deg, 30 * deg, pair(KNEE), name="knee", damping=0.05, link_angle=-40 * deg, forward=False),
+        LegJoint(-20 * deg, 20 * deg, pair(PULLEYS), name="ankle", damping=0.03, link_angle=50 * deg),
     )
     links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005), Link(0.12, 0.2, 0.05, 0.002)
     trunk = Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom)
     if side:
-        swing = LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="side", damping=0.05, axis=(1.0, 0.0, 0.0))
+        swing = LegJoint(-15 * deg, 15 * deg, pair(KNEE), name="side", damping=0.05, axis=(1.0, 0.0, 0.0))
         joints = swing, *joints[:2], dataclasses.replace(joints[2], axis=(0.3, -0.8, 0.2))
         links = Link(0.0, 0.0, 0.0, 0.0), *(dataclasses.replace(one, axial_inertia=0.001) for one in links)
     leg = Leg(trunk, links, joints, (HAMSTRING,), foot_radius=0.02)

@@ -82,7 +82,7 @@ def test_energy_and_momenta_in_flight(pair: mk.AntagonisticJoint, freedom: str) 
 def test_a_side_swing_alone_is_a_pendulum(pair: mk.AntagonisticJoint) -> None:
     """About the forward axis with the leg locked: I theta'' = torque - m g c sin(theta)."""
     link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004)
-    side = LegJoint(pair, -10 * deg, 10 * deg, name="side", axis=(0.5, 0.0, 0.0))  # of any length
+    side = LegJoint(-10 * deg, 10 * deg, pair, name="side", axis=(0.5, 0.0, 0.0))  # of any length
     leg = Leg(Trunk(1.0, freedom="fixed"), (link,), (side,))
     posture = posture_of(leg, (0.1,))
     found = acceleration(leg, posture, at_rest(posture), (0.7,), ZERO, 9.81).angles[0]
@@ -160,7 +160,7 @@ def test_gradients_are_those_of_finite_differences(in_space) -> None:
 
 def test_what_cannot_be_is_refused(pair: mk.AntagonisticJoint) -> None:
     link = Link(0.4, 0.5, 0.19, 0.009)
-    joint = LegJoint(pair, -5 * deg, 5 * deg)
+    joint = LegJoint(-5 * deg, 5 * deg, pair)
     for make, field in (
         (lambda: dataclasses.replace(joint, axis=(0.0, 0.0, 0.0)), "axis"),
         (lambda: dataclasses.replace(joint, axis=(1.0, 0.0)), "axis"),
@@ -177,7 +177,7 @@ def test_what_cannot_be_is_refused(pair: mk.AntagonisticJoint) -> None:
 
 
 def test_a_slender_link_cannot_turn_about_its_own_line(pair: mk.AntagonisticJoint) -> None:
-    turn = LegJoint(pair, -5 * deg, 5 * deg, name="yaw", axis=(0.0, 0.0, 1.0))
+    turn = LegJoint(-5 * deg, 5 * deg, pair, name="yaw", axis=(0.0, 0.0, 1.0))
     for axial, field in ((0.0, "axial_inertia"), (1e-4, None)):
         link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=axial)
         plant = LegPlant(Leg(Trunk(1.0), (link,), (turn,), foot_radius=0.02), mk.FirstOrderValve(0.02))

@@ -60,8 +60,10 @@ def leg_model(
     """
     leg = plant.leg
     check_valve(plant.valve)
+    if leg.spanning or leg.parents != tuple(range(len(leg.joints))) or any(joint.place for joint in leg.joints):
+        raise cannot("spanning", "a tree of links, or muscles through points", "give a chain of links with pairs")
     for joint in leg.joints:
-        check_tendon(joint.muscles)
+        check_tendon(joint.pair)
     if start is None:
         start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
     rigging = _Rigging(plant)
@@ -128,6 +130,7 @@ class _Body:
         return text + (
             f'<joint name={quoteattr(joint.name)} type="hinge" axis="{axis}" '
             f'range="{numbers_text((joint.lower, joint.upper))}" damping="{float(joint.damping)!r}" '
+            f'armature="{float(joint.rotor_inertia or 0.0)!r}" '
             f'solreflimit="{limit.reference}" solimplimit="{limit.impedance}"/>'
         )
 
@@ -166,7 +169,7 @@ class _Rigging:
         self.left_out: list[str] = []
         leg = plant.leg
         for index, joint in enumerate(leg.joints):
-            for number, moved in enumerate(transmissions(joint.muscles.geometry)):
+            for number, moved in enumerate(transmissions(joint.pair.geometry)):
                 self._add_muscle(joint, index, number, moved)
         for number in range(len(leg.biarticular)):
             self._add_biarticular(plant, number)
@@ -186,11 +189,11 @@ class _Rigging:
             self.left_out.append(f"tendon of {name}: path not supported by MuJoCo; its torque acts on the joint")
 
         def muscle(plant: LegPlant) -> tuple[Muscle, Tendon]:
-            pair = plant.leg.joints[index].muscles
+            pair = plant.leg.joints[index].pair
             return (pair.muscle1, pair.muscle2)[number], pair.tendon
 
         def path(plant: LegPlant, angle: Array) -> Array:
-            return plant.leg.joints[index].muscles.geometry.path_lengths(angle)[number]
+            return plant.leg.joints[index].pair.geometry.path_lengths(angle)[number]
 
         path_of = beyond(moved.offset) if tendon else path
         self.drives.append(Drive(name, tendon, joint.name, 2 * index + number, muscle, path_of))

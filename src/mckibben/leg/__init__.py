@@ -19,7 +19,7 @@ from mckibben.leg.foot_pressures import (
 from mckibben.leg.ground import Ground
 from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
-from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
+from mckibben.leg.mechanism import BiarticularMuscle, BodyPoint, Leg, LegJoint, Link, SpanningMuscle, Trunk
 from mckibben.leg.metrics import EnergyBalance, LegMetrics
 from mckibben.leg.plant import LegMeasurement, LegPlant, LegStart, LegState
 from mckibben.leg.scenario import LegScenario, read_leg
@@ -27,6 +27,7 @@ from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate
 
 __all__ = [
     "BiarticularMuscle",
+    "BodyPoint",
     "CoupledControl",
     "EnergyBalance",
     "FootPressures",
@@ -49,6 +50,7 @@ __all__ = [
     "Link",
     "PhasedReference",
     "PressureSchedule",
+    "SpanningMuscle",
     "TimedReference",
     "Trunk",
     "attainable_foot_stiffness",

@@ -42,7 +42,7 @@ def attainable_foot_stiffness(
         If the torque of a joint is not attainable, with its name and the attainable range; or if a muscle over two
         joints cannot be taut; or if none of the values is stable.
     """
-    corners = leg.biarticular and is_affine(leg)
+    corners = (leg.biarticular or leg.spanning) and is_affine(leg)
     count = levels ** len(leg.joints)
     matrices = _between_corners(leg, angles, torques, count) if corners else _grid(leg, angles, torques, levels)
     (jacobian, geometric), free = foot_jacobian(leg, angles, force), movable(leg)
@@ -57,7 +57,7 @@ def _grid(leg: Leg, angles: Sequence[float], torques: Sequence[float], levels: i
     """Diagonal stiffness matrices [N*m/rad] of the joints, from the softest to the stiffest."""
     ranges = []
     for joint, angle, torque in zip(leg.joints, angles, torques, strict=True):
-        low, high = (float(one) for one in joint.muscles.attainable_stiffness(angle, torque))
+        low, high = (float(one) for one in joint.pair.attainable_stiffness(angle, torque))
         if not np.isfinite(low):
             leg.pressures_for(angles, torques, [None] * len(leg.joints))  # raises, with the name of the joint
         ranges.append(np.linspace(low, high, levels))

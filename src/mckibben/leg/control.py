@@ -267,6 +267,12 @@ class JointwiseControl(LegController):
         return found
 
 
+def check_pairs(leg: Leg, controller: LegController) -> None:
+    """Raise `RangeError` if a controller commands pairs of muscles, and joints of a leg have none."""
+    if isinstance(controller, JointwiseControl):
+        check_count("controllers", len(controller.controllers), leg.pair_count, "joint with a pair of muscles")
+
+
 def _of_joint(measurement: LegMeasurement, index: int) -> Measurement:
     return Measurement(measurement.angles[index], measurement.pressures[2 * index : 2 * index + 2])  # type: ignore
 

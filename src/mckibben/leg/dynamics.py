@@ -1,4 +1,4 @@
-"""Motion of a leg: its trunk and links as a chain of bodies (`mckibben.plant.bodies`)."""
+"""Motion of a leg: its trunk and links as a tree of bodies (`mckibben.leg.tree`)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.leg.mechanism import Leg
+from mckibben.leg.tree import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
 from mckibben.numerics.compiled import jit
-from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
-from mckibben.plant.bodies import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
+from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector, X, Y, Z, product, total
 
 Scalar = Float[Array, ""]
 
@@ -71,25 +71,43 @@ def at_rest(posture: Posture) -> Velocity:
     return Velocity(*jax.tree.map(jnp.zeros_like, posture))
 
 
-def _chain(leg: Leg, posture: Posture, velocity: Velocity) -> tuple[Frame, list[Hinge], list[Body]]:
-    """The base that slides with the hip, the hinges of trunk and joints, and the body on the base and on each hinge."""
+class _Tree(NamedTuple):
+    """Bodies of a leg in a posture and at a velocity, and the numbers of its trunk and its last link."""
+
+    base: Frame  # slides with the hip
+    hinges: list[Hinge]  # of trunk and joints
+    bodies: list[Body]  # on the base and on each hinge
+    trunk: int
+    foot: int
+
+    def frames(self) -> list[Frame]:
+        """Return the frames of all bodies."""
+        return frames_of(self.base, self.hinges)
+
+
+def _tree(leg: Leg, posture: Posture, velocity: Velocity) -> _Tree:
     turns = [name for name in leg.trunk.motions if name in TURNS]
-    hinges = [Hinge(TURNS[name], ZERO, getattr(posture, name), getattr(velocity, name)) for name in turns]
-    place = ZERO
-    for joint, link, at, moving in zip(leg.joints, leg.links, posture.angles, velocity.angles, strict=True):
-        angle = joint.link_angle + joint.sign * at
-        hinges.append(Hinge(joint.direction, place, angle, joint.sign * moving, joint.locked is None))
-        place = Vector(0.0, 0.0, -link.length)
-    trunk = Body(leg.trunk.mass, leg.trunk.centre, Vector(*leg.trunk.inertias))
-    links = (Body(link.mass, -link.centre, Vector(*link.inertias)) for link in leg.links)
+    hinges = [
+        Hinge(TURNS[name], ZERO, getattr(posture, name), getattr(velocity, name), number)
+        for number, name in enumerate(turns)
+    ]
+    hinges += leg.hinges(posture.angles, velocity.angles, len(turns))
+    trunk = Body(leg.trunk.mass, Vector(0.0, 0.0, leg.trunk.centre), _principal(leg.trunk.inertias))
+    links = (Body(link.mass, Vector(0.0, 0.0, -link.centre), _principal(link.inertias)) for link in leg.links)
     position, speed = (Vector(of.x, 0.0 if of.y is None else of.y, of.z) for of in (posture, velocity))
-    return Frame(IDENTITY, ZERO, position, speed), hinges, [*([MASSLESS] * len(turns)), trunk, *links]
+    base = Frame(IDENTITY, ZERO, position, speed)
+    return _Tree(base, hinges, [*([MASSLESS] * len(turns)), trunk, *links], len(turns), len(hinges))
+
+
+def _principal(inertias: tuple[Any, Any, Any]) -> Tensor:
+    x, y, z = inertias
+    return Tensor(x, 0.0, 0.0, y, 0.0, z)
 
 
 def frames(leg: Leg, posture: Posture, velocity: Velocity) -> list[Frame]:
     """Return the frames of trunk and links; the trunk's is at the hip."""
-    base, hinges, _ = _chain(leg, posture, velocity)
-    return frames_of(base, hinges)[-1 - len(leg.joints) :]
+    tree = _tree(leg, posture, velocity)
+    return tree.frames()[tree.trunk :]
 
 
 def contact(leg: Leg, found: Sequence[Frame], normal: Vector = Z) -> Contact:
@@ -116,10 +134,10 @@ class BodyMotion(NamedTuple):
 
 def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -> BodyMotion:
     """Return energies and the motion of the centre of mass; the potential energy of the height 0 is 0."""
-    base, hinges, bodies = _chain(leg, posture, velocity)
+    tree = _tree(leg, posture, velocity)
     kinetic: Any = 0.0
     moment = momentum = spin = ZERO
-    for frame, body in zip(frames_of(base, hinges), bodies, strict=True):
+    for frame, body in zip(tree.frames(), tree.bodies, strict=True):
         if body is MASSLESS:
             continue
         place, speed = frame.point(body.centre)
@@ -143,14 +161,14 @@ def _equations(
     normal: Vector = Z,
     slip_mass: ArrayLike | None = None,
 ) -> Equations:
-    base, hinges, bodies = _chain(leg, posture, velocity)
-    found = frames_of(base, hinges)
+    tree = _tree(leg, posture, velocity)
+    found = tree.frames()
     slides = [SLIDES[name] for name in leg.trunk.motions if name in SLIDES]
     point = contact(leg, found, normal)
-    made = equations(slides, hinges, bodies, found, gravity, force, point.arm)
+    made = equations(slides, tree.hinges, tree.bodies, found, gravity, {tree.foot: (force, point.arm)})
     if slip_mass is None:
         return made
-    pairs = zip(found[1:], hinges, strict=True)
+    pairs = zip(found[1:], tree.hinges, strict=True)
     moved = [*slides, *(at.axis.cross(point.position - at.position) for at, hinge in pairs if hinge.free)]
     slips = [one - normal.scaled(one.dot(normal)) for one in moved]  # of the point, per rate of each motion
     rows = [

@@ -15,6 +15,7 @@ from mckibben.errors import RangeError
 from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.mechanism import Leg
 from mckibben.numerics.compiled import jit
+from mckibben.numerics.spatial import Vector
 
 Floats = NDArray[np.float64]
 
@@ -161,7 +162,7 @@ def _jacobian(
 
     def foot(q: Array) -> Array:
         posture = posture_of(leg, tuple(q))
-        place, _ = frames(leg, posture, at_rest(posture))[-1].point(-leg.links[-1].length)
+        place, _ = frames(leg, posture, at_rest(posture))[-1].point(Vector(0.0, 0.0, -leg.links[-1].length))
         return jnp.stack([place.x, place.z] if leg.is_planar else list(map(jnp.asarray, place)))
 
     q = jnp.stack([jnp.asarray(one) for one in angles])

@@ -259,7 +259,7 @@ class Landings(Study):
         assert landing is not None
         leg, angles = plant.leg, plant.leg.posture_angles(landing.touchdown)
         index = leg.index(landing.joint)
-        low, high = (float(edge) for edge in leg.joints[index].muscles.attainable_stiffness(angles[index], 0.0))
+        low, high = (float(edge) for edge in leg.joints[index].pair.attainable_stiffness(angles[index], 0.0))
         wanted = landing.stiffness
         stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if wanted is None else np.sort(wanted)
         others: list[float | None] = [None] * len(leg.joints)

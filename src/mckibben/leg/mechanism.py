@@ -1,7 +1,8 @@
-"""Leg: trunk, links in a chain, joints with pairs of muscles, and muscles over two joints."""
+"""Leg: trunk, links in a tree of joints, and muscles: pairs of joints, over two joints, or through points."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Annotated, Any, Literal, NamedTuple
@@ -18,12 +19,13 @@ from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
 from mckibben.leg.bodies import Link, Trunk
+from mckibben.leg.tree import Frame, Hinge, frames_of, path_through
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.spatial import Vector, unit_vector
+from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, unit_vector
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance
-from mckibben.units import Angle, Damping, Distance, Quantity, StiffnessScale, deg
+from mckibben.units import Angle, Coordinate, Damping, Distance, Inertia, Quantity, StiffnessScale, deg
 
 Direction = Annotated[float, Quantity("1", "1", -1, 1)]
 StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
@@ -35,14 +37,14 @@ Action = Literal["lengthens", "shortens"]
 
 
 class LegJoint(Component):
-    """Hinge with two muscles between a link and the one above it.
+    """Hinge between a link and the one above it.
 
     Parameters
     ----------
-    muscles
-        Pair of muscles with their geometry.
     lower, upper
         Range of the angle [rad]; beyond it stops act.
+    muscles
+        Pair of muscles with their geometry. Default: none, so that other muscles move the joint.
     link_angle
         Angle [rad] of the link from the line of the one above, at the angle 0 of the joint; positive forwards.
     forward
@@ -63,11 +65,18 @@ class LegJoint(Component):
         Direction about which the link turns by `link_angle` and, if `forward`, by the angle (right-hand rule), in the
         axes of the body above: x forwards, y to the left, z up along it. Default: (0, -1, 0), the forward swing. About
         (1, 0, 0) the link swings to the left.
+    parent
+        Name of the joint above, whose link carries this one, or "trunk". Default: the joint before, the trunk for the
+        first.
+    place
+        Point of the link above [m], in its own axes: x forwards, y to the left, z up along it. Default: its lower end.
+    rotor_inertia
+        Inertia that turns with the joint alone [kg*m^2]. Default: none.
     """
 
-    muscles: AntagonisticJoint
     lower: Angle
     upper: Angle
+    muscles: AntagonisticJoint | None = None
     link_angle: Angle = 0.0
     forward: bool = eqx.field(static=True, default=True)
     damping: Damping = 0.0
@@ -78,9 +87,14 @@ class LegJoint(Component):
     friction: JointFriction | None = eqx.field(kw_only=True, default=None)
     disturbance: Disturbance = eqx.field(kw_only=True, default=NoDisturbance())
     axis: tuple[Direction, ...] = eqx.field(kw_only=True, static=True, default=(0.0, -1.0, 0.0))
+    parent: str | None = eqx.field(kw_only=True, static=True, default=None)
+    place: tuple[Coordinate, ...] | None = eqx.field(kw_only=True, default=None)
+    rotor_inertia: Inertia | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         super().__check_init__()
+        if self.place is not None:
+            check_point(self.name, "place", self.place)
         if len(self.axis) != 3 or not any(self.axis):
             raise RangeError(
                 f"{self.name}: the axis is {', '.join(f'{one:g}' for one in self.axis)}",
@@ -109,12 +123,21 @@ class LegJoint(Component):
                 unit="rad",
                 remedy="lock it within its range",
             )
-        _check_paths(self)
+        if self.muscles is not None:
+            _check_paths(self.name, self.muscles, self.lower, self.upper)
 
     @property
     def sign(self) -> int:
         """1 where the link turns about its axis as the angle increases, else -1."""
         return 1 if self.forward else -1
+
+    @property
+    def pair(self) -> AntagonisticJoint:
+        """Its pair of muscles; `RangeError` without one."""
+        if self.muscles is None:
+            remedy = "give it `muscles`, or name a joint that has a pair"
+            raise RangeError(f"{self.name}: it has no pair of muscles", field="muscles", remedy=remedy)
+        return self.muscles
 
     @property
     def direction(self) -> Vector:
@@ -164,6 +187,60 @@ class BiarticularMuscle(Component):
         )
 
 
+class BodyPoint(Component):
+    """Point of a body.
+
+    Parameters
+    ----------
+    body
+        "trunk", or the name of the joint whose link it is.
+    place
+        Coordinates [m] in the axes of the body, from the hip or from that joint: x forwards, y to the left, z up along
+        it.
+    """
+
+    body: str = eqx.field(static=True)
+    place: tuple[Coordinate, ...]
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_point(self.body, "place", self.place)
+
+
+class SpanningMuscle(Component):
+    """Muscle along straight lines through points of bodies, whatever joints are between them.
+
+    Parameters
+    ----------
+    muscle
+        The muscle.
+    through
+        Points, from one end to the other; successive ones are of different bodies.
+    connector_length
+        Length of the connectors in series with the muscle [m]; below 0 for a muscle that is longer than its path.
+    tendon
+        Element in series. Default: rigid.
+    """
+
+    muscle: Muscle
+    through: tuple[BodyPoint, ...]
+    connector_length: Coordinate = 0.0
+    tendon: Tendon = RigidTendon()
+    name: str = eqx.field(static=True, default="spanning")
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        self.muscle.check_pressure_limit()
+        bodies = [point.body for point in self.through]
+        if len(bodies) < 2 or any(first == second for first, second in itertools.pairwise(bodies)):
+            raise RangeError(
+                f"{self.name}: it passes through {', '.join(bodies) or 'no body'}",
+                field="through",
+                value=bodies,
+                remedy="give two points or more, successive ones of different bodies",
+            )
+
+
 class RoutedMuscle(NamedTuple):
     """A muscle in the leg: its path length [m], and the derivative [m/rad] of that over the angles of its joints."""
 
@@ -174,20 +251,22 @@ class RoutedMuscle(NamedTuple):
 
 
 class Leg(Component):
-    """Leg: a trunk, and a chain of links, each on a joint with two muscles.
+    """Leg: a trunk, and a tree of links, each on a joint.
 
     x is forwards, y to the left, and z up. A link with the angle 0 hangs below the one above. All sequences over joints
-    begin at the trunk; those over muscles have muscles 1 and 2 of each joint, then the biarticular ones. A leg whose
-    joints all swing forwards moves in the plane of walking.
+    begin at the trunk; those over muscles have muscles 1 and 2 of each joint with a pair, then the biarticular and the
+    spanning ones. A leg whose joints all swing forwards moves in the plane of walking.
 
     Parameters
     ----------
     trunk, links, joints
-        Bodies, and the joint above each link.
+        Bodies, and the joint above each link; the one above that comes before it.
     biarticular
         Muscles over two joints.
     foot_radius
         Radius [m] of the foot, a sphere about the end of the last link.
+    spanning
+        Muscles through points of bodies.
 
     Examples
     --------
@@ -202,6 +281,7 @@ class Leg(Component):
     joints: tuple[LegJoint, ...]
     biarticular: tuple[BiarticularMuscle, ...] = ()
     foot_radius: Distance = 0.0
+    spanning: tuple[SpanningMuscle, ...] = ()
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -221,33 +301,70 @@ class Leg(Component):
         if not self.links:
             raise RangeError("a leg of no links", field="links", remedy="give at least one, and a joint for each")
         check_count("joints", len(self.joints), len(self.links), "link, the joint above it")
-        if isinstance(self.links[-1].mass, Real) and self.links[-1].mass == 0:
-            raise RangeError(
-                "the last link has no mass", field="links", value=0.0, remedy="give mass and inertia of the last link"
-            )
+        self._check_names()
+        for number, joint in enumerate(self.joints):
+            if joint.parent not in (None, *self.body_names[: number + 1]):
+                raise RangeError(
+                    f"{joint.name}: its parent is {joint.parent!r}",
+                    field=f"joints.{number}.parent",
+                    value=joint.parent,
+                    remedy=f"name a body before it: {', '.join(self.body_names[: number + 1])}",
+                )
+        names = [joint.name for joint in self.joints]
+        for number, muscle in enumerate(self.biarticular):
+            place = f"biarticular.{number}"
+            for field in ("joint1", "joint2"):
+                if getattr(muscle, field) not in names or (field == "joint2" and muscle.joint1 == muscle.joint2):
+                    raise RangeError(
+                        f"{muscle.name}: {field} is {getattr(muscle, field)!r}",
+                        field=f"{place}.{field}",
+                        value=getattr(muscle, field),
+                        remedy=f"name two different joints of {', '.join(names)}",
+                    )
+            ends = (self.joints[names.index(name)] for name in (muscle.joint1, muscle.joint2))
+            _check_biarticular(muscle, place, *ends)
+        for number, link in enumerate(self.links, 1):
+            if number not in self.parents and isinstance(link.mass, Real) and link.mass == 0:
+                remedy = "give mass and inertia of the last link"
+                raise RangeError("the last link has no mass", field="links", value=0.0, remedy=remedy)
+        self._check_spanning()
+
+    def _check_spanning(self) -> None:
+        """Raise for a point of an unknown body, and for a contraction that a muscle does not permit in the range."""
+        for number, spanning in enumerate(self.spanning):
+            for place, point in enumerate(spanning.through):
+                if point.body not in self.body_names:
+                    raise RangeError(
+                        f"{spanning.name}: the leg has no body {point.body!r}",
+                        field=f"spanning.{number}.through.{place}.body",
+                        value=point.body,
+                        remedy=f"name one of {', '.join(self.body_names)}",
+                    )
+        limits = [(joint.lower, joint.upper) for joint in self.joints]
+        if not all(isinstance(limit, Real) for pair in limits for limit in pair):
+            return
+        places = [f"the {place} of all ranges" for place in ("lower ends", "middle", "upper ends")]
+        units = self._spanning_muscles(self.held([np.linspace(low, high, len(places)) for low, high in limits]))
+        for number, (spanning, unit) in enumerate(zip(self.spanning, units, strict=True)):
+            if isinstance(spanning.tendon, RigidTendon):
+                paths = jnp.broadcast_to(unit.path, (len(places),))
+                check_contractions(spanning.name, spanning.muscle, paths, places, f"spanning.{number}.muscle")
+
+    def _check_names(self) -> None:
         names, muscles = [joint.name for joint in self.joints], list(self.muscle_names)
-        twice = [(f"joints.{i}.name", one) for i, one in enumerate(names) if one in names[:i]]
-        others = enumerate(muscles[2 * len(names) :])
-        twice += [(f"biarticular.{i}.name", one) for i, one in others if muscles.count(one) > 1]
+        twice = [(f"joints.{i}.name", name) for i, name in enumerate(names) if name in ("trunk", *names[:i])]
+        pairs = self.pair_count
+        others = enumerate(muscles[2 * pairs : len(muscles) - len(self.spanning)])
+        twice += [(f"biarticular.{i}.name", name) for i, name in others if muscles.count(name) > 1]
+        spanning = enumerate(muscle.name for muscle in self.spanning)
+        twice += [(f"spanning.{i}.name", name) for i, name in spanning if muscles.count(name) > 1]
         if twice:
             raise RangeError(
                 f"joints {', '.join(names)}, and muscles {', '.join(muscles)}: a name is given twice",
                 field=twice[0][0],
                 value=twice[0][1],
-                remedy="give each joint and each biarticular muscle a unique name",
+                remedy="give each joint and each muscle a unique name",
             )
-        for number, one in enumerate(self.biarticular):
-            place = f"biarticular.{number}"
-            for field in ("joint1", "joint2"):
-                if getattr(one, field) not in names or (field == "joint2" and one.joint1 == one.joint2):
-                    raise RangeError(
-                        f"{one.name}: {field} is {getattr(one, field)!r}",
-                        field=f"{place}.{field}",
-                        value=getattr(one, field),
-                        remedy=f"name two different joints of {', '.join(names)}",
-                    )
-            ends = (self.joints[names.index(name)] for name in (one.joint1, one.joint2))
-            _check_biarticular(one, place, *ends)
 
     def __repr__(self) -> str:
         return f"Leg({', '.join(joint.name for joint in self.joints)}; {len(self.muscles)} muscles)"
@@ -271,16 +388,50 @@ class Leg(Component):
         return jnp.asarray(self.trunk.mass) + sum(jnp.asarray(link.mass) for link in self.links)
 
     @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of trunk and links; a link has the name of its joint."""
+        return ("trunk", *(joint.name for joint in self.joints))
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """Place in `body_names` of the body above each joint."""
+        names = self.body_names
+        return tuple(
+            number if joint.parent is None else names.index(joint.parent) for number, joint in enumerate(self.joints)
+        )
+
+    def inertia_beyond(self, index: int) -> Any:
+        """Return the least inertia [kg*m^2] that a joint turns: its rotor and the next link with a mass."""
+        joint, link = self.joints[index], self.links[index]
+        rotor = 0.0 if joint.rotor_inertia is None else joint.rotor_inertia
+        if own := link.inertia_about_joint:
+            return rotor + own
+        below = [number for number, parent in enumerate(self.parents) if parent == index + 1]
+        return rotor + min((self.inertia_beyond(number) for number in below), default=0.0)
+
+    @property
+    def pair_count(self) -> int:
+        """Number of joints with a pair of muscles."""
+        return sum(joint.muscles is not None for joint in self.joints)
+
+    @property
     def muscles(self) -> tuple[Muscle, ...]:
         """All muscles, in their order."""
-        pairs = [one for joint in self.joints for one in (joint.muscles.muscle1, joint.muscles.muscle2)]
-        return (*pairs, *(one.muscle for one in self.biarticular))
+        pairs = [pair for joint in self.joints if (pair := joint.muscles) is not None]
+        own = [muscle for pair in pairs for muscle in (pair.muscle1, pair.muscle2)]
+        return (*own, *(unit.muscle for unit in (*self.biarticular, *self.spanning)))
 
     @property
     def muscle_names(self) -> tuple[str, ...]:
         """Names of all muscles, such as hip1, hip2, knee1, knee2."""
-        pairs = [f"{joint.name}{number}" for joint in self.joints for number in (1, 2)]
-        return (*pairs, *(one.name for one in self.biarticular))
+        pairs = [f"{joint.name}{number}" for joint in self.joints if joint.muscles is not None for number in (1, 2)]
+        return (*pairs, *(unit.name for unit in (*self.biarticular, *self.spanning)))
+
+    @property
+    def tendons(self) -> tuple[Tendon, ...]:
+        """Tendons of all muscles."""
+        pairs = [joint.muscles.tendon for joint in self.joints if joint.muscles is not None for _ in (1, 2)]
+        return (*pairs, *(RigidTendon() for _ in self.biarticular), *(muscle.tendon for muscle in self.spanning))
 
     def index(self, name: str) -> int:
         """Return the place of a joint in the leg; `RangeError` for an unknown name."""
@@ -302,7 +453,8 @@ class Leg(Component):
         """Return all muscles with their paths at angles [rad]."""
         found = []
         for index, (joint, angle) in enumerate(zip(self.joints, angles, strict=True)):
-            pair = joint.muscles
+            if (pair := joint.muscles) is None:
+                continue
             (path1, path2), (arm1, arm2) = pair.geometry.paths_and_arms(angle)
             found.append(RoutedMuscle(pair.muscle1, pair.tendon, path1, {index: arm1}))
             found.append(RoutedMuscle(pair.muscle2, pair.tendon, path2, {index: -arm2}))
@@ -310,7 +462,35 @@ class Leg(Component):
             first, second = self.index(one.joint1), self.index(one.joint2)
             (part1, slope1), (part2, slope2) = one.parts(angles[first], angles[second])
             found.append(RoutedMuscle(one.muscle, RigidTendon(), part1 + part2, {first: slope1, second: slope2}))
+        return found + self._spanning_muscles(angles)
+
+    def _spanning_muscles(self, angles: Sequence[ArrayLike]) -> list[RoutedMuscle]:
+        if not self.spanning:
+            return []
+        hinges, found = self.hinges(angles, [0.0] * len(self.joints)), []
+        frames = frames_of(Frame(IDENTITY, ZERO, ZERO, ZERO), hinges)
+        for unit in self.spanning:
+            points = [(self.body_names.index(point.body), Vector(*point.place)) for point in unit.through]
+            length, slopes = path_through(points, hinges, frames)
+            own = {number - 1: self.joints[number - 1].sign * slope for number, slope in slopes.items()}
+            found.append(RoutedMuscle(unit.muscle, unit.tendon, length - unit.connector_length, own))
         return found
+
+    def hinges(self, angles: Sequence[Any], rates: Sequence[Any], trunk: int = 0) -> list[Hinge]:
+        """Return the hinges of the joints at angles [rad] and rates [rad/s]; the trunk has a number."""
+        ends = [ZERO, *(Vector(0.0, 0.0, -link.length) for link in self.links)]
+        return [
+            Hinge(
+                joint.direction,
+                ends[parent] if joint.place is None else Vector(*joint.place),
+                joint.link_angle + joint.sign * angle,
+                joint.sign * rate,
+                trunk + parent,
+                joint.locked is None,
+                0.0 if joint.rotor_inertia is None else joint.rotor_inertia,
+            )
+            for joint, parent, angle, rate in zip(self.joints, self.parents, angles, rates, strict=True)
+        ]
 
     def torques(self, angles: Sequence[ArrayLike], pressures: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the torque [N*m] of all muscles' laws on each joint at angles [rad] and gauge pressures [Pa]."""
@@ -331,39 +511,49 @@ class Leg(Component):
         """Return gauge pressures [Pa] of all muscles for torques [N*m] and stiffness [N*m/rad] of the joints.
 
         Numbers, or arrays over postures.
-        Stiffness is that of a joint's own pair, None for the middle of the attainable range. Those of biarticular
-        muscles are given; the pairs take over their torque.
+        Stiffness is that of a joint's own pair, None for the middle of the attainable range. Those of other muscles
+        are given; the pairs take over their torque.
 
         Raises
         ------
+        RangeError
+            If a joint has no pair.
         UnreachableError
             If they are not attainable in a joint; with its name and the attainable range.
         """
-        given = tuple(biarticular) or (0.0,) * len(self.biarticular)
+        pairs = [joint.pair for joint in self.joints]
+        given = tuple(biarticular) or (0.0,) * (len(self.biarticular) + len(self.spanning))
         needed = [jnp.asarray(torque) for torque in torques]
-        for unit, pressure in zip(self.routed_muscles(angles)[2 * len(self.joints) :], given, strict=True):
+        for unit, pressure in zip(self.routed_muscles(angles)[2 * len(pairs) :], given, strict=True):
             tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
             for joint, slope in unit.slopes.items():
                 needed[joint] = needed[joint] + tension * slope
         found: list[Any] = []
-        for joint, angle, torque, wanted in zip(self.joints, angles, needed, stiffness, strict=True):
+        for joint, pair, angle, torque, wanted in zip(self.joints, pairs, angles, needed, stiffness, strict=True):
             try:
-                pair = map(np.asarray, joint.muscles.pressures_for(angle, torque, wanted))
-                found += (float(one) if one.ndim == 0 else one for one in pair)
+                pressures = map(np.asarray, pair.pressures_for(angle, torque, wanted))
+                found += (float(one) if one.ndim == 0 else one for one in pressures)
             except McKibbenError as error:
                 error.message = f"{joint.name}: {error.message}"
                 raise
         return (*found, *given)
 
 
-def _check_paths(joint: LegJoint) -> None:
+def check_point(owner: str, field: str, place: tuple[Any, ...]) -> None:
+    """Raise `RangeError` unless a point has three coordinates."""
+    if len(place) != 3:
+        remedy = "give three coordinates: forwards, to the left and up"
+        raise RangeError(f"{owner}: a point with {len(place)} coordinates", field=field, value=place, remedy=remedy)
+
+
+def _check_paths(name: str, pair: AntagonisticJoint, lower: float, upper: float) -> None:
     """Raise unless both muscles are within their domain over the whole range of a joint."""
-    angles = np.array([joint.lower, joint.upper])
-    low, high = joint.muscles.geometry.angle_range
+    angles = np.array([lower, upper])
+    low, high = pair.geometry.angle_range
     outside = (angles < low - 1e-9) | (angles > high + 1e-9)
     if outside.any():
         raise RangeError(
-            f"{joint.name}: its geometry is known for {low / deg:.4g}..{high / deg:.4g} deg",
+            f"{name}: its geometry is known for {low / deg:.4g}..{high / deg:.4g} deg",
             field="lower" if outside[0] else "upper",
             value=float(angles[outside][0]),
             lower=low,
@@ -371,12 +561,11 @@ def _check_paths(joint: LegJoint) -> None:
             unit="rad",
             remedy="give a smaller range, or a geometry for all of it",
         )
-    paths = joint.muscles.geometry.path_lengths(angles)
-    pair = joint.muscles
+    paths = pair.geometry.path_lengths(angles)
     if not isinstance(pair.tendon, RigidTendon):
         return  # a spring takes up lengths beyond the range of the muscle
     for number, (muscle, path) in enumerate(zip((pair.muscle1, pair.muscle2), paths, strict=True), 1):
-        check_contractions(f"{joint.name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
+        check_contractions(f"{name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
 
 
 def _check_biarticular(one: BiarticularMuscle, place: str, first: LegJoint, second: LegJoint) -> None:

@@ -237,10 +237,7 @@ class LegPlant(Plant[LegState]):
                 field="axial_inertia",
                 remedy="give the links an axial_inertia, or the joint another axis",
             )
-        inertias = [
-            next(one for link in leg.links[index:] if (one := link.inertia_about_joint))  # massless links are carried
-            for index in range(len(leg.links))
-        ]
+        inertias = [leg.inertia_beyond(index) for index in range(len(leg.links))]
         bodies = [pair for pair in zip(leg.joints, inertias, strict=True) if pair[0].locked is None]
         stiffnesses = {
             "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],

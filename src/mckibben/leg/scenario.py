@@ -222,6 +222,8 @@ class LegScenario(RunSettings):
             postures["touchdown"] = value.touchdown
             if value.joint not in [joint.name for joint in leg.joints]:
                 fail_validation(*_unknown_joint(leg, value.joint), field="joint")
+            if leg.joints[leg.index(value.joint)].muscles is None:
+                fail_validation(f"{value.joint} has no pair of muscles", "name a joint that has one", field="joint")
             if leg.joints[leg.index(value.joint)].locked is not None:
                 fail_validation(
                     f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move", field="joint"

@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import McKibbenWarning, SimulationError
-from mckibben.leg.control import LegController
+from mckibben.leg.control import LegController, check_pairs
 from mckibben.leg.metrics import LegMetrics, MetricSums, measure
 from mckibben.leg.plant import LegPlant, LegSample, LegStart
 from mckibben.notebook import Progress
@@ -165,6 +165,7 @@ def simulate_leg(
     """
     check_accuracy(accuracy, substeps)
     times = sampling_times(duration, control_period)
+    check_pairs(plant.leg, controller)
     run = single_run(LegProblem(plant, controller, start), control_period, "simulate_legs")
     plant.check_start(start)
     solutions: dict[int, tuple[tuple[Any, Record], str]] = {}
@@ -248,6 +249,7 @@ def simulate_legs(
     kind = float_type(precision)
     check_accuracy(accuracy, substeps, np.finfo(kind).bits)
     times = sampling_times(duration, control_period)
+    check_pairs(plant.leg, controller)
     lanes, shared, count = split_runs(LegProblem(plant, controller, start), over or {}, control_period, "simulate_leg")
     first = eqx.combine(jax.tree.map(lambda leaf: leaf[0], lanes), shared)
     given = shared, times, np.asarray(control_period)

@@ -68,8 +68,7 @@ def is_affine(leg: Leg) -> bool:
 
 def _not_affine(leg: Leg) -> Iterator[tuple[str, str]]:
     """Muscles, and the class of what is not affine in them."""
-    tendons = [*(pair.muscles.tendon for pair in leg.joints for _ in (1, 2)), *(RigidTendon() for _ in leg.biarticular)]
-    for name, muscle, tendon in zip(leg.muscle_names, leg.muscles, tendons, strict=True):
+    for name, muscle, tendon in zip(leg.muscle_names, leg.muscles, leg.tendons, strict=True):
         for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
             if not isinstance(part, kind):
                 yield name, type(part).__name__

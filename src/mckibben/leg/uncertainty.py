@@ -53,13 +53,15 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
     links = tuple(with_mass(link, factors(spec.mass)) for link in leg.links)
     joints = []
     for joint in leg.joints:
-        muscles = drawn(joint.muscles.muscle1), drawn(joint.muscles.muscle2)
-        pair = eqx.tree_at(lambda one: (one.muscle1, one.muscle2), joint.muscles, muscles)
-        joints.append(eqx.tree_at(lambda one: one.muscles, joint, pair))
-    biarticular = tuple(eqx.tree_at(lambda x: x.muscle, one, drawn(one.muscle)) for one in leg.biarticular)
+        if joint.muscles is not None:
+            muscles = drawn(joint.muscles.muscle1), drawn(joint.muscles.muscle2)
+            joint = eqx.tree_at(lambda x: (x.muscles.muscle1, x.muscles.muscle2), joint, muscles)
+        joints.append(joint)
     leg = eqx.tree_at(lambda x: (x.trunk, x.links, x.joints), leg, (trunk, links, tuple(joints)))
-    if biarticular:
-        leg = eqx.tree_at(lambda x: x.biarticular, leg, biarticular)
+    for name in ("biarticular", "spanning"):
+        if units := getattr(leg, name):
+            units = tuple(eqx.tree_at(lambda x: x.muscle, unit, drawn(unit.muscle)) for unit in units)
+            leg = eqx.tree_at(lambda x, name=name: getattr(x, name), leg, units)
     return eqx.tree_at(lambda x: (x.leg, x.valve), plant, (leg, drawn_air(plant.valve, spec)))
 
 

@@ -13,6 +13,7 @@ from mckibben.leg.attainable import attainable_foot_stiffness
 from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.foot import stiffness_of
 from mckibben.leg.landing import EDGES, LandingStudy
+from mckibben.numerics.spatial import Vector
 from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
 from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
 from mckibben.units import bar, mm, ms
@@ -103,7 +104,7 @@ def foot_ellipses(
     posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
     posture = posture_of(leg, angles)
     links = frames(leg, posture, at_rest(posture))[1:]
-    points = [*(link.position for link in links), links[-1].point(-leg.links[-1].length)[0]]
+    points = [*(link.position for link in links), links[-1].point(Vector(0.0, 0.0, -leg.links[-1].length))[0]]
     x, z = (np.array([float(point[i]) for point in points]) / mm for i in (0, 2))
     posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
     posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
