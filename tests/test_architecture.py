@@ -122,7 +122,7 @@ BUDGET = {
     "scenario": 720,
     "serial_protocol": 160,
     "simulation": 2860,
-    "storage": 470,
+    "storage": 460,
     "study": 2890,
     "web": 2320,
 }
