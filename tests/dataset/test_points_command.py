@@ -51,7 +51,7 @@ def test_plateaus_become_files_that_are_read_as_points(run):
     Path("how.yaml").write_text("specimen: DMSP-10\n")
     text = run("rig.csv", *COLUMN, "--out", "found", "--read", "how.yaml", "--details")
     assert "5 points from 1500 samples: 1470 used" in text or "5 points from 1500 samples: 1480 used" in text
-    assert "filling" in text and "venting" in text and "use of the samples" in text
+    assert "filling" in text and "venting" in text
     for name in ("points.csv", "points.nc"):
         data = read_dataset(f"found/{name}")
         np.testing.assert_allclose(data.force, [30, 70, 110, 70, 30])
@@ -67,8 +67,6 @@ def test_numbers_for_machines_have_units(run):
     columns = found["columns"]
     assert columns["pressure"]["unit"] == "Pa" and columns["contraction"]["values"] == [0.1] * 5
     assert columns["approach"]["values"] == ["-", "filling", "filling", "venting", "venting"]
-    (use,) = found["tables"]
-    assert sum(use["columns"]["count"]["values"]) == len(TIME)
 
 
 def test_the_sign_of_a_load_cell_is_turned(run):
@@ -111,11 +109,6 @@ def test_options_that_cannot_be_read(arguments, error, expected, run):
     assert expected in run("rig.csv", *COLUMN, *arguments, error=error)
 
 
-def test_a_shorter_dwell_is_suggested(run):
-    write("rig.csv", LEVEL)
-    assert "--dwell '5 s'" in run("rig.csv", *COLUMN, "--dwell", "10 s", error=RangeError)
-
-
 def test_files_at_several_lengths_are_read_with_the_lengths_in_their_names(run):
     for length, gain in ((200, 1.0), (190, 0.6)):
         write(f"L{length}mm.csv", LEVEL, gain=gain)
@@ -154,5 +147,5 @@ def test_a_question_names_the_column_and_an_option_that_answers_it(header, shift
     (problem,) = problems_of(tmp_path / "a.csv")
     assert option in problem
     name, _, meant = option.removeprefix("--column ").strip("'").rpartition("=")
-    data = read_dataset(tmp_path / "a.csv", columns={name: meant}, ambient=1.013e5)
+    data = read_dataset(tmp_path / "a.csv", columns={name: meant}, ambient=1.013e5 if shift else None)
     np.testing.assert_allclose(data.pressure, P * 1e5, rtol=1e-3)

@@ -283,7 +283,7 @@ def test_what_a_header_or_a_line_says_is_applied(case, put):
     text, options, (header, remark) = READINGS[case]
     data = read_dataset(put(text), **options)
     are_the_points(data)
-    (row,) = [row for row in data.lines[0].columns if row[0] == header]
+    (row,) = [row for row in data.lines[0].rows() if row[0] == header]
     assert row[-1] == remark
 
 

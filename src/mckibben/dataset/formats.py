@@ -1,4 +1,4 @@
-"""Raw tables of workbooks, MATLAB, HDF5, NetCDF, TDMS and LabVIEW files, and of texts."""
+"""Raw tables of workbooks, MATLAB, HDF5, NetCDF, TDMS, LabVIEW, MCAP and rosbag2 files, and of texts."""
 
 from __future__ import annotations
 
@@ -11,10 +11,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mckibben.dataset.bags import MCAP, SQLITE, read_bag
 from mckibben.dataset.matlab import Value, read_variables
-from mckibben.dataset.raw import Budget, RawColumn, RawTable, hdf5_nodes, not_installed, read_bytes, readable, several
+from mckibben.dataset.raw import (
+    Budget,
+    RawColumn,
+    RawTable,
+    hdf5_nodes,
+    is_understood,
+    not_installed,
+    read_bytes,
+    readable,
+    several,
+)
 from mckibben.dataset.text import decode, read_text
-from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
 
@@ -28,13 +38,10 @@ _TABLE = Problem(
 )
 _UNITS = ("units", "unit", "unit_string")
 _LARGEST_ATTRIBUTE = 8  # numbers or texts
+_FRAME = re.compile(r"(?i)(?:class|name|wf_|ni_|_?nc|_?netcdf|dimension|reference|pandas|field_|encoding|date|title)")
+"""Attributes and properties that say nothing of numbers."""
 _OBJECTS = ("table", "timetable", "string", "datetime", "duration")
 _PACKING = ("scale_factor", "add_offset", "_fillvalue", "missing_value", "valid_range", "valid_min", "valid_max")
-_SAYS_NOTHING = re.compile(
-    r"class|title|version|name|reference_list|dimension_\w*|flavor|byteorder|field_\d+_\w*|nrows|index|matlab\w*|_nc\w*|"
-    r"_netcdf4\w*|conventions|wf_.*|ni_.*|history|date\w*|author|operator|long_name|standard_name|pandas\w*|encoding|errors",
-    re.IGNORECASE,
-)
 
 
 def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: str = "") -> RawTable:
@@ -47,15 +54,17 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     decimal
         Decimal sign of a text, if the recipe has one.
     part
-        Sheet, group or struct, of several.
+        Sheet, group, struct or topic, of several.
 
     Raises
     ------
     DatasetError
         For a file that is missing, damaged, too large, or of a format that is not read; a known one has a remedy.
     """
-    data = read_bytes(path)
-    budget = Budget(path)
+    budget, is_folder = Budget(path), (path / "metadata.yaml").is_file()
+    data = b"" if is_folder else read_bytes(path)
+    if is_folder or data.startswith((MCAP, SQLITE)):
+        return read_bag(path, data, part, mapping, budget)
     if data.startswith(b"PK\x03\x04"):
         return read_workbook(path, data, mapping, part, budget)
     if data.startswith(_HDF5) or data[512:520] == _HDF5:
@@ -87,15 +96,9 @@ def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
 
 def _attributes(node: h5py.Group | h5py.Dataset) -> list[tuple[None, str]]:
     """Attributes that may say something of the numbers."""
-    texts = []
-    for key in list(node.attrs)[:200]:
-        if key.lower() in (*_UNITS, *_PACKING) or (
-            _SAYS_NOTHING.fullmatch(key) and not key.lower().endswith("long_name")
-        ):
-            continue
-        if (value := _attribute(node, key)) is not None:
-            texts.append((None, f"{key}: {_decoded(value)}"))
-    return texts
+    keys = [key for key in list(node.attrs)[:200] if key.lower() not in (*_UNITS, *_PACKING) and not _FRAME.match(key)]
+    values = {key: value for key in keys if (value := _attribute(node, key)) is not None}
+    return [(None, f"{key}: {_decoded(value)}") for key, value in values.items()]
 
 
 def _attribute(node: h5py.Group | h5py.Dataset, key: str) -> object:
@@ -239,11 +242,8 @@ def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
 
 
 def _properties(name: str, properties: Mapping[str, object]) -> list[tuple[None, str]]:
-    return [
-        (None, f"{name} {key}: {value}")
-        for key, value in properties.items()
-        if key.lower() not in _UNITS and not _SAYS_NOTHING.fullmatch(key)
-    ]
+    said = [key for key in properties if key.lower() not in _UNITS and not _FRAME.match(key)]
+    return [(None, f"{name} {key}: {properties[key]}") for key in said]
 
 
 def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str]) -> RawTable:
@@ -268,7 +268,7 @@ def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[st
 
     Raises a `DatasetError` if they differ: a question for the group of columns that is meant, if there are several.
     """
-    read = [column for column in columns if _is_understood(column, mapping)]
+    read = [column for column in columns if is_understood(column, mapping)]
     lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in columns)}
     if len(lengths) > 1:
         grouped = [column.name for column in read if re.search(r"[/.(]", column.name)]
@@ -277,9 +277,3 @@ def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[st
         unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
         raise DatasetError(str(path), [several("groups", names) if len(names) > 1 else unequal])
     return lengths.pop()
-
-
-def _is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:
-    if column.name in mapping:
-        return mapping[column.name].lower() not in ("ignore", "ignored")
-    return bool(parse_header(column.label or column.name, column.unit).quantity)

@@ -224,10 +224,8 @@ class IsobaricDataset(MeasuredTable):
         """Points where `mask` (booleans, one per point) is true, in their order."""
         where = np.asarray(mask)
         if where.dtype != np.bool_ or where.shape != (len(self),):
-            raise RangeError(
-                f"a mask of shape {where.shape} and type {where.dtype} cannot select from {len(self)} points",
-                remedy="give one boolean per point",
-            )
+            text = f"a mask of shape {where.shape} and type {where.dtype} cannot select from {len(self)} points"
+            raise RangeError(text, remedy="give one boolean per point")
         return type(self)(self.table.isel(point=where))
 
     def at(self, pressures: ArrayLike, tolerance: float = 1e3) -> Self:
@@ -254,16 +252,12 @@ class IsobaricDataset(MeasuredTable):
         held_out = np.zeros(len(self), bool)
         if pressures is not None:
             held_out |= matching(self.levels / bar, np.asarray(pressures) / bar, "pressure [bar]", 0.01)
-        if repeats is not None:
-            held_out |= matching(self._column("repeat"), repeats, "repeat")
-        if directions is not None:
-            held_out |= matching(self._column("direction"), directions, "direction")
+        for name, values in (("repeat", repeats), ("direction", directions)):
+            held_out |= matching(self._column(name), values, name) if values is not None else False
         if held_out.all() or not held_out.any():
             side = "train on" if held_out.any() else "hold out"
-            raise RangeError(
-                f"the split leaves no points to {side}",
-                remedy="name some, not all, pressures, repeats or directions",
-            )
+            remedy = "name some, not all, pressures, repeats or directions"
+            raise RangeError(f"the split leaves no points to {side}", remedy=remedy)
         return self.select(~held_out), self.select(held_out)
 
     def plateau_means(self) -> Self:

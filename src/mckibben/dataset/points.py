@@ -14,7 +14,7 @@ from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, RangeError
-from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.result import Remark, Result, column
 from mckibben.units import show
 
 if TYPE_CHECKING:
@@ -63,7 +63,9 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     if low == high:
         return {}
     inside = (heights != low) & (heights != high)
-    if not _noisy(heights, inside):
+    bend = np.diff(heights[inside], 2)  # second differences change sign from sample to sample in noise
+    bend[np.abs(bend) <= _ROUNDING * np.ptp(heights)] = 0
+    if len(bend) < 2 or np.mean(bend[:-1] * bend[1:] < 0) <= _JITTER:
         return {}
     usual = np.median(np.repeat(lengths[inside], lengths[inside]))  # of the samples
     for end, value in (("floor", low), ("ceiling", high)):
@@ -73,16 +75,6 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
             share = uniform_filter1d(at_end.astype(np.float64), 2 * _LEAST + 1, mode="constant")
             masks[end] = at_end | (share >= _SHARE)
     return masks
-
-
-def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
-    """True if second differences change sign from sample to sample, as in noise."""
-    bend = np.diff(heights, 2)
-    bend[np.abs(bend) <= _ROUNDING * np.ptp(heights)] = 0
-    within = inside[:-3] & inside[1:-2] & inside[2:-1] & inside[3:]
-    if not within.any():
-        return False
-    return bool(np.mean((bend[:-1] * bend[1:] < 0)[within]) > _JITTER)
 
 
 _GAP = 10  # usual intervals
@@ -131,12 +123,6 @@ class ExtractedPoints(Result):
         """Return the notes."""
         return [Remark.warning("samples", note) for note in self.notes]
 
-    def listings(self) -> Iterable[Listing]:
-        """Return the points, and the use of the samples."""
-        yield from super().listings()
-        use = {"use": (Column(), [*self.counts]), "count": (Column("", "samples"), [*self.counts.values()])}
-        yield Listing("use of the samples", use, detail=True)
-
     def write(self, folder: Path) -> None:
         """Write the points as CSV and, with spread and attributes, as NetCDF; and the recipe."""
         self.dataset.to_csv(folder / "points.csv")
@@ -146,7 +132,7 @@ class ExtractedPoints(Result):
 
 
 def extracted_points(
-    table: xr.Dataset, account: SampleAccount, rest: str, samples: NDArray[np.int64], **columns: ArrayLike | None
+    table: xr.Dataset, account: SampleAccount, samples: NDArray[np.int64], **columns: ArrayLike | None
 ) -> ExtractedPoints:
     """Points of a recording's table.
 
@@ -154,8 +140,6 @@ def extracted_points(
 
     Parameters
     ----------
-    rest
-        Reason of the samples that have none.
     samples
         Shape (points,): number of samples of each point.
     columns
@@ -191,7 +175,7 @@ def extracted_points(
         samples,
         [str(direction or phase or "-") for direction, phase in zip(*words, strict=True)],
         dataset,
-        account.counts(rest),
+        account.counts(),
         tuple(notes),
     )
 
@@ -213,12 +197,12 @@ class SampleAccount:
         Findings, as text.
     """
 
-    def __init__(self, table: xr.Dataset, gap: float | None) -> None:
+    def __init__(self, table: xr.Dataset) -> None:
         self.table = table
         self.reasons: list[str] = ["used"]
         self.of = np.full(table.sizes["sample"], -1, np.int8)
         self.notes: list[str] = []
-        self.broken = self._breaks(gap)
+        self.broken = self._breaks()
         for name in ("pressure", "force"):
             self._ends(name)
 
@@ -229,17 +213,13 @@ class SampleAccount:
         part = self.of[where]
         self.of[where] = np.where(part < 0, self.reasons.index(reason), part)
 
-    def counts(self, rest: str) -> dict[str, int]:
-        """Number of samples by reason; samples without one count as `rest`."""
-        self.assign_reason(self.of < 0, rest)
+    def counts(self) -> dict[str, int]:
+        """Number of samples by reason; samples without one are not steady."""
+        self.assign_reason(self.of < 0, "not steady")
         sizes = np.bincount(self.of, minlength=len(self.reasons))
         return {reason: int(n) for reason, n in zip(self.reasons, sizes, strict=True) if n or reason == "used"}
 
-    def describe(self, rest: str) -> str:
-        """`counts` and notes as indented text."""
-        return "\n  ".join([format_counts(self.counts(rest)), *self.notes])
-
-    def _breaks(self, gap: float | None) -> NDArray[np.bool_]:
+    def _breaks(self) -> NDArray[np.bool_]:
         """Samples after a gap or a backward clock step."""
         time = self.table["time"].to_numpy()
         steps = np.diff(time)
@@ -251,8 +231,7 @@ class SampleAccount:
                 remedy = "record a test of more than one sample"
             raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
         self.interval = float(np.median(forward))
-        longest = _GAP * self.interval if gap is None else gap
-        for what, where in (("gap", steps > longest), ("clock went back", steps < 0)):
+        for what, where in (("gap", steps > _GAP * self.interval), ("clock went back", steps < 0)):
             places = np.flatnonzero(where)
             if len(places):
                 shown = format_list(np.array([f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places]), most=5)

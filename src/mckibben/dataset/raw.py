@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.dataset.vocabulary import parse_header
 from mckibben.errors import DatasetError, FileError, Problem
 from mckibben.storage.files import similar_file
 
@@ -49,6 +49,13 @@ class RawColumn:
     cells: Floats | Sequence[str]
     label: str = ""
     unit: str = ""
+
+
+def is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:
+    """Whether a column is read by its header, or named by the recipe."""
+    if column.name in mapping:
+        return mapping[column.name].lower() not in ("ignore", "ignored")
+    return bool(parse_header(column.label or column.name, column.unit).quantity)
 
 
 @dataclass
@@ -123,18 +130,14 @@ def check_regular(path: Path) -> int:
 
     Raises a `DatasetError` if there is none, with the most similar name, and for a directory, a pipe or a device.
     """
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        remedy = FILES_REMEDY if "*" in path.name else similar_file(path)
-        raise DatasetError(str(path), [Problem("there is no such file", remedy=remedy)]) from None
-    except (OSError, ValueError) as error:
-        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
-    if stat.S_ISDIR(status.st_mode):
-        raise DatasetError(str(path), [Problem("is a directory", remedy=FILES_REMEDY)])
-    if not stat.S_ISREG(status.st_mode):
-        raise DatasetError(str(path), [Problem("is a pipe or a device", remedy="save its content in a file")])
-    return status.st_size
+    if os.path.isfile(path):  # noqa: PTH113, false for a path that cannot be
+        return path.stat().st_size
+    problem = Problem("there is no such file", remedy=FILES_REMEDY if "*" in path.name else similar_file(path))
+    if os.path.isdir(path):  # noqa: PTH112
+        problem = Problem("is a directory", remedy=FILES_REMEDY)
+    elif os.path.exists(path):  # noqa: PTH110
+        problem = Problem("is a pipe or a device", remedy="save its content in a file")
+    raise DatasetError(str(path), [problem])
 
 
 def read_bytes(path: Path) -> bytes:

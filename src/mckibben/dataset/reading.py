@@ -19,7 +19,7 @@ from mckibben.dataset.preprocessing import preprocess
 from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table, load_validated
+from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
 from mckibben.dataset.table import Table, question
 from mckibben.dataset.understanding import understand
 from mckibben.errors import DatasetError, Problem, RangeError, described
@@ -147,11 +147,7 @@ def check_points(
     DatasetError
         With the questions that remain, each with the column of the file in its remedy.
     """
-    lines = (
-        np.concatenate([np.asarray(part.numbers) for part in dataset.lines])
-        if dataset.lines
-        else np.arange(1, len(dataset) + 1)
-    )
+    lines = np.concatenate([part.lines for part in dataset.lines]) if dataset.lines else np.arange(1, len(dataset) + 1)
     questions = questions_of(dataset, lines, specimen)
     if problems := [asked.problem for asked in questions if asked.topic not in accept or not asked.topic]:
         raise DatasetError(source, [_with_header(problem, dataset) for problem in problems])
@@ -159,11 +155,11 @@ def check_points(
 
 def _with_header(problem: Problem, dataset: IsobaricDataset) -> Problem:
     """Problem whose remedy names the column of the file and its unit, if they are known."""
-    lines = dataset.lines[0] if dataset.lines else None
-    if lines is None or not (unit := lines.units.get(problem.field)) or not problem.remedy:
+    column = dataset.lines[0].columns.get(problem.field) if dataset.lines else None
+    if column is None or not column.unit or not problem.remedy:
         return problem
-    remedy = _NAMED.sub(lambda match: f"{match[1]}{problem.field}_{unit}{match[2] or ''}", problem.remedy)
-    return replace(problem, remedy=remedy.replace("HEADER", lines.headers.get(problem.field, "HEADER")))
+    remedy = _NAMED.sub(lambda match: f"{match[1]}{problem.field}_{column.unit}{match[2] or ''}", problem.remedy)
+    return replace(problem, remedy=remedy.replace("HEADER", column.header))
 
 
 def _paths(path: FilePaths) -> list[Path]:
@@ -206,14 +202,11 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
         made = kind.of(**values, **attrs, slack_force=table.slack_force or 0.0)  # type: ignore[arg-type]
     except DatasetError as error:
         raise DatasetError(str(table.path), error.problems) from None
-    units = {name: column.unit for name, column in table.columns.items()}
     attrs = {"columns_read": str(table), "ignored_columns": ", ".join(table.ignored)} if not own else {}
     attrs |= {"repairs": "\n".join(table.repairs)}
     attrs |= {"preprocessing": table.preprocessing} if own and table.preprocessing != "none" else {}
     attrs = {name: text for name, text in attrs.items() if text}
-    headers = {name: column.header for name, column in table.columns.items()}
-    lines = FileLines(table.place, table.lines.tolist(), units, headers=headers, columns=() if own else table.rows())
-    return replace(kind(made.table.assign_attrs(attrs)), lines=(lines,))
+    return replace(kind(made.table.assign_attrs(attrs)), lines=(table,))
 
 
 def _read_points(path: Path, recipe: Recipe, geometry: JointPaths | None) -> tuple[IsobaricDataset, bool]:
@@ -288,9 +281,12 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     import xarray as xr
 
     joined = xr.concat(tables, next(iter(parts[0].schema.values())).dims[0])
-    lines = [part.lines[0] if part.lines else FileLines("row", range(1, len(part) + 1), {}) for part in parts]
-    named = tuple(part._replace(file=name) for name, part in zip(names, lines, strict=True))
-    return type(parts[0])(joined.assign_attrs(attrs), named), source
+    rows = [
+        Table(Path(name), lines=np.arange(1, len(part) + 1), place="row")
+        for name, part in zip(names, parts, strict=True)
+    ]
+    lines = tuple(part.lines[0] if part.lines else table for part, table in zip(parts, rows, strict=True))
+    return type(parts[0])(joined.assign_attrs(attrs), lines), source
 
 
 def _joined_attributes(names: Sequence[str], tables: Sequence[xr.Dataset]) -> dict[Hashable, Any]:

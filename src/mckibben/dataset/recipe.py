@@ -115,8 +115,5 @@ class Recipe(DocumentModel):
         make: Any = type(self)
         return make(**{**self.model_dump(exclude_defaults=True), **options}) if options else self
 
-    def __repr__(self) -> str:
-        return f"<Recipe: {', '.join(self.dumps().splitlines())}>"
-
     def _written(self, folder: Any) -> dict[str, Any]:
         return {key: value for key, value in super()._written(folder).items() if value not in (None, [], ())}

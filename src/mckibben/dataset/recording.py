@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.checks import check_positive
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points, format_counts
 from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
-from mckibben.dataset.segmentation import FEW, approaches, shorter_dwell, steady_segments
+from mckibben.dataset.segmentation import approaches, steady_segments
 from mckibben.errors import RangeError
 from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
@@ -118,28 +118,20 @@ class Recording(MeasuredTable):
         *,
         pressure_tolerance: float = 2 * kPa,
         contraction_tolerance: float = 0.1 * percent,
-        force_tolerance: float | None = None,
         dwell: float = 1.0,
         settle: float = 0.0,
-        level_tolerance: float = 10 * kPa,
-        gap: float | None = None,
     ) -> ExtractedPoints:
         """Points of the steady segments: means of pressure, contraction and force.
 
         Parameters
         ----------
-        pressure_tolerance, contraction_tolerance, force_tolerance
-            A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-], [N] of its middle.
-            The force, which may creep, is checked only if its tolerance is given.
+        pressure_tolerance, contraction_tolerance
+            A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-] of its middle; the
+            force may creep.
         dwell
             Minimum duration of a steady segment [s].
         settle
             Initial part of a segment excluded from the means [s], in addition to a twentieth of `dwell` at either end.
-        level_tolerance
-            Plateau pressures closer to each other than this [Pa] belong to one level, whose mean (in whole kPa) is
-            their set pressure, if the recording has no set pressures.
-        gap
-            Samples further apart than this [s] are not joined. Default: 10 times the usual interval.
 
         Returns
         -------
@@ -157,34 +149,24 @@ class Recording(MeasuredTable):
         DatasetError
             If most forces are negative, and do not rise with the pressure: the sign is wrong.
         """
-        check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance, level_tolerance=level_tolerance)
+        check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance)
         check_positive("plateaus", contraction_tolerance=contraction_tolerance)
         check_positive("plateaus", "s", dwell=dwell, dwell_after_settle=dwell - settle)
         check_positive("plateaus", "s", zero=True, settle=settle)
-        if force_tolerance is not None:
-            check_positive("plateaus", "N", force_tolerance=force_tolerance)
         if self.contraction is None:
-            raise RangeError(
-                "the recording has no contraction",
-                remedy="give contraction (command line: --read 'contraction=10 %') where it was fixed, or columns of "
-                "lengths and initial_length, when reading it",
-            )
+            remedy = "give contraction, where it was fixed (command line: --read 'contraction=10 %'), or lengths"
+            raise RangeError("the recording has no contraction", remedy=remedy)
         time, pressure, contraction, force = self.time, self.pressure, self.contraction, self.force
-        account = SampleAccount(self.table, gap)
+        account = SampleAccount(self.table)
         interval = account.interval
         if interval > dwell:
-            raise RangeError(
-                f"the samples are {interval:.3g} s apart, more than the dwell of {dwell:.3g} s",
-                field="dwell",
-                value=dwell,
-                lower=interval,
-                unit="s",
-                remedy="if each row is a point, read the file as points (command line: mckibben identify FILE); "
-                "otherwise give a longer dwell (command line: --dwell)",
+            text = f"the samples are {interval:.3g} s apart, more than the dwell of {dwell:.3g} s"
+            remedy = (
+                "if each row is a point, read the file as points (command line: mckibben identify FILE); otherwise "
+                "give a longer dwell (command line: --dwell)"
             )
+            raise RangeError(text, field="dwell", value=dwell, lower=interval, unit="s", remedy=remedy)
         signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
-        if force_tolerance is not None:
-            signals.append((force, force_tolerance))
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
         unusable = account.broken | (account.of >= 0)
         segments = steady_segments(signals, unusable, least)
@@ -194,28 +176,17 @@ class Recording(MeasuredTable):
         begins, ends = np.maximum(begins, first + segments.edge), last - segments.edge
         # first to last sample plus one interval: each sample stands for one
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
-        for a, b in zip(first[~whole], last[~whole], strict=True):
-            account.assign_reason(slice(a, b), "steady for too short a time")
-        for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
-            account.assign_reason(slice(a, b), "settling")
-            account.assign_reason(slice(c, d), "at the end of a plateau")
         first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
-        shorter = "" if len(first) >= FEW else shorter_dwell(signals, unusable, least, interval, len(first))
         if not len(first):
-            raise RangeError(
-                f"nothing in the recording is steady for {dwell:g} s\n  {account.describe('not steady')}",
-                value=dwell,
-                unit="s",
-                remedy=shorter
-                or "allow a larger pressure_tolerance or contraction_tolerance (command line: in --tolerance); "
-                + _CONTINUOUS,
-            )
-        if shorter:
-            account.notes.append(f"{len(first)} plateaus are steady for {dwell:g} s: {shorter}")
+            text = f"nothing in the recording is steady for {dwell:g} s\n  {format_counts(account.counts())}"
+            remedy = f"give a shorter dwell (--dwell) or larger tolerances (--tolerance); {_CONTINUOUS}"
+            raise RangeError("\n  ".join([text, *account.notes]), value=dwell, unit="s", remedy=remedy)
         samples = ends - begins
         owner = np.repeat(np.arange(len(first)), samples)
         at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
         account.assign_reason(at, "used")
+        for a, b in zip(first, last, strict=True):
+            account.assign_reason(slice(a, b), "settling")
 
         def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
             middle = values[begins]  # subtracted to preserve precision in sums of many samples
@@ -228,14 +199,13 @@ class Recording(MeasuredTable):
         if "set_pressure" in self.table:
             set_pressure = mean(self.table["set_pressure"].to_numpy())
         else:
-            set_pressure = pressure_levels(p, level_tolerance)
+            set_pressure = pressure_levels(p)
             if wide := np.count_nonzero(np.isnan(set_pressure)):
                 text = f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
                 account.notes.append(text)
         return extracted_points(
             self.table,
             account,
-            "not steady",
             samples,
             pressure=p,
             contraction=c,

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +20,8 @@ from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from mckibben.dataset.table import Table
 
 VACUUM = -101325.0
 """Lowest possible gauge pressure [Pa]: vacuum at a standard atmosphere."""
@@ -279,33 +280,13 @@ Held = TypeVar("Held")
 def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
     """Object made from the table of a NetCDF file.
 
-    Raises a `DatasetError` that names the file, also for problems that `make` finds, and for variables without units.
+    Raises a `DatasetError` that names the file, also for problems that `make` finds.
     """
     table = load_netcdf(path)
-    known = {name: variable.unit for name, variable in {**VARIABLES, **RECORDED}.items() if variable.unit != "1"}
-    missing = [name for name in known if name in table and "units" not in table[name].attrs]
-    if missing:
-        raise DatasetError(
-            str(path), [Problem("has no units", field=name, remedy=f"give it in {known[name]!r}") for name in missing]
-        )
     try:
         return make(table)
     except DatasetError as error:
         raise DatasetError(str(path), error.problems) from None
-
-
-class FileLines(NamedTuple):
-    """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file.
-
-    `units` and `headers` are those of its columns, by quantity; `columns` are the `Table.rows` of a foreign file.
-    """
-
-    unit: str
-    numbers: Sequence[int]
-    units: Mapping[str, str]
-    file: str = ""
-    headers: Mapping[str, str] = MappingProxyType({})
-    columns: Sequence[tuple[str, ...]] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -317,7 +298,7 @@ class MeasuredTable(Suggesting):
     table
         Variables of `schema` with ``units`` and ``long_name``, read-only, and attributes of the test.
     lines
-        Lines of the files from which it was read; empty for a dataset of arrays, or of selected points.
+        What was understood of each file, with its lines; empty for a dataset of arrays, or of selected points.
     """
 
     suggestions: ClassVar[Mapping[str, str]] = {
@@ -331,7 +312,7 @@ class MeasuredTable(Suggesting):
     """Name in errors."""
 
     table: xr.Dataset
-    lines: tuple[FileLines, ...] = ()
+    lines: tuple[Table, ...] = ()
 
     def __post_init__(self) -> None:
         table, problems = normalize(self.table, self.schema)
@@ -352,17 +333,13 @@ class MeasuredTable(Suggesting):
     def __len__(self) -> int:
         return self.pressure.size
 
-    def __getitem__(self, key: object) -> NoReturn:
-        item = f"['{key}']" if isinstance(key, str) else f".isel({next(iter(self.table.sizes))}={key})"
-        raise TypeError(f"a dataset has no items; its table has: table{item}")
-
     def place(self, row: int) -> str:
         """Line of a point in its file, or its row from 1, as text; `row` is counted from 0."""
         at = row
         for part in self.lines:
-            if at < len(part.numbers):
-                return f"{part.unit} {part.numbers[at]}{f' of {part.file}' if part.file else ''}"
-            at -= len(part.numbers)
+            if at < len(part.lines):
+                return f"{part.place} {part.lines[at]}{f' of {part.path}' if len(self.lines) > 1 else ''}"
+            at -= len(part.lines)
         return f"row {row + 1}"
 
     def _repr_html_(self) -> str:

@@ -70,26 +70,6 @@ def steady_segments(
     return Segments(bounds[first[keep]], bounds[last[keep]], size if window > 4 else 0)
 
 
-FEW = 3  # plateaus
-_SHORTEST = 20  # samples of a dwell
-
-
-def shorter_dwell(
-    signals: Sequence[tuple[NDArray[np.float64], float]],
-    broken: NDArray[np.bool_],
-    dwell: int,
-    interval: float,
-    found: int,
-) -> str:
-    """Longest of the halved dwells with at least three times as many plateaus, as a remedy; "" if there is none."""
-    while (dwell := dwell // 2) >= _SHORTEST:
-        more = len(steady_segments(signals, broken, dwell).first)
-        if more >= max(FEW, 3 * found):
-            seconds = f"{dwell * interval:.2g}"
-            return f"{more} are steady for {seconds} s: dwell={seconds} (command line: --dwell '{seconds} s')"
-    return ""
-
-
 def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
     """Sliding maximum and minimum, shape (n - window + 1,)."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # saves 50 ms when reading points

@@ -44,7 +44,7 @@ class Layout(NamedTuple):
 def decode(data: bytes, path: Path) -> str:
     r"""Text by its byte order mark, else UTF-8, else Windows-1252.
 
-    Raises a `DatasetError` for text that its mark contradicts, and for binary content.
+    Raises a `DatasetError` for binary content.
 
     >>> decode("Länge [mm]".encode("cp1252"), Path("rig.csv"))
     'Länge [mm]'
@@ -56,9 +56,7 @@ def decode(data: bytes, path: Path) -> str:
         raise DatasetError(str(path), [Problem("is a binary file, or UTF-16 without a mark", remedy=remedy)])
     try:
         return data.decode(encoding or "utf-8")
-    except UnicodeDecodeError as error:
-        if encoding:
-            raise DatasetError(str(path), [Problem(f"is not {encoding}: {error}", remedy="save it as UTF-8")]) from None
+    except UnicodeDecodeError:
         return data.decode("cp1252", "replace")
 
 

@@ -41,20 +41,18 @@ _SIGN_REMEDY = (
     "name the direction in which it grows, shortening or lengthening: columns={{{0!r}: 'shortening_{1}'}} "
     "(command line: --column '{0}=shortening_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
+_UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
 _WORDS: Mapping[str, Mapping[str, str]] = {
-    quantity: {word: meaning for meaning, words in meanings.items() for word in (*words.split(), meaning)}
-    for quantity, meanings in {
-        "direction": {
-            "loading": "stretching belasten belastung dehnen",
-            "unloading": "shortening entlasten entlastung verkürzen",
-            "": "unknown unbekannt",
-        },
-        "phase": {
-            "filling": "inflating befüllen",
-            "venting": "deflating entlüften",
-            "": "unknown unbekannt",
-        },
-    }.items()
+    "direction": {
+        **dict.fromkeys("loading stretching belasten belastung dehnen".split(), "loading"),
+        **dict.fromkeys("unloading shortening entlasten entlastung verkürzen".split(), "unloading"),
+        **_UNKNOWN,
+    },
+    "phase": {
+        **dict.fromkeys("filling inflating befüllen".split(), "filling"),
+        **dict.fromkeys("venting deflating entlüften".split(), "venting"),
+        **_UNKNOWN,
+    },
 }
 """Meanings of the words of a direction and of a phase; of none and of unknown ones it is empty."""
 _MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values

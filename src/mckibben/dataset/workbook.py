@@ -36,10 +36,7 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
         raise not_installed(path, "openpyxl", "excel") from None
     with readable(path, "a workbook"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            names = archive.namelist()
             size = sum(info.file_size for info in archive.infolist())
-        if "[Content_Types].xml" not in names:
-            raise DatasetError(str(path), [Problem("is a ZIP archive, not a workbook", remedy="extract it")])
         if size > _SHEET_BYTES:
             text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
             raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])

@@ -58,7 +58,7 @@ def understood(data: IsobaricDataset) -> list[tuple[str, ...]]:
     Rows are those of `dataset.Table.rows`, each once; without ranges if files differ.
     """
     several = len(data.lines) > 1
-    rows = (row for part in data.lines for row in part.columns)
+    rows = (row for part in data.lines for row in part.rows())
     return list(dict.fromkeys((*row[:4], "", *row[5:]) if several else row for row in rows))
 
 
