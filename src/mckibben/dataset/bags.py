@@ -45,9 +45,9 @@ def read_bag(path: Path, data: bytes, part: str, mapping: Mapping[str, str], bud
     times = slowest[(slowest >= first) & (slowest <= last)]
     table.columns = [RawColumn("time", times - first, unit="s")]
     for topic in known:
-        table.columns += [
-            replace(column, cells=np.interp(times, clocks[topic], column.cells)) for column in columns[topic]
-        ]
+        for column in columns[topic]:
+            cells = np.interp(times, clocks[topic], np.asarray(column.cells, np.float64))
+            table.columns.append(replace(column, cells=cells))
     table.lines = range(1, len(times) + 1)
     return table
 
