@@ -21,9 +21,6 @@ def test_the_papers_protocol_counted_by_hand():
     assert rows.time[-1] + 1 == pytest.approx(13 * 5 * 1112)
     assert rows.contraction[0] == -3 * percent
     assert rows.contraction[50] == pytest.approx(-3 * percent + 50 / 180)
-    text = protocol.describe(SPECIMEN)
-    assert text.endswith("6630 plateaus, 6630000 samples, 20 h 04 min 40 s")
-    assert "  6.00 bar:  -3.0 .. 24.8 %, 51 plateaus per pass" in text
 
 
 def test_first_unloading_then_loading_over_the_same_positions():
@@ -92,7 +89,7 @@ def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
         "  contraction_min: -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; "
         "give the end of the stroke inside, as a ratio, or leave it to the muscle",
     ]
-    for use in (protocol.plateaus, protocol.describe, lambda of: boundaries(of, protocol)):
+    for use in (protocol.plateaus, lambda of: boundaries(of, protocol)):
         with pytest.raises(RangeError, match="2 problems"):
             use(MUSCLE)
 

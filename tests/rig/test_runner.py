@@ -14,7 +14,7 @@ from mckibben.errors import SignalledError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol, recorder
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import assemble, read_record, recorded_points, segments
+from mckibben.rig.record import assemble, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
@@ -102,7 +102,7 @@ def test_plateaus_are_recorded_whole_and_the_way_between_thinned_out(tmp_path):
         np.testing.assert_allclose(np.diff(there), 1e-3)
     between = rows["time"][rows["plateau"] == -1]
     assert np.diff(between).max() < 0.31 and len(between) < 60
-    assert [point.every for point in recorded_points(tmp_path)] == [2, 2]
+    assert [point.every for point in read_record(tmp_path).points] == [2, 2]
 
 
 class Interrupting:
@@ -147,7 +147,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         assert twin.truth.pressure < 0.2 * bar
         record = read_record(folder)
         assert [event.kind for event in record.events][-2:] == ["stopped", "vented"]
-        done = recorded_points(folder)
+        done = read_record(folder).points
         stop = len(done)
         partly += bool((record.columns["plateau"] == stop).any())
         with Recorder.resume(folder, {}, columns_of(twin.inputs)) as recorder:
@@ -213,7 +213,7 @@ def go_on(folder, told=None):
             if told:
                 told.send(record.rows)
 
-        done = recorded_points(folder) if session else ()
+        done = read_record(folder).points if session else ()
         acquire = Acquire(samples=50, duration=0.05)
         walk = {"step": 1 * mm, "speed": 4 * mm, "dwell": 0.1, "acquire": acquire}
         walks = Walk(to=4 * percent, **walk), Walk(to=1 * percent, **walk)

@@ -10,7 +10,7 @@ from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import read_record, recorded_points
+from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
@@ -197,13 +197,13 @@ def resumed(folder, steps, stop_at, *, again=None, origin=0):
     rig = twin()
     with pytest.raises(SignalledError):
         start(folder, rig, steps, report=report)
-    done = recorded_points(folder)
+    done = read_record(folder).points
     again = again or twin()
     bench = Bench(of=MUSCLE, drive=again.drive, limits=LIMITS, steady=0.3)
     with Recorder.resume(folder, {}, columns_of(again.inputs)) as recorder:
         since = read_record(folder).columns["time"][-1]
         Runner(RigSession(again, bench, recorder, origin=origin, since=since), done=done).run(steps)
-    return recorded_points(folder)
+    return read_record(folder).points
 
 
 @pytest.mark.parametrize("stop_at", [0, 2])

@@ -175,6 +175,11 @@ class Backend(abc.ABC):
             warnings.warn(message, McKibbenWarning, stacklevel=2)
         return nullcontext()
 
+    @property
+    def losses(self) -> str:
+        """What was lost on the way to the hardware so far, and not fatal; empty for nothing."""
+        return ""
+
     def status(self) -> Iterator[ChannelStatus]:
         """Status of its channels, vented and at rest; by default, each sensor is read for 0.1 s."""
         kind = self.description["kind"]
@@ -208,6 +213,8 @@ class MovingBackend(Backend, MuscleRig):
     """Whether opening it moves the motor to the mounted position of the muscle."""
     supply: float = math.inf
     """Highest pressure that its supply and its regulator can give [Pa], if known."""
+    by_hand: bool = False
+    """Whether an operator moves the muscle when asked, see `HandBench`."""
     shuts: bool = False
     """Whether it has a valve that shuts the muscle off from the regulator, but not from its vent valve: see `shut`."""
 

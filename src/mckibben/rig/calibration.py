@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ class Calibration:
     offset
         Volts [V] at 0 before the tare.
     tare
-        Reading of the unloaded sensor, see `tared`.
+        Reading of the unloaded sensor.
     low, high
         Span of the sensor, in the unit.
     margin
@@ -100,21 +100,6 @@ class Calibration:
         ends = sorted(map(float, self.si([math.nextafter(low, math.inf), math.nextafter(high, -math.inf)])))
         least, most = self.low - beyond - self.tare, self.high + beyond - self.tare
         return Channel(self.name, self.unit, max(ends[0], least), min(ends[1], most), where)
-
-    def tared(self, volts: ArrayLike) -> Calibration:
-        """Return the calibration that reads 0 at the mean of volts [V] of the unloaded sensor.
-
-        Raises
-        ------
-        RigError
-            If a reading is not finite, or the tare is more than a tenth of the span.
-        """
-        tare = float(np.mean((np.asarray(volts, np.float64) - self.offset) * self.gain))
-        if not abs(tare) <= 0.1 * (self.high - self.low):
-            message = f"the unloaded {self.name} reads {tare:g} {self.unit}, more than a tenth of its span"
-            remedy = "take the load off, check wiring and supply, or repeat the calibration"
-            raise RigError(message, value=tare, unit=self.unit, remedy=remedy)
-        return replace(self, tare=tare)
 
 
 def calibrate(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import math
 import os
@@ -26,7 +25,6 @@ from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
-_TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
 _SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
 
 VALVES = "valve1", "valve2"
@@ -163,15 +161,12 @@ def realtime_process_settings() -> Iterator[str]:
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(_SWITCH)
-    slack = _timer_slack(1)
     scheduled = _set_real_time_priority()
     try:
         yield "ordinary" if scheduled is None else "real-time"
     finally:
         if scheduled is not None:
             os.sched_setscheduler(0, *scheduled)
-        if slack is not None:
-            _timer_slack(0)
         sys.setswitchinterval(switching)
         gc.unfreeze()
         if collecting:
@@ -188,16 +183,6 @@ def _set_real_time_priority() -> tuple[int, os.sched_param] | None:
     except OSError:
         return None
     return before
-
-
-def _timer_slack(nanoseconds: int) -> int | None:
-    """Set the slack of sleeps of this thread, 0 for the default; None where the system has none."""
-    if sys.platform != "linux":
-        return None
-    try:
-        return ctypes.CDLL(None).prctl(_TIMER_SLACK, nanoseconds, 0, 0, 0)
-    except (OSError, AttributeError):
-        return None
 
 
 def control(
@@ -247,6 +232,8 @@ def control(
             _note(rows, "failed", f"{type(failed).__name__}: {failed}")
             raise
         monitor.stop()
+        if backend.losses:
+            _note(rows, "losses", backend.losses)
         kind = "completed" if error is None else _KINDS.get(type(error).__name__, "failed")
         text = f"completed {len(plan.references) * plan.period:g} s" if error is None else str(error)
         _note(rows, kind, text)

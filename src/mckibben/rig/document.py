@@ -20,6 +20,8 @@ from mckibben.errors import RangeError
 from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend, MuscleRig
 from mckibben.rig.bench import Bench, Drive, RigLimits
+from mckibben.rig.by_hand import HandBench
+from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.rig.ni import NiRig
 from mckibben.rig.ni.settings import CardSettings
 from mckibben.rig.protocol import Protocol
@@ -140,6 +142,42 @@ class MuscleCardSettings(CardSettings, MuscleRig):
             calibrations=self.calibrations(),
             drive=self.drive,
         )
+
+
+Moved = Literal["screw", "weights"]
+"""Who has no motor: an operator turns a screw, or hangs weights on the muscle."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SerialBench(Checked, MuscleRig):
+    """Sensors and a valve at a microcontroller, see `SerialBackend`, and an operator, see `HandBench`."""
+
+    short_name = "serial"
+
+    port: str
+    baud: Annotated[int, BoundedInt(1200, 10_000_000)] = 1_000_000
+    moved_by: Moved = "screw"
+
+    def backend(self, session: int = 0) -> MovingBackend:
+        """Return the rig, once its firmware has said who it is."""
+        from mckibben.rig.serial_line import SerialBackend
+
+        return HandBench(SerialBackend(self.port, baud=self.baud), weights=self.moved_by == "weights")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusBench(Checked, MuscleRig):
+    """Sensors and a valve at a terminal, see `RegisterMap`, and an operator, see `HandBench`."""
+
+    short_name = "modbus"
+
+    registers: Path
+    moved_by: Moved = "screw"
+
+    def backend(self, session: int = 0) -> MovingBackend:
+        """Return the rig."""
+        backend = ModbusBackend(RegisterMap.read(self.registers))
+        return HandBench(backend, weights=self.moved_by == "weights")
 
 
 class RecordingSettings(section_of(Bench, partial=True)):

@@ -18,6 +18,7 @@ from mckibben.config.model import ConfigModel, DocumentModel
 from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.rig.ni import NiBackend
 from mckibben.rig.ni.settings import CardSettings
 from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
@@ -25,7 +26,7 @@ from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitT
 
 
 class RunConditions(NamedTuple):
-    """Conditions of a run, for the hardware of a joint rig; the last three are for a simulated joint.
+    """Conditions of a run, for the hardware of a joint rig; some are for a simulated joint.
 
     Attributes
     ----------
@@ -39,6 +40,8 @@ class RunConditions(NamedTuple):
         Whether it runs in real time.
     start
         State at which it starts, with ideal sensors. Default: vented, with its own sensors.
+    digest
+        SHA-256 of the scenario.
     """
 
     period: float
@@ -46,6 +49,7 @@ class RunConditions(NamedTuple):
     substeps: int = 4
     paced: bool = True
     start: PlantState | None = None
+    digest: bytes = b""
 
 
 class JointHardware(Keyed, Checked, abc.ABC):
@@ -129,6 +133,33 @@ class JointCardSettings(CardSettings, JointHardware):
             server=self.server,
             calibrations=self.calibrations(),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SerialJoint(JointHardware):
+    """A joint at a microcontroller, see `SerialBackend`, whose firmware was exported from the scenario."""
+
+    short_name = "serial"
+
+    port: str
+    baud: Annotated[int, BoundedInt(1200, 10_000_000)] = 1_000_000
+
+    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+        from mckibben.rig.serial_line import SerialBackend
+
+        return SerialBackend(self.port, baud=self.baud, digest=run.digest, period=run.period)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusJoint(JointHardware):
+    """A joint at a terminal, see `RegisterMap`, which is read once per control period."""
+
+    short_name = "modbus"
+
+    registers: Path
+
+    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+        return ModbusBackend(RegisterMap.read(self.registers), rate=1 / run.period)
 
 
 class JointLimitsSettings(section_of(JointLimits, partial=True)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -187,7 +188,8 @@ def prepare(
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     substeps = 1 if rig.physical else scenario.needed_substeps()
-    conditions = RunConditions(period, rig.patience, substeps, paced, start if ideal else None)
+    digest = hashlib.sha256(scenario.dumps().encode()).digest()
+    conditions = RunConditions(period, rig.patience, substeps, paced, start if ideal else None, digest)
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",

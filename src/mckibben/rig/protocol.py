@@ -290,27 +290,6 @@ class IsobaricProtocol(Protocol):
             time=np.cumsum(taken) - self.acquisition,
         )
 
-    def describe(self, of: Muscle | Specimen) -> str:
-        """Text of plateaus, samples and duration, without the time to adjust the device and set the pressures."""
-        rows, limits = self.plateaus(of), boundaries(of, self)
-        duration = round(float(rows.time[-1]) + self.acquisition)
-        passes = np.bincount(rows.level) // (2 * self.repeats)
-        lines = [
-            f"isobaric test of {specimen_of(of).name}: {len(self.pressures)} pressures, "
-            f"{self.repeats} x (unloading, loading)",
-            f"steps of {self.step / mm:g} mm at {self.speed / mm:g} mm/s, {self.dwell:g} s wait, "
-            f"{self.samples} samples in {self.acquisition:g} s",
-        ]
-        lines += [
-            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, {count} plateaus per pass"
-            for pressure, low, high, count in zip(*limits, passes, strict=True)
-        ]
-        lines.append(
-            f"{len(rows.time)} plateaus, {len(rows.time) * self.samples} samples, "
-            f"{duration // 3600} h {duration // 60 % 60:02d} min {duration % 60:02d} s"
-        )
-        return "\n".join(lines)
-
 
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:
     """Points of a dataset at least a travel [m] away from both ends of their stroke, in both directions.

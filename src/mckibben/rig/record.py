@@ -131,6 +131,9 @@ class Rows(NamedTuple):
     first: int
     columns: dict[str, np.ndarray]
 
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
 
 @dataclass(frozen=True, eq=False)
 class RigRecord:
@@ -144,15 +147,30 @@ class RigRecord:
         Units and values by column, the values of shape (rows,).
     events
         Events in order.
+    rows
+        Number of each row; some are missing if the record is damaged.
     """
 
     header: dict[str, Any]  # of the first segment
     units: dict[str, str]
     columns: dict[str, np.ndarray]
     events: tuple[Event, ...]
+    rows: np.ndarray
 
     def __len__(self) -> int:
-        return len(next(iter(self.columns.values())))
+        return len(self.rows)
+
+    @property
+    def points(self) -> list[Point]:
+        """Points in the order of their numbers, each as it was measured last."""
+        return points(self.events)
+
+    def samples(self, name: str, point: Point) -> np.ndarray:
+        """Samples of a point by the name of a column, shape (samples,); NaN where they are lost."""
+        wanted = point.first + point.every * np.arange(point.samples)
+        at = np.minimum(np.searchsorted(self.rows, wanted), max(len(self.rows) - 1, 0))
+        there = np.append(self.rows, -1)[at] == wanted
+        return np.where(there, np.append(self.columns[name], np.nan)[at], np.nan)
 
 
 def read_record(folder: str | os.PathLike[str]) -> RigRecord:
@@ -169,19 +187,15 @@ def read_record(folder: str | os.PathLike[str]) -> RigRecord:
         If there is no record, or rows are missing that no damage explains; damaged parts are a warning.
     """
     header, columns = header_of(folder)
-    rows: list[dict[str, np.ndarray]] = []
-    events: list[Event] = []
-    for one in entries(folder):
-        if isinstance(one, Event):
-            events.append(one)
-        else:
-            rows.append(one.columns)
-    empty = {column.name: np.empty(0, column.dtype) for column in columns}
+    rows, events = [Rows(0, {column.name: np.empty(0, column.dtype) for column in columns})], list[Event]()
+    for entry in entries(folder):
+        (events if isinstance(entry, Event) else rows).append(entry)  # type: ignore[arg-type]
     found = {
-        name: np.concatenate([nothing, *(part[name] for part in rows)]).astype(nothing.dtype, copy=False)
-        for name, nothing in empty.items()
+        column.name: np.concatenate([part.columns[column.name] for part in rows]).astype(column.dtype, copy=False)
+        for column in columns
     }
-    return RigRecord(header, {column.name: column.unit for column in columns}, found, tuple(events))
+    numbers = np.concatenate([part.first + np.arange(len(part)) for part in rows])
+    return RigRecord(header, {column.name: column.unit for column in columns}, found, tuple(events), numbers)
 
 
 def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Column]]:
@@ -248,16 +262,12 @@ def _warn_of_damage(path: Path, lost: str) -> None:
 
 def rows_in(folder: str | os.PathLike[str]) -> int:
     """Number of rows of a record."""
-    return max((one.first + len(next(iter(one.columns.values()))) for one in _rows(folder)), default=0)
+    return max((part.first + len(part) for part in entries(folder) if isinstance(part, Rows)), default=0)
 
 
 def segments(folder: Path) -> list[Path]:
     """The files of a record in order; none if the folder does not exist."""
     return sorted(folder.glob("record-*.mcap"))
-
-
-def _rows(folder: str | os.PathLike[str]) -> Iterator[Rows]:
-    return (one for one in entries(folder) if isinstance(one, Rows))
 
 
 POINT, PLACE = "point", "place"
@@ -314,11 +324,6 @@ def points(events: Iterable[Event]) -> list[Point]:
     return [found[number] for number in sorted(found)]
 
 
-def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
-    """The points of a record, in the order of their numbers, each once."""
-    return points(one for one in entries(folder) if isinstance(one, Event))
-
-
 def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
     """Return the dataset of a record: one row per point.
 
@@ -343,24 +348,24 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     """
     from mckibben.dataset import IsobaricDataset  # pandas and xarray take 0.5 s
 
-    kept = [point for point in recorded_points(folder) if point.keep]
+    record = read_record(folder)
+    kept = [point for point in record.points if point.keep]
     if not kept:
         raise DatasetError(str(folder), [Problem("contains no point yet", remedy="resume it")])
     counts = {point.samples for point in kept}
-    shape = (len(kept), max(counts))
-    force, pressure = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
-    _fill(folder, kept, {"force": force, "pressure": pressure})
-    complete = np.count_nonzero(~np.isnan(force), axis=1) == [point.samples for point in kept]
-    if not complete.all():
-        lost = [point.number for point, whole in zip(kept, complete, strict=True) if not whole]
-        if not complete.any():
-            raise DatasetError(str(folder), [Problem("contains no complete point", remedy="record again")])
-        warnings.warn(
-            f"{folder}: samples of the points {', '.join(map(str, lost))} are missing; they are left out",
-            McKibbenWarning,
-            stacklevel=2,
+    force, pressure = (np.full((len(kept), max(counts)), np.nan, np.float32) for _ in range(2))
+    for row, point in enumerate(kept):
+        force[row, : point.samples], pressure[row, : point.samples] = (
+            record.samples(name, point) for name in ("force", "pressure")
         )
-        kept = [point for point, whole in zip(kept, complete, strict=True) if whole]
+    complete = np.isfinite(force).sum(axis=1) == [point.samples for point in kept]
+    if not complete.any():
+        raise DatasetError(str(folder), [Problem("contains no complete point", remedy="record again")])
+    if not complete.all():
+        lost = ", ".join(str(kept[row].number) for row in np.flatnonzero(~complete))
+        message = f"{folder}: samples of the points {lost} are missing; they are left out"
+        warnings.warn(message, McKibbenWarning, stacklevel=2)
+        kept = [kept[row] for row in np.flatnonzero(complete)]
         force, pressure = force[complete], pressure[complete]
     same = len(counts) == 1
     mean = np.mean if same else np.nanmean
@@ -398,30 +403,6 @@ def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = 
         source=source,
         slack_force=bench.slack_force,
     )
-
-
-def _fill(folder: str | os.PathLike[str], kept: Sequence[Point], into: dict[str, np.ndarray]) -> None:
-    """Copy the samples of each point from the rows of the record."""
-    order = sorted(range(len(kept)), key=lambda index: kept[index].first)
-    waiting = 0
-    for one in entries(folder):
-        if not isinstance(one, Rows):
-            continue
-        end = one.first + len(one.columns["time"])
-        for index in order[waiting:]:
-            point = kept[index]
-            if point.first >= end:
-                break
-            wanted = range(point.first, point.first + point.rows, point.every)
-            # the point's samples in this chunk
-            begin = max(0, -(-(one.first - point.first) // point.every))
-            stop = min(point.samples, -(-(end - point.first) // point.every))
-            if stop > begin:
-                rows = slice(wanted[begin] - one.first, wanted[stop - 1] - one.first + 1, point.every)
-                for name, samples in into.items():
-                    samples[index, begin:stop] = one.columns[name][rows]
-        while waiting < len(order) and kept[order[waiting]].first + kept[order[waiting]].rows <= end:
-            waiting += 1
 
 
 def _words(words: list[str]) -> list[str] | None:

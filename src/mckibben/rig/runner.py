@@ -194,6 +194,7 @@ class Runner(StepInterpreter):
             self.position = point.pulses
             return point.force
         self._go_live()
+        self._rig.measure_length()
         bench, recorder = self.bench, self._rig.recorder
         every = max(1, round(bench.rate * acquire.duration / acquire.samples))
         rows = (acquire.samples - 1) * every + 1
@@ -267,7 +268,7 @@ class Runner(StepInterpreter):
 
     def _hold(self, step: HoldForce) -> None:
         self._target.rest, self._target.hold = 0.0, step
-        if not self._live:
+        if not self._live or self._rig.hang(step.force):
             return
         deadline = self._rig.now + step.longest
         while abs(self._rig.read_cycle().force - step.force) > step.tolerance or self._rig.backend.moving:

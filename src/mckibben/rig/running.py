@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import shutil
@@ -12,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
-from mckibben.rig.record import Event, Point, assemble, entries, header_of, points, recording_of, segments
+from mckibben.rig.record import Point, assemble, header_of, read_record, recording_of, segments
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
@@ -310,27 +311,24 @@ def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at
 
 def _past(folder: Path) -> _PastSessions:
     """State of the recorded test."""
-    events: list[Event] = []
-    since, position, end, gaps = 0.0, 0, 0, list[range]()  # rows that are lost
-    step = 1 / header_of(folder)[0]["rate_Hz"] if segments(folder) else 0.0
-    for entry in entries(folder):
-        if isinstance(entry, Event):
-            events.append(entry)
-        elif len(entry.columns["time"]):
-            since, position = float(entry.columns["time"][-1]) + step, int(entry.columns["pulses"][-1])
-            gaps += [range(end, entry.first)] if entry.first > end else []
-            end = entry.first + len(entry.columns["time"])
-    recorded = points(events)
-    ends = [(point.first, point.first + point.rows) for point in recorded]
-    whole = [all(gap.stop <= first or last <= gap.start for gap in gaps) for first, last in ends]
-    kept = itertools.takewhile(
-        lambda row: row[1].number == row[0] and row[2], zip(itertools.count(), recorded, whole, strict=False)
-    )
-    done = tuple(point for _, point, _ in kept)
-    finished = any(event.kind == DONE for event in events)
+    if not segments(folder):
+        return _PastSessions()
+    record = read_record(folder)
+    events, times, pulses = record.events, record.columns["time"], record.columns["pulses"]
+    done = []
+    for number, point in enumerate(record.points):
+        if point.number != number or np.isnan(record.samples("time", point)).any():
+            break
+        done.append(point)
     at_rest = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
+    since = float(times[-1]) + 1 / record.header["rate_Hz"] if len(times) else 0.0
+    position = int(pulses[-1]) if len(pulses) else 0
     return _PastSessions(
-        done, since, position if at_rest is None else at_rest, not events or at_rest is not None, finished
+        tuple(done),
+        since,
+        position if at_rest is None else at_rest,
+        not events or at_rest is not None,
+        any(event.kind == DONE for event in events),
     )
 
 

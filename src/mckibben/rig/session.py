@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
 from mckibben.rig.backend import Block, MovingBackend
 from mckibben.rig.bench import Bench
+from mckibben.rig.by_hand import GRAVITY, HandBench, length_of
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import BlockMeans, RigMonitor, StopFlag
-from mckibben.units import bar, mm
+from mckibben.units import bar, mm, percent
 
 STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
 """Kinds of event."""
 
 _OBSERVED = 10.0  # s after a stop
+_PROBED = 0.5 * bar
 _COMPLIANCE = 0.005 * mm  # m/N: gain of the force control, per cycle
 _SPEED = 0.2 * mm  # m/s: its highest speed
 
@@ -113,6 +115,9 @@ class RigSession:
         """Vent and wait: no pressure is set and nothing moves before the muscle is measured to be empty."""
         self.recorder.event("opened", "", **self.backend.description)
         self.vent_and_wait()
+        if self.backend.physical:  # sensors, valve and supply, before the pressure rises above 1 bar
+            self.set_pressure(0.0, _PROBED, None, None)
+            self.vent_and_wait()
 
     def acquire(self, count: int, plateau: int) -> PlateauSamples:
         """Take and record the samples of a plateau.
@@ -145,6 +150,9 @@ class RigSession:
         distance = pulses - self.pulses
         if not distance:
             return
+        if isinstance(self.backend, HandBench):
+            self._move_by_hand(self.backend, pulses)
+            return
         rate = self.bench.drive.rate(speed)
         self.backend.move(distance, rate)
         deadline = self.now + 1.5 * abs(distance) / rate + 5 * self.bench.cycle + 1.0
@@ -162,9 +170,47 @@ class RigSession:
                     remedy="check its driver and its end switches",
                 )
 
+    def _move_by_hand(self, bench: HandBench, pulses: int) -> None:
+        if not bench.weights:  # else the muscle is as long as the weight makes it
+            self.ask(
+                f"turn the screw to {self.bench.contraction_at(pulses) / percent:.4g} % contraction, then press Enter"
+            )
+            bench.position = pulses - self._origin
+            self._cycle()
+
+    def ask(self, text: str) -> str:
+        """Ask the operator of a `HandBench`; samples are taken, checked and recorded meanwhile."""
+        assert isinstance(self.backend, HandBench)
+        answer = self.backend.ask(text)
+        while not answer.done():
+            self._cycle()
+        return answer.result()
+
+    def hang(self, force: float) -> bool:
+        """Have a weight of a force [N] hung on the muscle; False on a bench without weights."""
+        bench = self.backend
+        if not isinstance(bench, HandBench) or not bench.weights:
+            return False
+        if bench.weight != force:
+            self.ask(f"hang {force / GRAVITY:.4g} kg on the muscle ({force:g} N), then press Enter")
+            bench.weight = force
+            self._cycle()
+        return True
+
+    def measure_length(self) -> None:
+        """Ask for the length of a muscle with a weight."""
+        bench, length = self.backend, None
+        if not isinstance(bench, HandBench) or not bench.weights:
+            return
+        while length is None:
+            length = length_of(self.ask("length of the muscle, such as 163.5 mm"))
+        contraction = float(self.bench.specimen.contraction_at(length))
+        bench.position = self.bench.pulses_at(contraction) - self._origin
+        self._cycle()
+
     def step_towards(self, force: float, speed: float) -> None:
         """Begin a short move towards a force [N], unless the motor is moving."""
-        if self.backend.moving or self._latest is None:
+        if self.backend.by_hand or self.backend.moving or self._latest is None:
             return
         drive, limits = self.bench.drive, self.bench.limits
         rate, per_metre = drive.rate(speed), drive.pulses_per_metre
@@ -226,7 +272,7 @@ class RigSession:
                     "bar were set",
                     value=latest.pressure,
                     unit="Pa",
-                    remedy="check the supply, the valve and the muscle",
+                    remedy="check supply, valve and muscle, and whether the sensors are swapped",
                 )
 
         steady = self.bench.steady if shut is None else self.bench.cycle

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from mckibben.component.base import Checked
-from mckibben.errors import RangeError, quoted
 from mckibben.rig.calibration import Calibration, read_calibrations
 from mckibben.rig.ni.driver import Terminals
-
-_ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,14 +26,6 @@ class CardSettings(Checked):
     hold: str = "port0/line1"
     server: str = ""
     calibration: Path
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, str) and value != field.default and not _ADDRESS.fullmatch(value):
-                remedy = "write it as the driver does, such as Dev1, ai0 or port0/line1"
-                raise RangeError(f"{quoted(value)} is not an address", field=field.name, value=value, remedy=remedy)
 
     def terminals(self, *, counter: str = "", direction: str = "") -> Terminals:
         """Return the terminals, with those of a motor if it is given its counter."""

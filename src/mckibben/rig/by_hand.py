@@ -1,0 +1,113 @@
+"""A bench without a motor: an operator moves the muscle, or hangs weights on it, when asked."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+
+import numpy as np
+
+from mckibben.errors import UnitError
+from mckibben.rig.backend import Backend, Block, Channel, MovingBackend
+from mckibben.units import quantity
+
+GRAVITY = 9.80665
+"""Standard gravity [m/s^2]."""
+
+
+class HandBench(MovingBackend):
+    """A backend of sensors and a valve, and an operator in place of a motor.
+
+    With weights the force is that of the weight, unless a sensor "force" measures it; the operator gives the length of
+    the muscle at each point. Otherwise the operator turns a screw to the contraction that is asked for.
+
+    Parameters
+    ----------
+    backend
+        Sensors and valve: the inputs "pressure" and, without weights, "force", and the output "valve".
+    weights
+        Whether weights hang on the muscle.
+    ask
+        Shows a text and returns the answer; called in a thread of its own. Default: on the terminal.
+    """
+
+    by_hand = True
+
+    def __init__(self, backend: Backend, *, weights: bool = False, ask: Callable[[str], str] = input) -> None:
+        self.inner, self.weights, self._ask = backend, weights, ask
+        self.rate, self.patience, self.paced = backend.rate, backend.patience, backend.paced
+        self.position, self.weight = 0, 0.0  # [pulses], [N]
+        self._weighs = weights and "force" not in [channel.name for channel in backend.inputs]
+
+    @property
+    def inputs(self) -> Sequence[Channel]:
+        return [*self.inner.inputs, *([Channel("force", "N", where="weight")] if self._weighs else [])]
+
+    @property
+    def outputs(self) -> Sequence[Channel]:
+        return self.inner.outputs
+
+    @property
+    def description(self) -> Mapping[str, str]:
+        return {**self.inner.description, "moved": "by weights" if self.weights else "by hand"}
+
+    def ask(self, text: str) -> Future[str]:
+        """Ask the operator; samples go on meanwhile."""
+        future: Future[str] = Future()
+
+        def wait() -> None:
+            try:
+                future.set_result(self._ask(f"{text}: "))
+            except BaseException as error:
+                future.set_exception(error)
+
+        threading.Thread(target=wait, name="operator", daemon=True).start()
+        return future
+
+    def open(self) -> None:
+        self.position, self.weight = 0, 0.0
+        self.inner.open()
+
+    def clock(self) -> float:
+        return self.inner.clock()
+
+    def read(self, count: int, *, timeout: float = 1.0) -> Block:
+        block = self.inner.read(count, timeout=timeout)
+        rows, values = len(block.time), block.values
+        if self._weighs:
+            values = np.column_stack([values, np.full(rows, self.weight)])
+        return block._replace(values=values, pulses=np.full(rows, self.position, np.int64))
+
+    def set_valves(self, pressures: Sequence[float]) -> None:
+        self.inner.set_valves(pressures)
+
+    def heartbeat(self) -> None:
+        self.inner.heartbeat()
+
+    def vent(self) -> None:
+        self.inner.vent()
+
+    def close(self) -> None:
+        self.inner.close()
+
+    def move(self, pulses: int, rate: float) -> None:
+        """Take the muscle as moved by pulses, as the operator has confirmed."""
+        self.position += pulses
+
+    moving = False
+
+    def stop(self) -> None:
+        """Nothing moves by itself."""
+
+
+def length_of(answer: str) -> float | None:
+    """Length [m] in an answer; None if it is none.
+
+    >>> length_of("16.35 cm"), length_of("long")
+    (0.1635, None)
+    """
+    try:
+        return quantity(answer, "m")
+    except UnitError:
+        return None

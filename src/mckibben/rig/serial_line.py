@@ -1,0 +1,325 @@
+"""Rigs on a microcontroller that speaks the protocol of docs/serial-protocol.md; needs the extra `rig`."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mckibben.errors import RigError, SilentError
+from mckibben.rig.backend import Backend, Block, Channel
+from mckibben.serial_protocol import (
+    CommandSource,
+    FaultCode,
+    FaultReport,
+    FirmwareState,
+    Hello,
+    Message,
+    MessageKind,
+    Receiver,
+    Sample,
+    pack_numbers,
+)
+from mckibben.units import ms, s
+
+_PATIENCE = 2 * s  # within which a board answers
+_AGAIN = 20 * ms  # after which a message that must be acknowledged is repeated
+_REMEDIES = {
+    FaultCode.NOT_FINITE: "check the sensor's wiring and supply",
+    FaultCode.OUT_OF_RANGE: "check the sensor, its calibration and the stops of the rig",
+    FaultCode.FROZEN: "check the sensor's wiring",
+    FaultCode.LATE: "use a longer period, or a faster board",
+    FaultCode.HOST_SILENT: "check the cable, and find what kept the host busy",
+    FaultCode.OTHER_DIGEST: "export and flash the firmware again, or use the scenario that it was made from",
+    FaultCode.REFUSED: "export and flash the firmware again",
+    FaultCode.WATCHDOG: "find out what hangs in the firmware",
+}
+
+
+class SerialBackend(Backend):
+    """Sensors and valves at the firmware of a microcontroller.
+
+    The firmware samples by its own clock, ramps from the measured pressures to the first commands, and vents without a
+    sign of life within 100 ms. A lost or damaged message is counted in `losses`; samples that are missing are missing
+    in the numbers of a block.
+
+    Parameters
+    ----------
+    port
+        Port, such as "/dev/ttyACM0" or "COM3".
+    baud
+        Rate of the line [1/s]; of no effect on USB.
+    digest
+        SHA-256 that the firmware must have; empty: any.
+    period
+        Sampling period that the firmware must have [s]; 0: any.
+    """
+
+    patience = 100 * ms
+
+    def __init__(self, port: str, *, baud: int = 1_000_000, digest: bytes = b"", period: float = 0.0) -> None:
+        self.port, self.baud = port, baud
+        self._digest, self._period = digest, period
+        self._line: Any = None
+        self._forget()
+        with self.opened():  # the firmware says its channels and its period
+            pass
+
+    def _forget(self) -> None:
+        self._receiver, self._sequence = Receiver(), 0
+        self._samples: deque[tuple[int, float, tuple[float, ...]]] = deque()  # number, time, values
+        self._newest: Sample | None = None
+        self._answer: Hello | None = None
+        self._begun: int | None = None  # time of the board at sample 0 [us]
+        self._device, self._latest = 0, -1  # time [us] and number of its latest sample
+        self._arrived = (0.0, 0.0)  # times of the latest sample, by host and board [s]
+        self._armed = False
+        self._commands: Sequence[float] = ()
+
+    @property
+    def inputs(self) -> Sequence[Channel]:
+        return [Channel(name, unit, where=self.port) for name, unit in self._known.measurements]
+
+    @property
+    def outputs(self) -> Sequence[Channel]:
+        return [Channel(name, unit, 0.0, where=self.port) for name, unit in self._known.commands]
+
+    @property
+    def losses(self) -> str:
+        """What was lost on the line so far; empty for nothing."""
+        counts = {name: getattr(self._receiver, name) for name in ("corrupted", "lost", "repeated")}
+        counts["lost by the board"] = self._newest.lost if self._newest else 0
+        return ", ".join(f"{count} messages {name}" for name, count in counts.items() if count)
+
+    @property
+    def description(self) -> Mapping[str, str]:
+        firmware, _, digest, *_ = self._known
+        return {"kind": "serial", "port": self.port, "firmware": firmware, "digest": digest.hex()}
+
+    def open(self) -> None:
+        """Open the port, ask the board who it is, vent it, and wait for its first sample.
+
+        Raises
+        ------
+        RigError
+            If the port is missing or silent, or the firmware has another version, scenario or period.
+        """
+        if self._line is not None:
+            raise RigError("the rig is already open", remedy="close it first")
+        self._forget()
+        self._line = self._opened()
+        self._check(self._ask())
+        self.vent()
+        if not self._until(lambda: self._state in (FirmwareState.DISARMED, FirmwareState.VENTED)):
+            raise SilentError(f"no sample of a vented board comes from {self.port}", remedy="flash the board again")
+        self._begun = None
+        self._samples.clear()
+        self._until(lambda: bool(self._samples))
+
+    def _opened(self) -> Any:
+        try:
+            import serial
+            import serial.tools.list_ports
+        except ImportError as error:
+            raise RigError("the package pyserial is missing", remedy="pip install 'mckibben[rig]'") from error
+        try:
+            return serial.Serial(self.port, self.baud, timeout=0, write_timeout=self.patience, exclusive=True)
+        except (OSError, ValueError) as error:
+            ports = ", ".join(port.device for port in serial.tools.list_ports.comports()) or "none"
+            raise RigError(
+                f"the port {self.port} cannot be opened: {error}",
+                field="port",
+                value=self.port,
+                remedy=f"connect the board, close other programs; ports are: {ports}",
+            ) from error
+
+    def _ask(self) -> Hello:
+        """Description of the firmware, which is asked for repeatedly: a board may just be starting."""
+        if not self._until(lambda: self._answer is not None, MessageKind.HELLO):
+            received = "only other data come" if self._receiver.corrupted else "nothing comes"
+            raise RigError(
+                f"no firmware of mckibben answers at {self.port}: {received}",
+                field="port",
+                value=self.port,
+                remedy="choose another port or baud rate, or flash the board: mckibben export SCENARIO --to firmware",
+            )
+        assert self._answer is not None
+        return self._answer
+
+    def _until(self, done: Callable[[], bool], kind: MessageKind | None = None, body: bytes = b"") -> bool:
+        """Take messages until something is done, for 2 s at most, and send one again and again meanwhile."""
+        end, again = time.monotonic() + _PATIENCE, 0.0
+        while not done() and time.monotonic() < end:
+            if kind is not None and time.monotonic() > again:
+                self._send(kind, body)
+                again = time.monotonic() + _AGAIN
+            self._take(self._received())
+            time.sleep(0.5 * ms)
+        return done()
+
+    def _check(self, hello: Hello) -> None:
+        self._known = hello
+        if self._digest and hello.digest != self._digest:
+            raise RigError(
+                f"the firmware {hello.firmware} was made from another scenario ({hello.digest.hex()[:8]}, not "
+                f"{self._digest.hex()[:8]})",
+                field="digest",
+                value=hello.digest.hex(),
+                remedy=_REMEDIES[FaultCode.OTHER_DIGEST],
+            )
+        if self._period and abs(hello.period * 1e-6 - self._period) > 1e-6:
+            raise RigError(
+                f"the firmware samples every {hello.period * 1e-3:g} ms, and {self._period / ms:g} ms are needed",
+                field="period",
+                value=hello.period * 1e-6,
+                unit="s",
+                remedy=_REMEDIES[FaultCode.OTHER_DIGEST],
+            )
+        self.rate = 1e6 / hello.period
+
+    def clock(self) -> float:
+        """Time since it was opened [s]: that of the board's latest sample, and of the host since it arrived."""
+        host, board = self._arrived
+        return board + time.monotonic() - host
+
+    def read(self, count: int, *, timeout: float = 1.0) -> Block:
+        self._check_open()
+        latest = self._samples[0][0] + count if self._samples else 0
+        end = time.monotonic() + count / self.rate + timeout
+        while len(self._samples) < count and not (self._samples and self._samples[-1][0] >= latest - 1):
+            self._take(self._received())
+            if time.monotonic() > end:
+                raise SilentError(
+                    f"no sample from {self.port} for {timeout:g} s", remedy="check its cable and supply, and reopen it"
+                )
+            latest = self._samples[0][0] + count if self._samples else 0
+            time.sleep(min(0.2 / self.rate, 1 * ms))
+        first = self._samples[0][0]
+        rows = [self._samples.popleft() for _ in range(len(self._samples)) if self._samples[0][0] < first + count]
+        times = np.array([row[1] for row in rows])
+        values = np.array([row[2][: len(self._known.measurements)] for row in rows], np.float64)
+        return Block(first, times, values, np.zeros(len(rows), np.int64))
+
+    def set_valves(self, pressures: Sequence[float]) -> None:
+        """Send commands [Pa], and arm the board before the first one."""
+        self._check_open()
+        self._take(self._received())
+        self._commands = [float(pressure) for pressure in pressures]
+        if not self._armed:
+            self._arm()
+        self._send(MessageKind.COMMAND, pack_numbers(self._commands, "f"))
+
+    def _arm(self) -> None:
+        """Arm the board; messages are repeated until its samples show the state."""
+        ready = FirmwareState.RAMPING, FirmwareState.RUNNING, FirmwareState.HOLDING
+        body = bytes([CommandSource.COMMANDS]) + self._known.digest
+        for kind, content, states in (
+            (MessageKind.DISARM, b"", (FirmwareState.DISARMED,)),
+            (MessageKind.ARM, body, ready),
+        ):
+            if not self._until(lambda states=states: self._state in states, kind, content):
+                fault = FaultCode(self._newest.fault) if self._newest is not None else FaultCode.NONE
+                raise RigError(
+                    f"the board does not follow {kind.name}: {fault.name.lower().replace('_', ' ')}",
+                    remedy=_REMEDIES.get(fault, "check its cable and supply"),
+                )
+        self._armed = True
+
+    def heartbeat(self) -> None:
+        self._check_open()
+        self._send(MessageKind.HEARTBEAT)
+
+    def vent(self) -> None:
+        """Vent, by three messages, of which two may be lost. Never raises."""
+        self._armed = False
+        for _ in range(3):
+            with contextlib.suppress(Exception):
+                self._send(MessageKind.VENT)
+
+    def close(self) -> None:
+        line = self._line
+        if line is None:
+            return
+        self.vent()
+        self._line = None
+        with contextlib.suppress(Exception):
+            line.flush()
+        with contextlib.suppress(Exception):
+            line.close()
+
+    @property
+    def _state(self) -> int:
+        """State of the firmware in its latest sample; -1 before the first."""
+        return -1 if self._newest is None else self._newest.state
+
+    def _check_open(self) -> None:
+        if self._line is None:
+            raise RigError("the rig is not open", remedy="open it first")
+
+    def _send(self, kind: MessageKind, body: bytes = b"") -> None:
+        self._sequence += 1
+        stamp = int(time.monotonic() * 1e6)
+        with self._translated():
+            self._line.write(Message(kind, self._sequence, stamp, body).encode())
+
+    def _received(self) -> list[Message]:
+        with self._translated():
+            return self._receiver.feed(self._line.read(4096))
+
+    @contextlib.contextmanager
+    def _translated(self) -> Any:
+        try:
+            yield
+        except (OSError, AttributeError, TypeError) as error:  # pyserial raises all of them for a lost port
+            raise RigError(
+                f"the port {self.port} is lost: {error}", remedy="plug it in again; the board vents by itself"
+            ) from error
+
+    def _take(self, messages: Sequence[Message]) -> None:
+        """Take samples and faults of the board."""
+        for message in messages:
+            if message.kind == MessageKind.HELLO:
+                self._answer = Hello.unpack(message.body)
+                if self._begun is not None:
+                    raise RigError("the board was reset", remedy="check its supply and cable, and reopen the rig")
+            if message.kind == MessageKind.FAULT and self._armed:
+                self._refuse(FaultReport.unpack(message.body))
+            if message.kind == MessageKind.SAMPLE and self._answer is not None:
+                self._keep(message)
+
+    def _keep(self, message: Message) -> None:
+        sample = Sample.unpack(message.body)
+        assert self._answer is not None
+        if len(sample.values) != len(self._answer.measurements) + len(self._answer.commands):
+            raise RigError("a sample has another number of channels", remedy=_REMEDIES[FaultCode.OTHER_DIGEST])
+        if self._begun is None:
+            self._begun = self._device = message.time
+            self._latest = -1
+        self._device += (message.time - self._device + (1 << 31)) % (1 << 32) - (1 << 31)
+        elapsed = (self._device - self._begun) * 1e-6
+        number = round(elapsed * 1e6 / self._answer.period)
+        if number < self._latest:
+            raise RigError("the clock of the board jumps back: it was reset", remedy="check its supply and cable")
+        self._newest, self._arrived = sample, (time.monotonic(), elapsed)
+        if number > self._latest:
+            self._samples.append((number, elapsed, sample.values))
+        self._latest = number
+        if self._armed and sample.state in (FirmwareState.VENTED, FirmwareState.DISARMED):
+            self._refuse(FaultReport(sample.fault, 255, float("nan")))
+
+    def _refuse(self, report: FaultReport) -> None:
+        """Raise the fault for which the board has vented."""
+        self._armed = False
+        fault = FaultCode(report.code) if report.code in {*FaultCode} else FaultCode.REFUSED
+        names = [name for name, _ in (*self._known.measurements, *self._known.commands)]
+        where = f" at {names[report.channel]}: {report.value:g}" if report.channel < len(names) else ""
+        raise RigError(
+            f"the board vented: {fault.name.lower().replace('_', ' ')}{where}",
+            field=names[report.channel] if report.channel < len(names) else "",
+            value=report.value,
+            remedy=_REMEDIES.get(fault, "see its messages"),
+        )

@@ -1,0 +1,91 @@
+"""Benches without a motor: an operator turns a screw, or hangs weights on the muscle."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.muscle import Muscle
+from mckibben.rig.bench import Bench, RigLimits
+from mckibben.rig.by_hand import GRAVITY, HandBench
+from mckibben.rig.document import RigTest
+from mckibben.rig.modbus import RegisterMap
+from mckibben.rig.record import assemble
+from mckibben.rig.recorder import Recorder
+from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.session import RigSession
+from mckibben.rig.simulated import SimulatedRig
+from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise
+from mckibben.units import bar, mm, percent
+from tests.rig.joint.conftest import Borrowed
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "rig"
+MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+ACQUIRE = Acquire(samples=20, duration=0.02)
+
+
+class PressureAlone(Borrowed):
+    """A rig of which only the pressure is measured."""
+
+    physical = False
+    inputs = property(lambda self: self.other.inputs[1:])
+
+    def read(self, count, *, timeout=1.0):
+        block = self.other.read(count, timeout=timeout)
+        return block._replace(values=block.values[:, 1:])
+
+
+def run(folder, inner, steps, answers, *, weights):
+    asked = []
+
+    def ask(text):
+        asked.append(text)
+        return answers.pop(0)
+
+    rig = HandBench(inner, weights=weights, ask=ask)
+    bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
+    with Recorder.create(folder, {}, columns_of(rig.inputs)) as recorder:
+        Runner(RigSession(rig, bench, recorder)).run(steps)
+    return asked, assemble(folder, bench)
+
+
+def test_weights_are_hung_and_lengths_are_asked_for(tmp_path):
+    steps = [HoldForce(force=100.0)]
+    for pressure in (1 * bar, 2 * bar):
+        steps += [Pressurise(pressure=pressure), HoldForce(force=100.0), ACQUIRE]
+    steps += [HoldForce(force=50.0), ACQUIRE]
+    answers = ["", "171 mm", "what?", "160.2 mm", "", "15.3 cm"]
+    inner = PressureAlone(SimulatedRig(MUSCLE, seed=1, patience=100.0), 1)
+    asked, data = run(tmp_path, inner, steps, answers, weights=True)
+    assert [f"{100 / GRAVITY:.4g} kg" in text or f"{50 / GRAVITY:.4g} kg" in text for text in asked] == [
+        True, False, False, False, True, False,
+    ]  # fmt: skip
+    np.testing.assert_allclose(data.force, [100, 100, 50])
+    np.testing.assert_allclose(data.contraction, 1 - np.array([171, 160.2, 153]) / 180, atol=2e-5)
+    np.testing.assert_allclose(data.pressure, [1 * bar, 2 * bar, 2 * bar], rtol=0.06)
+
+
+def test_a_screw_is_turned_to_each_contraction(tmp_path):
+    steps = [Move(to=5 * percent), Pressurise(pressure=1 * bar), ACQUIRE, Move(to=2 * percent), ACQUIRE]
+    asked, data = run(tmp_path, SimulatedRig(MUSCLE, seed=1, patience=100.0), steps, ["", ""], weights=False)
+    assert ["5 %" in asked[0], "2 %" in asked[1]] == [True, True]
+    np.testing.assert_allclose(data.contraction, [0.05, 0.02], atol=1e-5)
+
+
+BOARD, TERMINAL = "serial: {port: /dev/ttyACM0, moved_by: weights}", "modbus: {registers: terminal.yaml}"
+
+
+@pytest.mark.parametrize("rig", [BOARD, TERMINAL])
+def test_such_benches_are_named_in_a_protocol(rig, tmp_path):
+    (tmp_path / "terminal.yaml").write_text((EXAMPLES / "terminal.yaml").read_text())
+    text = f"""name: by hand
+muscle: {{specimen: MAS-10-180N-AA-MC-O}}
+rig: {{{rig}}}
+limits: {{pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}}
+protocol: {{steps: [vent]}}
+"""
+    test = RigTest.parse(text, folder=tmp_path)
+    assert RegisterMap.read(tmp_path / "terminal.yaml").outputs["valve2"].high == 9 * bar
+    assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
