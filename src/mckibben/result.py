@@ -55,7 +55,6 @@ Values: TypeAlias = "np.ndarray | Sequence[object]"
 """Values of a column, numbers in SI or texts."""
 
 _LONGEST_CELL = 500  # characters
-_NARROWEST_TEXT = 12  # characters of a column of sentences
 _MOST_ROWS = 30  # of samples in a text
 
 
@@ -235,23 +234,26 @@ class Listing:
         omitted = max(len(rows) - _MOST_ROWS, 0) if samples else 0  # a list of names is shown whole
         shown = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
         cells = list(zip(*shown, strict=True)) if shown else [()] * len(self.columns)
-        columns = [_TextColumn(*title, column) for title, column in zip(self.header(), cells, strict=True)]
+        columns = [_TextColumn(*title, column, width) for title, column in zip(self.header(), cells, strict=True)]
         for block in _blocks(columns, width):
             lines += _lines(block, width)
         return "\n".join([*lines, f"({omitted} rows in the middle are left out)"] if omitted else lines)
 
 
 class _TextColumn:
-    """A column of a text table: its cells, the words of its heading, and its narrowest width."""
+    """A column of a text table: its cells, the words of its heading, and its narrowest width.
 
-    def __init__(self, title: str, unit: str, cells: Sequence[str]) -> None:
+    Words are not broken unless they are longer than half of the table.
+    """
+
+    def __init__(self, title: str, unit: str, cells: Sequence[str], table: int) -> None:
         self.unit = f"[{unit}]" if unit not in ("", "1") else ""
         self.cells = cells
         self.title = title
         self.numeric = all(_NUMBER.fullmatch(cell) for cell in cells)
         words = max(map(len, title.split()), default=0)
-        widest = max(map(len, cells), default=0)
-        self.width = max(widest if self.numeric else min(widest, _NARROWEST_TEXT), words, len(self.unit))
+        longest = max((len(word) for cell in cells for word in cell.split()), default=0)
+        self.width = max(longest if self.numeric else min(longest, table // 2), words, len(self.unit))
 
     def wrapped(self, text: str) -> list[str]:
         """Lines of a cell."""
