@@ -171,6 +171,7 @@ def everything(parts):
         REFERENCE,
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
+        metrics=Metrics._fields,
         keep=Trajectory._fields,
         chunk=16,
         **SHORT,
@@ -310,7 +311,7 @@ def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(sprin
     batch = simulate_many(plant, learner(knee, SEEDS), sampled_reference(KNOTS), initial=STATES, **SHORT)
     assert batch.count == 5
     assert len({*batch.metrics["angle_rmse"]}) == 5
-    assert np.isnan(batch.metrics["coupling"]).all(), "the stiffness has ramps, no steps"
+    assert "coupling" not in batch.metrics  # it takes a second run
     alone = []
     for row in range(5):
         state = jax.tree.map(lambda x, row=row: x if np.ndim(x) == 0 else x[row], STATES)

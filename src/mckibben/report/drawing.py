@@ -165,8 +165,8 @@ def draw_joint(
     """Drawing of a joint at an angle [rad], with its dimensions and moment arms.
 
     Muscles have the lengths of the geometry, or of the joint at gauge pressures [Pa] (default: 0), and a diameter given
-    by the volume of their specimens. A path that is not a straight line is drawn as the cam with its moment arms; a
-    pulley is a round cam.
+    by the volume of their specimens. A path that is not a straight line is drawn on a pulley
+    whose radius is its moment arm.
 
     Parameters
     ----------

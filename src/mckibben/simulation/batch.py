@@ -19,8 +19,7 @@ from mckibben.component.columns import attributes, labels_of
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning
 from mckibben.notebook import Progress
-from mckibben.numerics.batching import cast, pad_chunk
-from mckibben.numerics.compiled import jit_lanes
+from mckibben.numerics.batching import cast
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Column, Listing, Result
 from mckibben.simulation.accuracy import (
@@ -38,17 +37,17 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.engine import BatchFunction, chunk_size, compute_groups, dynamic_steps
 from mckibben.simulation.loop import positions_over_time, streaming_episode
-from mckibben.simulation.metrics import Change, Metrics, last_change
+from mckibben.simulation.metrics import USUAL_METRICS, Metrics, last_change
 from mckibben.simulation.outcome import OUTCOMES, SWUNG_OVER_AT, Outcome, outcomes
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
-    first_substeps,
     float_type,
-    sample_reference,
+    sampled_runs,
     sampling_times,
     split_runs,
+    starts_of,
 )
 from mckibben.simulation.result import Measured, metric_columns, unknown_column
 from mckibben.simulation.trajectories import Trajectory
@@ -197,7 +196,7 @@ def simulate_many(
     accuracy: float = ACCURACY,
     substeps: int | None = None,
     initial: PlantState | AtRest | None = None,
-    metrics: Sequence[str] = Metrics._fields,
+    metrics: Sequence[str] = USUAL_METRICS,
     keep: Sequence[str] = (),
     precision: int = 64,
     chunk: int | None = None,
@@ -223,7 +222,7 @@ def simulate_many(
         Arrays by the dotted name of a leaf, such as ``{"load.mass2": [0.4, 0.5]}``: parts of the plant as in a
         scenario, ``controller``, ``reference`` or ``initial``.
     metrics
-        Metrics to compute. ``coupling`` needs a second run from the stiffness step on.
+        Metrics to compute. Default: all but ``coupling``, which needs a second run from the stiffness step on.
     precision
         Bits of the floats: 64 or 32.
     keep
@@ -278,7 +277,7 @@ def simulate_many(
     varied = times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference))
     numbers = len(asked.keep) * times.size + varied
     size = chunk_size(chunk, count, workers, engine, numbers)
-    runs = _Runs(lanes, shared, times, control_period, asked, engine, size)
+    runs = _Runs(lanes, shared, times, control_period, asked, engine)
     if substeps is None:
         steps = refine_blocks(lanes, count, functools.partial(runs.refine, accuracy=accuracy), workers)
         steps.warn_of(accuracy)
@@ -315,35 +314,28 @@ class _Runs(NamedTuple):
     period: float
     asked: _Asked
     engine: str
-    size: int  # runs per chunk
 
-    def begun(self, lanes: SimulationProblem) -> tuple[PyTree, PyTree, Array]:
-        """Shared and varying parts of the runs of a chunk, those of their beginnings included, and their spans."""
-        begun, span = _begun(lanes, self.shared, self.times, self.asked)
-        varies = bool(jax.tree.leaves(lanes.reference))
-        spec = _Beginnings(setpoints=varies, changes=varies, starts=True, exist=True, split=False)  # type: ignore
-        of_each, of_all = eqx.partition(begun, spec)
+    def begun(self, lanes: SimulationProblem) -> tuple[PyTree, PyTree, Setpoint]:
+        """Shared and varying parts of runs, what is known before they begin included, and their setpoints."""
+        setpoints = sampled_runs(lanes.reference, self.shared.reference, self.times)
+        starts, exist = starts_of(lanes, self.shared, setpoints, engine=self.engine)
+        known, varies = (setpoints, last_change(setpoints.stiffness, np)), setpoints.angle.ndim > 1
         unused: Any = {"reference": None, "initial": None}
-        return (self.shared._replace(**unused), of_all), (lanes._replace(**unused), of_each), span
+        shared = self.shared._replace(**unused), None if varies else known
+        return shared, (lanes._replace(**unused), known if varies else None, starts, exist), setpoints
 
     def compute(self, lanes: SimulationProblem, substeps: int) -> tuple[dict[str, Array], str]:
         """Columns of a chunk of runs."""
-        shared, varying, span = self.begun(lanes)
+        shared, varying, setpoints = self.begun(lanes)
         constant = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
         columns, used = _run(self.engine, constant, varying, self.asked.precision)
-        return columns | {"_span": np.broadcast_to(span, varying[1].exist.shape)}, used
+        return columns | {"_span": np.broadcast_to(np.ptp(setpoints.angle, axis=0), varying[-1].shape)}, used
 
     def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
         """Step doubling of some runs, with 64 bits."""
-        some = jax.tree.map(lambda leaf: np.asarray(leaf)[runs], self.lanes)
-        size = min(self.size, full_vectors(runs).size)
-        pieces = [slice(start, min(start + size, runs.size)) for start in range(0, runs.size, size)]
-        begun = [self.begun(jax.tree.map(_last, pad_chunk(some, piece, size))) for piece in pieces]
-        shared = begun[0][0]
-        varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(chunk[1] for chunk in begun))
+        shared, varying, setpoints = self.begun(self._some(runs))
         every = spacing(self.times.size)
-        setpoints = eqx.combine(shared[1], varying[1]).setpoints.angle
-        desired = np.asarray(setpoints).reshape(self.times.size, -1)[::every]
+        desired = setpoints.angle.reshape(self.times.size, -1)[::every]
 
         def solve(substeps: int, which: Runs) -> Positions:
             padded = full_vectors(which)
@@ -353,12 +345,10 @@ class _Runs(NamedTuple):
 
         def meaningful(angles: Positions, which: Runs) -> NDArray[np.bool_]:
             near = np.abs(angles[0] - (desired if desired.shape[1] == 1 else desired[:, which])) <= SWUNG_OVER_AT
-            return near & np.asarray(varying[1].exist)[which]
+            return near & varying[-1][which]
 
-        first = self._first_substeps(some, runs.size)
-        return refine(
-            solve, runs.size, accuracy=accuracy, spacing=every * self.period, first=first, meaningful=meaningful
-        )
+        first, apart = self._first_substeps(runs, setpoints), every * self.period
+        return refine(solve, runs.size, accuracy=accuracy, spacing=apart, first=first, meaningful=meaningful)
 
     def warn_of(self, substeps: int) -> None:
         """Warn of too few given steps where friction or flow, which are bounded, keeps runs from diverging."""
@@ -366,82 +356,49 @@ class _Runs(NamedTuple):
         if not (plant.joint.has_friction or plant.friction is not None or plant.valve.holds_air):
             return
         runs = probed_runs(self.lanes)
-        needed = self._first_substeps(jax.tree.map(lambda leaf: np.asarray(leaf)[runs], self.lanes), runs.size)
+        setpoints = sampled_runs(self._some(runs).reference, self.shared.reference, self.times)
+        needed = self._first_substeps(runs, setpoints)
         if needed > substeps:
             text = f"substeps is {substeps}, too few for some runs, which friction or flow keeps from diverging"
             warnings.warn(f"{text}: their numbers may be wrong; give at least {needed}", McKibbenWarning, stacklevel=3)
 
-    def _first_substeps(self, lanes: SimulationProblem, count: int) -> int:
-        """Number of steps at which the integration of all runs is stable."""
-        if not jax.tree.leaves(lanes.plant):
-            lanes, count = jax.tree.map(lambda leaf: leaf[:1], lanes), 1
-        runs = (jax.tree.map(lambda leaf, run=run: leaf[run], lanes) for run in range(count))
-        return max(first_substeps(eqx.combine(run, self.shared), self.times, self.period) for run in runs)
+    def _some(self, runs: Runs) -> SimulationProblem:
+        """Parts of some runs that vary, with the runs along the last axis."""
+        return jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), self.lanes)
 
-
-def _last(leaf: NDArray) -> NDArray:
-    return np.moveaxis(leaf, 0, -1)
-
-
-class _Beginnings(NamedTuple):
-    """Quantities of runs that are known before they begin; setpoints and changes are shared where the reference is."""
-
-    setpoints: Setpoint  # with runs along the last axis: a row is what one control period needs
-    changes: Change
-    starts: PlantState
-    exist: Array
-    split: Array | None  # first control period that needs the run without the last change
-
-
-def _begin(
-    lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64] | Array, asked: _Asked
-) -> tuple[_Beginnings, Array]:
-    """The beginnings of a chunk of runs, and the distance that their desired angles move."""
-
-    def of(lane: SimulationProblem) -> Setpoint:
-        return sample_reference(eqx.combine(lane, shared).reference, times)
-
-    if jax.tree.leaves(lanes.reference):
-        axis, setpoints = -1, jax.vmap(of, in_axes=-1, out_axes=-1)(lanes)
-        changes = jax.vmap(last_change, in_axes=-1)(setpoints.stiffness)
-    else:
-        axis, setpoints = None, sample_reference(shared.reference, times)
-        changes = last_change(setpoints.stiffness)
-
-    def start(lane: SimulationProblem, setpoints: Setpoint) -> tuple[PlantState, Array]:
-        return eqx.combine(lane, shared).start(setpoints)
-
-    starts, exist = jax.vmap(start, (-1, axis), -1)(lanes, setpoints)
-    first = jnp.min(jnp.where(changes.ends, changes.at, jnp.size(times)))
-    split = first if "coupling" in asked.metrics else None
-    span = setpoints.angle.max(axis=0) - setpoints.angle.min(axis=0)
-    return _Beginnings(setpoints, changes, starts, exist, split), span
-
-
-_begun = jit_lanes(_begin)
+    def _first_substeps(self, runs: Runs, setpoints: Setpoint) -> int:
+        """Number of steps at which the integration of some runs is stable."""
+        if not jax.tree.leaves(self.lanes.plant):
+            runs = runs[:1]
+        needed = []
+        for place, run in enumerate(runs):
+            own = jax.tree.map(lambda leaf, run=run: leaf[run], self.lanes.plant)
+            wanted = (values if values.ndim == 1 else values[:, place] for values in setpoints)
+            needed.append(eqx.combine(own, self.shared.plant).needed_substeps(*wanted, self.period))
+        return max(needed)
 
 
 @BatchFunction
 def _positions(shared: PyTree, lane: PyTree) -> tuple[Array, ...]:
     """Positions of one run over time."""
-    problem, begun, period, substeps, every = shared
-    own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
-    return positions_over_time(own.plant, own.controller, begun.setpoints, begun.starts, period, substeps, every)
+    problem, known, period, substeps, every = shared
+    own, varying, start, _ = lane
+    run, (setpoints, _) = eqx.combine(own, problem), known or varying
+    return positions_over_time(run.plant, run.controller, setpoints, start, period, substeps, every)
 
 
 @BatchFunction
 def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     """Columns of one run."""
-    problem, begun, period, asked, substeps = shared
-    own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
-    precision = jnp.dtype(asked.precision)
-    parts = cast((own.plant, own.controller, begun.setpoints, begun.starts, period), precision)
-    streamed = streaming_episode(
-        *parts, substeps, change=cast(begun.changes, precision), split=begun.split, keep=asked.keep
-    )
-    metrics = {name: jnp.where(begun.exist, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
+    problem, known, period, asked, substeps = shared
+    own, varying, start, exists = lane
+    run, precision = eqx.combine(own, problem), jnp.dtype(asked.precision)
+    setpoints, change = cast(known or varying, precision)
+    parts = *cast((run.plant, run.controller), precision), setpoints, *cast((start, period), precision)
+    streamed = streaming_episode(*parts, substeps, change=change, coupling="coupling" in asked.metrics, keep=asked.keep)
+    metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
     deciding = {f"_{name}": metrics[name] for name in _DECIDING}
-    deciding |= {"_started": begun.exist, "_angle_at_end": streamed.angle_at_end}
+    deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end}
     return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
 
 

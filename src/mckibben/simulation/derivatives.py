@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,8 +32,9 @@ from mckibben.simulation.problem import (
     sampled_reference,
     sampling_times,
     single_run,
+    starts_of,
 )
-from mckibben.simulation.simulate import episode_substeps, start_of
+from mckibben.simulation.simulate import episode_substeps
 
 _Begun = tuple[PlantState, Setpoint, Change]  # the last of the stiffness; some of their leaves
 
@@ -148,9 +149,8 @@ def _along(parts: PyTree, lane: PyTree) -> tuple[dict[str, Array], dict[str, Arr
     def measured(flat: Array, varying: _Begun) -> dict[str, Array]:
         run = _restored(problem, flat, program)
         start, setpoints, change = eqx.combine(varying, rest)
-        split = jnp.where(change.ends, change.at, setpoints.angle.size) if "coupling" in program.metrics else None
         parts = run.plant, run.controller, setpoints, start, period, program.substeps
-        metrics = streaming_episode(*parts, change=change, split=split).metrics
+        metrics = streaming_episode(*parts, change=change, coupling="coupling" in program.metrics).metrics
         return {name: getattr(metrics, name) for name in program.metrics}
 
     return jax.jvp(measured, (flat, varying), lane)
@@ -165,6 +165,5 @@ def _restored(run: SimulationProblem, flat: Array, program: _Program) -> Simulat
 def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, accuracy: float) -> int:
     """Integration steps per control period of a run; 1 if it cannot start."""
     setpoints = sampled_reference(run.reference, times)
-    without: Any = {"reference": None, "controller": None}
-    start, exists = start_of(run._replace(**without), setpoints)
+    start, exists = starts_of(None, run, setpoints)
     return episode_substeps(run.plant, run.controller, setpoints, start, period, accuracy=accuracy) if exists else 1

@@ -122,7 +122,7 @@ def streaming_episode(
     substeps: int,
     *,
     change: Change | None = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
-    split: ArrayLike | None = None,  # period from which the run without that change is computed alongside
+    coupling: bool = False,  # whether the run without that change is computed alongside
     keep: tuple[str, ...] = (),  # names of `Trajectory`
 ) -> Streamed:
     """Run an `episode` and accumulate its metrics: memory does not grow with the duration, except for what is kept.
@@ -137,8 +137,8 @@ def streaming_episode(
         Control period [s], and integration steps in it.
     change
         Last change of the desired stiffness, for the settling time and the coupling.
-    split
-        Control period from which the same run without this change is computed as well; None for no coupling.
+    coupling
+        Whether the same run without this change is computed as well, from the change on; else there is no coupling.
     keep
         Names of `Trajectory` to keep over time.
     """
@@ -151,16 +151,11 @@ def streaming_episode(
 
     def step_without_change(carry: _Carry, following: LoopState, setpoint: Setpoint, index: Array) -> LoopState:
         """The next state of the run without the last change; until the change, the two runs are identical."""
-        if split is None:
+        if not coupling:
             return following
-        stiffness = jnp.where(index >= change.at, change.before, setpoint.stiffness)
-        return lax.cond(
-            index >= split,
-            lambda state, setpoint: step(state, setpoint)[0],
-            lambda *_: following,
-            carry.without_change,
-            setpoint._replace(stiffness=stiffness),
-        )
+        unchanged = setpoint._replace(stiffness=change.before)
+        changed = change.ends & (index >= change.at)
+        return lax.cond(changed, lambda: step(carry.without_change, unchanged)[0], lambda: following)
 
     def next_period(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
         index, setpoint = at
@@ -175,6 +170,6 @@ def streaming_episode(
     carry, columns = lax.scan(next_period, start, (jnp.arange(periods), setpoints))
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
     metrics = values_of(Metrics, totals, run)
-    if split is None:
+    if not coupling:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
     return Streamed(metrics, angle_at_end(totals, run), carry.loop[0], columns)

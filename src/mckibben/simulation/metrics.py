@@ -273,6 +273,9 @@ class Metrics(NamedTuple):
     command_travel: Annotated[Array, LargerRate("Pa/s", "travel of a command per second", of="travel", shown="bar/s")]
 
 
+USUAL_METRICS = tuple(name for name in Metrics._fields if name != "coupling")
+"""Metrics of batches unless others are asked for: the coupling needs a second run."""
+
 _SUFFIXES = {"N*m/rad": "", "1/s": "_per_s", "bar/s": "_bar_per_s"}
 METRICS: dict[str, tuple[str, str, float]] = {
     f"{name}{_SUFFIXES.get(label.shown_unit, f'_{label.shown_unit}')}": (name, label.shown_unit, label.size)
@@ -329,7 +332,7 @@ def first_of_end(periods: int) -> int:
 
 
 def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
-    """Return the last change of setpoints of shape (periods,); `xp` computes it, `jax.numpy` or `numpy`.
+    """Return the last change of setpoints of shape (periods, ...); `xp` computes it, `jax.numpy` or `numpy`.
 
     >>> import numpy as np
     >>> change = last_change([14.0, 14.0, 16.0, 16.0], np)
@@ -337,10 +340,12 @@ def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
     (2, 14.0, 16.0, True)
     """
     desired: Any = xp.asarray(setpoints)
-    changed = xp.concatenate([xp.zeros(1, bool), desired[1:] != desired[:-1]])
-    index = xp.max(xp.where(changed, xp.arange(desired.size), 0))
-    ends = (index > 0) & (index < desired.size - 1) & ~changed[index - 1]
-    return Change(index, desired[xp.maximum(index - 1, 0)], desired[-1], ends)
+    changed = xp.concatenate([xp.zeros_like(desired[:1], dtype=bool), desired[1:] != desired[:-1]])
+    number = xp.arange(len(desired)).reshape(-1, *[1] * (desired.ndim - 1))
+    index = xp.max(xp.where(changed, number, 0), axis=0)
+    earlier = xp.maximum(index - 1, 0)[None]
+    before, ramp = (xp.take_along_axis(rows, earlier, axis=0)[0] for rows in (desired, changed))
+    return Change(index, before, desired[-1], (index > 0) & (index < len(desired) - 1) & ~ramp)
 
 
 class Course(NamedTuple):

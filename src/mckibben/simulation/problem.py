@@ -12,7 +12,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
@@ -186,23 +186,77 @@ _all_samples = jit(sample_reference)
 
 def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:
     """Setpoints at times [s], computed by a compiled program."""
-    if all(isinstance(signal, Signal) for signal in (reference.angle, reference.stiffness)):
+    if _is_pointwise(reference):
         setpoints, _ = _each_sample("auto", numeric(reference), times)
     else:  # another function may be one of all times
         setpoints = _all_samples(reference, times)
     return jax.tree.map(np.asarray, setpoints)
 
 
+def sampled_runs(lanes: Reference, shared: Reference, times: NDArray[np.float64]) -> Setpoint:
+    """Setpoints of many runs at times [s], shape (periods, runs), or (periods,) if no number of theirs varies.
+
+    The references are parts that vary, with the runs along the last axis, and parts that do not.
+    """
+    if not jax.tree.leaves(lanes):
+        return sampled_reference(shared, times)
+    if _is_pointwise(eqx.combine(lanes, shared)):
+        setpoints, _ = _sampled_run("auto", (shared, times), lanes)
+    else:
+        setpoints = _sampled_all(lanes, shared, times)
+    return jax.tree.map(np.asarray, setpoints)
+
+
+def _is_pointwise(reference: Reference) -> bool:
+    return all(isinstance(signal, Signal) for signal in (reference.angle, reference.stiffness))
+
+
+@BatchFunction
+def _sampled_run(shared: tuple[Reference, Array], lane: Reference) -> Setpoint:
+    reference = eqx.combine(lane, shared[0])
+    return jax.lax.map(lambda time: sample_reference(reference, time), shared[1])
+
+
+@jit
+def _sampled_all(lanes: Reference, shared: Reference, times: Array) -> Setpoint:
+    return jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times), -1, -1)(lanes)
+
+
+def starts_of(
+    lanes: SimulationProblem | None, shared: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto"
+) -> tuple[PlantState, Array]:
+    """Return the initial states of runs, and whether they exist, with the runs along the last axis.
+
+    Parameters
+    ----------
+    lanes, shared
+        Parts of the runs that vary, with the runs along the last axis, or None for one run, and parts that do not.
+    setpoints
+        Shape (periods,), or (periods, runs).
+    """
+    first, unused = (
+        jax.tree.map(lambda values: np.asarray(values)[:1], setpoints),
+        {"controller": None, "reference": None},
+    )
+    varies, shared = first.angle.ndim > 1, shared._replace(**unused)  # others compile nothing new
+    if lanes is None:
+        return _start(engine, (shared, first))[0]
+    counted = np.zeros(jax.tree.leaves(lanes)[0].shape[-1])  # the starts may be the same
+    parts = lanes._replace(**unused), first if varies else None, counted
+    return _start("native" if engine == "cuda" else engine, (shared, None if varies else first), parts)[0]
+
+
+@BatchFunction
+def _start(shared: PyTree, lane: PyTree) -> tuple[PlantState, Array]:
+    (problem, setpoints), (own, varied, _) = shared, (None, None, None) if lane is None else lane
+    run = problem if own is None else eqx.combine(own, problem)
+    return run.start(setpoints if varied is None else varied)
+
+
 def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
     """Start times [s] of the control periods in a duration, and the setpoints; `SimulationError` if they do not fit."""
     times = sampling_times(duration, period)
     return times, sampled_reference(reference, times)
-
-
-def first_substeps(problem: SimulationProblem, times: NDArray[np.float64], period: float) -> int:
-    """Least number of integration steps per control period [s] that resolves the fastest rate of a plant."""
-    setpoints = sampled_reference(problem.reference, times)
-    return problem.plant.needed_substeps(*setpoints, period)
 
 
 def sampling_times(duration: float, period: float) -> NDArray[np.float64]:

@@ -29,7 +29,7 @@ from mckibben.simulation.accuracy import (
     refine,
     resolution_of,
 )
-from mckibben.simulation.engine import BatchFunction, check_engine, run_alone
+from mckibben.simulation.engine import check_engine, run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
 from mckibben.simulation.loop import Record
 from mckibben.simulation.outcome import SWUNG_OVER_AT
@@ -40,6 +40,7 @@ from mckibben.simulation.problem import (
     sampled_reference,
     sampling_times,
     single_run,
+    starts_of,
     without_last_change,
 )
 from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_trajectory, path_columns
@@ -118,8 +119,7 @@ def simulate(
     problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
     amplitude = problem.controller.stiffness_amplitude
     setpoints = sampled_reference(problem.reference, times)
-    without: Any = {"controller": None, "reference": None}  # others compile nothing new
-    start, exists = start_of(problem._replace(**without), setpoints, engine=engine)
+    start, exists = starts_of(None, problem, setpoints, engine=engine)
     band = static_band(problem.plant, setpoints.angle, amplitude, engine=engine)
     reach = feasibility(plant, times, setpoints, band)
     if not exists:
@@ -305,16 +305,6 @@ def _result(
         feasibility=reach,
         notes=notes,
     )
-
-
-def start_of(problem: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto") -> tuple[PlantState, Array]:
-    """Return the initial state, and whether it exists, of a problem without controller and reference."""
-    return _start(engine, (problem, jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)))[0]
-
-
-@BatchFunction
-def _start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[PlantState, Array]:
-    return parts[0].start(parts[1])
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, ArrayLike, PyTree
+from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import jit_arrays, numeric
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
@@ -30,10 +30,11 @@ from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
-    sample_reference,
     sampled_reference,
+    sampled_runs,
     sampling_times,
     split_runs,
+    starts_of,
 )
 from mckibben.units import deg, ms
 
@@ -218,8 +219,8 @@ def _linearised_at(
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
     setpoints = sampled_reference(reference, times)
     problem: Any = SimulationProblem(plant, controller, None, None)  # type: ignore[arg-type]
-    begun = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (initial, setpoints))  # a batch of one run
-    loops, oscillation = _linearised(None, problem, begun, control_period, chosen, substeps)
+    start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], initial)  # a batch of one run
+    loops, oscillation = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
     return jax.tree.map(lambda leaf: leaf[0], loops), float(oscillation[0])
@@ -252,10 +253,11 @@ def disk_margins(
     chosen = evenly_spaced(times.size, points)
 
     def of_chunk(piece: slice) -> list[float]:
-        some = pad_chunk(lanes, piece, _LANES)
-        begun, exists = _begun(some, shared, times)
-        loops, oscillation = _linearised(some, shared, begun, control_period, chosen, substeps)
-        runs = zip(*loops, oscillation, np.asarray(exists), strict=True)
+        some = jax.tree.map(lambda leaf: np.moveaxis(leaf, 0, -1), pad_chunk(lanes, piece, _LANES))
+        setpoints = sampled_runs(some.reference, shared.reference, times)
+        start, exists = starts_of(some, shared, setpoints)
+        loops, oscillation = _linearised(some, shared, start, setpoints, control_period, chosen, substeps)
+        runs = zip(*loops, oscillation, exists, strict=True)
         return [
             (0.0 if oscillates else _least_disk_margin(LinearLoop(*loop), control_period)) if starts else np.nan
             for *loop, oscillates, starts in itertools.islice(runs, piece.stop - piece.start)
@@ -277,34 +279,25 @@ def _without_modulation(plant: JointPlant, initial: PyTree) -> PyTree:
     return initial._replace(air=()) if plant.valve.switches and isinstance(initial, PlantState) else initial
 
 
-@jit_arrays
-def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[PyTree, Array]:
-    """Start and setpoints of each run, and whether it can start."""
-
-    def begin(lane: SimulationProblem) -> tuple[PyTree, Array]:
-        run = eqx.combine(lane, shared)
-        setpoints = sample_reference(run.reference, times)
-        start, exists = run.start(setpoints)
-        return (start, setpoints), exists
-
-    return lax.map(begin, lanes)
-
-
 def _linearised(
     lanes: SimulationProblem | None,
     shared: SimulationProblem,
-    begun: tuple[PlantState, Setpoint],
+    start: PlantState,
+    setpoints: Setpoint,
     control_period: float,
     chosen: NDArray[np.int64],
     substeps: int,
 ) -> tuple[LinearLoop, NDArray[np.float64]]:
-    """Linearisations of runs at control periods, leaves (runs, points, ...), and amplitudes of limit cycles [rad]."""
+    """Linearisations of runs at control periods, leaves (runs, points, ...), and amplitudes of limit cycles [rad].
+
+    Arguments have the runs along their last axis; setpoints of all runs alike may lack it.
+    """
     without: Any = {"reference": None, "initial": None}
     constant = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
     own = None if lanes is None else lanes._replace(**without)
-    start, setpoints = begun
-    of_runs = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), (own, start, setpoints))
-    visited, oscillation = map(np.asarray, _visited("auto", constant, of_runs)[0])
+    runs = jax.tree.leaves(start)[0].shape[-1]
+    setpoints = jax.tree.map(lambda leaf: np.broadcast_to(leaf.reshape(len(leaf), -1), (len(leaf), runs)), setpoints)
+    visited, oscillation = map(np.asarray, _visited("auto", constant, (own, start, setpoints))[0])
     states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
     directions = np.eye(count + 2)
@@ -314,9 +307,9 @@ def _linearised(
         return np.broadcast_to(leaf, (*leaf.shape[:-3], *shape, count + 2)).reshape(*leaf.shape[:-3], -1)
 
     parts = (
-        *jax.tree.map(lambda leaf: lane(leaf[..., None, None]), of_runs[:2]),
+        *jax.tree.map(lambda leaf: lane(np.asarray(leaf)[..., None, None]), (own, start)),
         lane(states[..., None]),
-        jax.tree.map(lambda leaf: lane(np.asarray(leaf)[:, chosen, None]), setpoints),
+        jax.tree.map(lambda leaf: lane(np.moveaxis(leaf[chosen], 0, -1)[..., None]), setpoints),
         lane(directions[:, None, None]),
     )
     following, wanted = (
@@ -474,21 +467,15 @@ def _margins_of(loop: LinearLoop, period: float) -> tuple[Any, ...]:
 
 def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> tuple[float, float, float]:
     """Gain margin, phase margin [rad] and delay margin [s] from the loci of the open loop over the frequency."""
-    gain = phase = delay = np.inf
-    followed = loci.copy()
-    for k in range(1, len(followed)):  # in the order of the nearest neighbours
-        if np.abs(followed[k] - followed[k - 1]).sum() > np.abs(followed[k][::-1] - followed[k - 1]).sum():
-            followed[k] = followed[k][::-1]
-    for locus in followed.T:
-        turned = np.unwrap(np.angle(locus))
-        size = np.abs(locus)
-        for k in np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) < 0):
-            part = (1 - size[k]) / (size[k + 1] - size[k])
-            lag = np.mod(turned[k] + part * (turned[k + 1] - turned[k]) + np.pi, 2 * np.pi)
-            phase = min(phase, lag, 2 * np.pi - lag)
-            delay = min(delay, lag / (angles[k] + part * (angles[k + 1] - angles[k])) * period)
-        crossing = np.floor((turned - np.pi) / (2 * np.pi))
-        for k in np.flatnonzero(np.diff(crossing)):
-            at = size[k : k + 2].mean()
-            gain = min(gain, 1 / at) if at < 1 else gain
-    return float(gain), float(phase), float(delay)
+    same, crossed = (np.abs(loci[1:] - earlier).sum(axis=1) for earlier in (loci[:-1], loci[:-1, ::-1]))
+    swapped = np.append(False, np.logical_xor.accumulate(same > crossed))  # in the order of the nearest neighbours
+    followed = np.where(swapped[:, None], loci[:, ::-1], loci)
+    turned, size = np.unwrap(np.angle(followed), axis=0), np.abs(followed)
+    k, locus = np.nonzero((size[:-1] - 1) * (size[1:] - 1) < 0)
+    part = (1 - size[k, locus]) / (size[k + 1, locus] - size[k, locus])
+    lag = np.mod(turned[k, locus] + part * (turned[k + 1, locus] - turned[k, locus]) + np.pi, 2 * np.pi)
+    phase = np.minimum(lag, 2 * np.pi - lag).min(initial=np.inf)
+    delay = (lag / (angles[k] + part * (angles[k + 1] - angles[k])) * period).min(initial=np.inf)
+    k, locus = np.nonzero(np.diff(np.floor((turned - np.pi) / (2 * np.pi)), axis=0))
+    at = (size[k, locus] + size[k + 1, locus]) / 2
+    return float((1 / at[at < 1]).min(initial=np.inf)), float(phase), float(delay)

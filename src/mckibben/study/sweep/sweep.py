@@ -17,6 +17,7 @@ from mckibben.scenario import ModelFollows, Scenario, batched, followed_names, r
 from mckibben.simulation import Batch, Metrics
 from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
+from mckibben.simulation.metrics import USUAL_METRICS
 from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.cluster import check_cluster
@@ -52,7 +53,7 @@ class Sweep(ScenarioStudy):
     ) -> Sweep:
         """Return a sweep with the arguments of `sweep`; raises `ParameterError` for invalid ones."""
         begun = begun or {}
-        chosen = begun.get("metrics", Metrics._fields) if metrics is None else metrics
+        chosen = begun.get("metrics", USUAL_METRICS) if metrics is None else metrics
         check_names("metric", chosen, Metrics._fields)
         follows = begun.get("model_follows", ()) if model_follows is None else model_follows
         engine = engine_of_job(set, begun["software"], engine) if begun else engine
@@ -137,7 +138,7 @@ def sweep(
     design, samples, seed
         Sampling as for `mckibben.study.parameters.sample`. Defaults: "sobol", 1024 and 0.
     metrics
-        Metrics to compute. Default: all.
+        Metrics to compute. Default: all but `coupling`.
     resume
         Continue the sweep in `out`. Options left out are taken from it; others must match.
     dask
