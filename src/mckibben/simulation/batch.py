@@ -373,8 +373,8 @@ class _Runs(NamedTuple):
         needed = []
         for place, run in enumerate(runs):
             own = jax.tree.map(lambda leaf, run=run: leaf[run], self.lanes.plant)
-            wanted = (values if values.ndim == 1 else values[:, place] for values in setpoints)
-            needed.append(eqx.combine(own, self.shared.plant).needed_substeps(*wanted, self.period))
+            angle, stiffness = (values if values.ndim == 1 else values[:, place] for values in setpoints)
+            needed.append(eqx.combine(own, self.shared.plant).needed_substeps(angle, stiffness, self.period))
         return max(needed)
 
 

@@ -218,7 +218,7 @@ def _sampled_run(shared: tuple[Reference, Array], lane: Reference) -> Setpoint:
 
 
 @jit
-def _sampled_all(lanes: Reference, shared: Reference, times: Array) -> Setpoint:
+def _sampled_all(lanes: Reference, shared: Reference, times: ArrayLike) -> Setpoint:
     return jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times), -1, -1)(lanes)
 
 
@@ -234,11 +234,9 @@ def starts_of(
     setpoints
         Shape (periods,), or (periods, runs).
     """
-    first, unused = (
-        jax.tree.map(lambda values: np.asarray(values)[:1], setpoints),
-        {"controller": None, "reference": None},
-    )
-    varies, shared = first.angle.ndim > 1, shared._replace(**unused)  # others compile nothing new
+    first = jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)
+    unused: Any = {"controller": None, "reference": None}  # others compile nothing new
+    varies, shared = first.angle.ndim > 1, shared._replace(**unused)
     if lanes is None:
         return _start(engine, (shared, first))[0]
     counted = np.zeros(jax.tree.leaves(lanes)[0].shape[-1])  # the starts may be the same
