@@ -76,7 +76,9 @@ class Mechanism:
         """Return both muscles at an angle [rad]."""
         wraps = self._circles(angle, np.linspace(0, -math.pi / 2, 26))
         first, second = (
-            Strand(wrap[0] + self.height * self.up, wrap[0], wrap) if ends is None else Strand(*ends, _NO_WRAP)
+            Strand(wrap[0] + self.height * self.up, wrap[0], wrap)
+            if ends is None
+            else Strand(ends[0], ends[1], _NO_WRAP)
             for ends, wrap in zip(map(_as_points, self.geometry.anchors(angle)), wraps, strict=True)
         )
         return first, second
