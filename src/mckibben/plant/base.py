@@ -311,7 +311,8 @@ class Plant(Component, Generic[S]):
             pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
             return self.rate(at, **ahead)._replace(pressures=pressures, air=air)
 
-        return self.project(self.integrator(rate, Motion.of(state), step).applied_to(state, state.pressures))
+        motion = self.integrator(rate, Motion.of(state), step, rolled=True)
+        return self.project(motion.applied_to(state, state.pressures))
 
     def commands_for(self, state: S, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite if there are none."""
