@@ -18,7 +18,6 @@ from mckibben.export.mjcf import (
     Transmission,
     beyond,
     cannot,
-    check_tendon,
     check_valve,
     muscle_model,
     numbers_text,
@@ -62,8 +61,6 @@ def leg_model(
     check_valve(plant.valve)
     if leg.spanning or leg.parents != tuple(range(len(leg.joints))) or any(joint.place for joint in leg.joints):
         raise cannot("spanning", "a tree of links, or muscles through points", "give a chain of links with pairs")
-    for joint in leg.joints:
-        check_tendon(joint.pair)
     if start is None:
         start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
     rigging = _Rigging(plant)

@@ -21,13 +21,11 @@ from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filt
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, filled
 from mckibben.joint import (
-    AntagonisticJoint,
     Geometry,
     KneeGeometry,
     Load,
     PairedPaths,
     Pulley,
-    RigidTendon,
     Tendon,
     TwoBonePath,
 )
@@ -320,7 +318,7 @@ def joint_model(
     """MJCF of a joint with its load, valves and muscles, and the functions of the muscles.
 
     Raises `ExportError`, which lists all parts that MuJoCo cannot represent: valves that switch between steps, a supply
-    that drops, springs in series with the muscles, and loads with a torque other than gravity.
+    that drops, and loads with a torque other than gravity.
 
     Parameters
     ----------
@@ -375,7 +373,7 @@ def _joint_scene(plant: JointPlant, point: MassPoint, start: PlantState) -> Scen
 def check_parts(plant: JointPlant) -> None:
     """Raise an error that lists all parts of a plant that MuJoCo does not support."""
     errors: list[ExportError] = []
-    for check in (lambda: check_valve(plant.valve), lambda: check_tendon(plant.joint), lambda: mass_point(plant.load)):
+    for check in (lambda: check_valve(plant.valve), lambda: mass_point(plant.load)):
         try:
             check()
         except ExportError as error:
@@ -393,12 +391,6 @@ def check_valve(valve: Actuator) -> None:
         raise cannot("valve", "valves that switch between steps", "give it a FlowValve")
     if valve.reservoir is not None:
         raise cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
-
-
-def check_tendon(joint: AntagonisticJoint) -> None:
-    """Raise an error for springs in series with the muscles."""
-    if not isinstance(joint.tendon, RigidTendon):
-        raise cannot("tendon", "springs in series with the muscles", "give the joint rigid tendons")
 
 
 def cannot(field: str, part: str, remedy: str) -> ExportError:

@@ -9,14 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, ArrayLike, PyTree
 
 import mckibben
 from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
 from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.targets import filled
-from mckibben.joint import Tendon
+from mckibben.joint import RigidTendon, Tendon
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.rig.compiled import FlatTree
@@ -153,18 +153,21 @@ class MuscleFunctions:
 
     def _rates(self, parameters: PyTree, inputs: PyTree) -> Array:
         """Rates of the activations: creep, state of the valve and temperature of the air, pressure."""
-        plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, inputs)
+        plant, (muscle, tendon), path, slope, (_, state, pressure), held = self._at(parameters, inputs)
         valve, command, velocity = plant.valve.for_muscle(self._number - 1), inputs["command"], inputs["velocity"]
         creep = muscle.state_rate(held, slope * velocity, pressure).creep
         if not valve.holds_pressure:
             return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
 
         def volumes() -> tuple[AirVolume, AirVolume]:
-            def volume(length: Array) -> Array:
-                return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
+            def volume(path: ArrayLike, pressure: ArrayLike) -> Array:
+                return muscle.specimen.volume(tendon.contraction(muscle, path, pressure, held))
 
-            size, growth = value_and_derivative(volume, inputs["length"])
-            air = AirVolume(size + valve.attached_volume, growth * velocity)
+            size, growth = value_and_derivative(lambda x: volume(x, pressure), path)
+            stretched = None
+            if not isinstance(tendon, RigidTendon):
+                stretched = value_and_derivative(lambda p: volume(path, p), pressure)[1]
+            air = AirVolume(size + valve.attached_volume, growth * slope * velocity, stretched)
             return air, air
 
         inner, temperature = state
@@ -177,8 +180,9 @@ class MuscleFunctions:
 
     def _settled(self, parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         """Activations and anchors of the friction after a step; the force does not change."""
-        plant, (muscle, _), path, _, acts, state = self._at(parameters, inputs)
-        friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
+        plant, (muscle, tendon), path, _, acts, state = self._at(parameters, inputs)
+        contraction = tendon.contraction(muscle, path, acts.pressure, state)
+        friction, creep = muscle.update_state(state, contraction, acts.pressure)
         pressure = acts.pressure if plant.valve.holds_pressure else ()
         held = Activations(creep, acts.valve, pressure)
         settled = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
@@ -186,8 +190,8 @@ class MuscleFunctions:
 
     def _unset(self, parameters: PyTree, inputs: PyTree) -> Array:
         """Anchors at which the friction elements are without stress."""
-        _, (muscle, _), path, _, acts, _ = self._at(parameters, inputs)
-        return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
+        _, (muscle, tendon), path, _, acts, _ = self._at(parameters, inputs)
+        return jnp.stack(muscle.init_state(tendon.contraction(muscle, path, acts.pressure), acts.pressure).friction)
 
 
 def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
