@@ -120,21 +120,6 @@ def third(rows: list[list[str]], forces: Sequence[str]) -> list[list[str]]:
 
 
 @kind
-def comma_and_point(p, rng):
-    return csv(p, text(cells(p), delimiter=","))
-
-
-@kind
-def semicolon_and_comma(p, rng):
-    return csv(p, text(cells(p, ",")))
-
-
-@kind
-def tab_and_comma(p, rng):
-    return csv(p, text(cells(p, ","), delimiter="\t"), "rig.txt")
-
-
-@kind
 def aligned_with_blanks(p, rng):
     header = ("pressure_bar", "contraction_percent", "force_N")
     return csv(p, "".join("".join(f"{c:>20}" for c in row) + "\n" for row in [header, *cells(p)]), "rig.dat")
@@ -150,12 +135,6 @@ def decimal_commas_in_a_comma_file(p, rng):
     return csv(p, text([[f"{float(c):.1f}".replace(".", ",") for c in row] for row in cells(p)], delimiter=","))
 
 
-@kind
-def mixed_decimal_signs(p, rng):
-    forces = [f"{f:.1f}".replace(".", ",") for f in p.force]
-    return csv(p, text(third(cells(p), forces)))
-
-
 def whole(p, forces):
     """Points with the forces of others, and whole pressures and contractions."""
     return replace(forces, pressure=p.pressure.round(), contraction=p.contraction.round())
@@ -164,12 +143,6 @@ def whole(p, forces):
 @kind
 def thousands_points_with_semicolons(p, rng):
     p = whole(p, p.huge())
-    return csv(p, text(third(cells(p), [grouped(f, ".", ",") for f in p.force])))
-
-
-@kind
-def some_thousands_points_with_semicolons(p, rng):
-    p = whole(p, p.large())
     return csv(p, text(third(cells(p), [grouped(f, ".", ",") for f in p.force])))
 
 
@@ -187,18 +160,8 @@ def thousands_unquoted_in_all_rows_before_a_note(p, rng):
 
 
 @kind
-def utf16(p, rng):
-    return csv(p, text(cells(p, ",")), encoding="utf-16")
-
-
-@kind
 def row_numbers_without_a_name(p, rng):
     return csv(p, text([[str(i), *row] for i, row in enumerate(cells(p), 1)], delimiter=","))
-
-
-@kind
-def truncated_row(p, rng):
-    return csv(p, text(cells(p)).rstrip("\n").rpartition(";")[0])
 
 
 @kind
@@ -215,11 +178,6 @@ def empty_cell(p, rng):
 
 
 @kind
-def units_in_the_cells(p, rng):
-    return csv(p, text([[f"{a} bar", f"{b} %", f"{c} N"] for a, b, c in cells(p)]))
-
-
-@kind
 def copied_block(p, rng):
     """Rows appended twice; the truth has each once."""
     return csv(p, text([*cells(p), *cells(p)]))
@@ -228,16 +186,6 @@ def copied_block(p, rng):
 @kind
 def row_of_units(p, rng):
     return csv(p, text([["bar", "%", "N"], *cells(p, ",")], ("Pressure", "Contraction", "Force")))
-
-
-@kind
-def preamble(p, rng):
-    return csv(p, "Rig;3\nDate;12.03.2024\nSensor;U9C\n\n" + text(cells(p, ",")))
-
-
-@kind
-def no_header(p, rng):
-    return csv(p, text(cells(p)[1:], cells(p)[0]))
 
 
 @kind
@@ -266,18 +214,8 @@ def kilopascals_named_bar(p, rng):
 
 
 @kind
-def ratios_named_percent(p, rng):
-    return csv(p, text([[a, f"{float(b) / 100:.4f}", c] for a, b, c in cells(p)]))
-
-
-@kind
 def kilonewtons_named_newtons(p, rng):
     return csv(p, text([[a, b, f"{float(c) / 1000:.5f}"] for a, b, c in cells(p)]))
-
-
-@kind
-def pull_is_negative(p, rng):
-    return csv(p, text([[a, b, f"-{c}"] for a, b, c in cells(p)]))
 
 
 @kind
@@ -290,12 +228,6 @@ def lengths_without_initial_length(p, rng):
 def lengths_with_a_wrong_initial_length(p, rng):
     rows = [[a, repr(250 * (1 - float(b) / 100)), c] for a, b, c in cells(p)]
     return csv(p, text(rows, (HEADER[0], "Length [mm]", HEADER[2])), initial_length=0.22)
-
-
-@kind
-def displacement_instead_of_contraction(p, rng):
-    rows = [[a, repr(2.5 * float(b)), c] for a, b, c in cells(p)]
-    return csv(p, text(rows, (HEADER[0], "Displacement [mm]", HEADER[2])))
 
 
 def marked(p: Points, rng: np.random.Generator, column: int, mark: str, times: int = 1) -> tuple[str, Points]:
@@ -357,16 +289,6 @@ def excel_hidden_rows(p, rng):
             book.active.row_dimensions[int(one) + 2].hidden = True
 
     return File("rig.xlsx", workbook([HEADER, *rows], hide), p.without(at))
-
-
-@kind
-def excel_two_sheets(p, rng):
-    def add(book):
-        book.create_sheet("copy")
-        for row in [HEADER, *numbers(replace(p, force=p.force * 0.9))]:
-            book["copy"].append(list(row))
-
-    return File("rig.xlsx", workbook([HEADER, *numbers(p)], add), p)
 
 
 def hdf5(p: Points, change: Callable[[Any], None] = lambda file: None, name: str = "rig.h5") -> File:
@@ -434,25 +356,6 @@ def comment_force_in_kgf(p, rng):
 
 
 @kind
-def comment_pressure_in_psi_x(p, rng):
-    """In technical atmospheres, as a comment says."""
-    return csv(
-        p,
-        one_of(rng, ["# pressure in kgf/cm2\n", "# pressure unit: at\n", "# p in atm\n"])
-        + text(scaled(p, 0, 1 / 0.980665)),
-    )
-
-
-@kind
-def footer_says_unit(p, rng):
-    return csv(
-        p,
-        text(scaled(p, 2, 1 / 9.80665))
-        + one_of(rng, ["# force in kgf\n", "Note: force in kgf\n", "Note: forces must be multiplied by 9.81;;\n"]),
-    )
-
-
-@kind
 def rows_interleaved_of_two_muscles(p, rng):
     q = replace(p, force=(p.force * 0.55).round(2))
     rows = [r for pair in zip(cells(p), cells(q), strict=False) for r in pair]
@@ -470,12 +373,6 @@ def series_filled_by_excel(p, rng):
     """Dragging the pressure down in Excel counts it up: 3, 4, 5 ..."""
     q = np.arange(1, len(p.force) + 1) * 0.25 + 1
     return csv(p, text(cells(replace(p, pressure=q.round(2)))))
-
-
-@kind
-def pressure_in_bar_absolute_low(p, rng):
-    rows = [[plain(round(float(a) + 1.013, 3)), b, c] for a, b, c in cells(p)]
-    return csv(p, text(rows))
 
 
 def scaled(p, column, factor, digits=6):
@@ -521,26 +418,11 @@ def levels(p):
 
 
 @kind
-def mean_under_the_table(p, rng):
-    return csv(p, text([*cells(p), means(p)]))
-
-
-@kind
-def mean_above_the_table(p, rng):
-    return csv(p, text([means(p), *cells(p)]))
-
-
-@kind
 def mean_after_each_pressure(p, rng):
     rows = []
     for block in levels(p):
         rows += [*cells(p)[block], means(p, block)]
     return csv(p, text(rows))
-
-
-@kind
-def median_under_the_table(p, rng):
-    return csv(p, text([*cells(p), [f"{np.median(v):.2f}" for v in (p.pressure, p.contraction, p.force)]]))
 
 
 @kind
@@ -555,11 +437,6 @@ def zeroed_in_the_middle(p, rng):
     at = len(p.force) // 2
     rows = cells(replace(p, force=p.force + np.where(np.arange(len(p.force)) < at, 5.0, 0.0)))
     return csv(p, text(rows[:at]) + "# tared\n" + "".join(";".join(row) + "\n" for row in rows[at:]))
-
-
-@kind
-def numbers_of_channels_under_the_names(p, rng):
-    return csv(p, text([["1", "2", "3"], *cells(p)]))
 
 
 @kind
@@ -609,14 +486,6 @@ def offset_of_the_load_cell_without_slack_points(p, rng):
 
 
 @kind
-def amplifier_saturated_with_noise(p, rng):
-    """At 40 % of the largest force: a single saturated point is not to be told from noise."""
-    limit = 0.4 * p.force.max() * rng.uniform(0.996, 1.0, len(p.force))
-    force = np.minimum(p.force, limit)
-    return csv(p, text(cells(replace(p, force=force.round(2)))))
-
-
-@kind
 def tdms_counts_and_a_property(p, rng):
     stream = io.BytesIO()
     channels = [
@@ -639,6 +508,22 @@ def workbook_with_a_note_at_a_cell(p, rng):
         book.active.cell(at + 2, 3).comment = Comment("cable slipped, discard", "AB")
 
     return File("rig.xlsx", workbook([HEADER, *numbers(replace(p, force=force))], note), p.without([at]))
+
+
+KINDS |= {
+    "comma_and_point": lambda p, rng: csv(p, text(cells(p), delimiter=",")),
+    "semicolon_and_comma": lambda p, rng: csv(p, text(cells(p, ","))),
+    "utf16": lambda p, rng: csv(p, text(cells(p, ",")), encoding="utf-16"),
+    "truncated_row": lambda p, rng: csv(p, text(cells(p)).rstrip("\n").rpartition(";")[0]),
+    "units_in_the_cells": lambda p, rng: csv(p, text([[f"{a} bar", f"{b} %", f"{c} N"] for a, b, c in cells(p)])),
+    "preamble": lambda p, rng: csv(p, "Rig;3\nDate;12.03.2024\nSensor;U9C\n\n" + text(cells(p, ","))),
+    "no_header": lambda p, rng: csv(p, text(cells(p)[1:], cells(p)[0])),
+    "ratios_named_percent": lambda p, rng: csv(p, text([[a, f"{float(b) / 100:.4f}", c] for a, b, c in cells(p)])),
+    "pull_is_negative": lambda p, rng: csv(p, text([[a, b, f"-{c}"] for a, b, c in cells(p)])),
+    "mean_under_the_table": lambda p, rng: csv(p, text([*cells(p), means(p)])),
+    "numbers_of_channels_under_the_names": lambda p, rng: csv(p, text([["1", "2", "3"], *cells(p)])),
+}
+"""Kinds of one line."""
 
 
 def outcome(name: str, seed: int, folder: Path) -> tuple[str, str]:

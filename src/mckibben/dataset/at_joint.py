@@ -65,8 +65,8 @@ def add_muscle(columns: dict[str, Column], geometry: JointPaths | None) -> Itera
     pulls = np.max(torque.values) >= -np.min(torque.values)
     muscle = {"pressure1": 0, "pressure2": 1}.get(name, int(pulls))
     columns["pressure"] = replace(columns.pop(name), quantity="pressure")
+    told = (f"of muscle {muscle + 1}, by the joint",)
     length, arm = (np.asarray(pair[muscle]) for pair in geometry.paths_and_arms(angle.values))
-    told = f"of muscle {muscle + 1}, by the joint"
     force = (torque.values if muscle else -torque.values) / arm
-    columns["force"] = Column(torque.header, "force", "N", force, torque.source, (told,))
-    columns["length"] = Column(angle.header, "length", "mm", length, angle.source, (told,))
+    columns["force"] = Column(torque.header, "force", "N", force, torque.source, told)
+    columns["length"] = Column(angle.header, "length", "mm", length, angle.source, told)

@@ -35,8 +35,7 @@ def read_bag(path: Path, data: bytes, part: str, mapping: Mapping[str, str], bud
             if message[2] and part in ("", message[0]):
                 topics.setdefault(message[0], []).append(message)
     columns = {topic: _columns(messages) for topic, messages in topics.items()}
-    known = [topic for topic in topics if any(is_understood(column, mapping) for column in columns[topic])]
-    known = known or [*topics]
+    known = [topic for topic in topics if any(is_understood(field, mapping) for field in columns[topic])] or [*topics]
     if not known:
         raise DatasetError(str(path), [Problem("has no topic with numbers", remedy="give another file")])
     clocks = {topic: np.array([message[1] for message in topics[topic]]) for topic in known}

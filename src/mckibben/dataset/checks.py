@@ -249,7 +249,8 @@ def _surface(points: Points) -> Iterator[Question]:
 
     The force has to rise with the pressure and to fall with the contraction, as a plane through the points shows. A
     point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the points
-    do. Slack points count only if another one, at no more pressure and no longer, pulls.
+    do. Slack points count only where another one, at no more pressure and no longer, pulls, or where a
+    lone one would be taut by the surface.
     """
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
@@ -279,10 +280,12 @@ def _surface(points: Points) -> Iterator[Question]:
     usual = np.quantile(share[taut], 0.8)
     basis = np.linalg.qr(terms[taut] * scale[:, None])[0]
     left_out = apart[taut] / np.maximum(1 - np.sum(basis**2, axis=1), 1e-6)  # residual of a fit without the point
-    weak = [
-        np.any((p <= 1.01 * row[0]) & (rows[:, 1] >= row[1]) & (rows[:, 2] > row[2] + 0.03 * largest)) for row in rows
-    ]
-    far = (points.taut | weak) & (share > max(4 * usual, 0.25))
+    level = np.where(np.isnan(level := pressure_levels(points.pressure)), points.pressure, level)
+    stronger = (
+        (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1]) & (rows[:, 2] > rows[:, None, 2] + 0.03 * largest)
+    )
+    lone = (len(rows) - len(taut) < 3) & (terms @ solution > 0.06 * largest)
+    far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
     far[taut] |= left_out > np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))

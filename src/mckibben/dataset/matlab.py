@@ -14,7 +14,7 @@ import numpy as np
 Value = np.ndarray | str | dict[str, "Value"] | list["Value"] | None
 
 
-def read_variables(data: bytes, *, seconds: int = 10, memory: int = 10**9) -> dict[str, Value]:
+def read_variables(data: bytes, *, seconds: int = 10, memory: int = 7 * 10**8) -> dict[str, Value]:
     """Variables of a file by name.
 
     Numbers are arrays of float64 of the shape in MATLAB, a struct is a mapping of its fields, or a list of several,

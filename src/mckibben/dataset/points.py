@@ -227,8 +227,6 @@ class SampleAccount:
         forward = steps[steps > 0]
         if not len(forward):
             remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
-            if len(time) < 2:
-                remedy = "record a test of more than one sample"
             raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
         self.interval = float(np.median(forward))
         for what, where in (("gap", steps > _GAP * self.interval), ("clock went back", steps < 0)):
@@ -247,9 +245,7 @@ class SampleAccount:
         for end, where in saturated_samples(values).items():
             value = values.min() if end == "floor" else values.max()
             unit = "bar" if name == "pressure" else "N"
-            runs = int(np.count_nonzero(np.diff(where.view(np.int8), prepend=0) == 1))
-            times = f"{runs} times" if runs > 1 else "once"
-            saturated = f"{name} is saturated at {show(float(value), unit)}, the {end} of its channel, {times}"
+            saturated = f"{name} is saturated at {show(float(value), unit)}, the {end} of its channel"
             self.notes.append(f"{saturated}: {int(where.sum())} samples are left out")
             self.assign_reason(where, f"at the {end} of {name}")
 

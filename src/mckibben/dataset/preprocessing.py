@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.schema import format_range
+from mckibben.dataset.segmentation import steady_segments
 from mckibben.errors import McKibbenWarning
 from mckibben.units import bar, kPa
 
@@ -39,7 +40,7 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
     """
     table, notes = _with_set_pressures(table)
     table, more = _with_passes(table, files)
-    notes += more
+    notes += more + _rests(table)
     if not slack_known:
         table, more = without_offset(table)
         notes += more
@@ -107,6 +108,18 @@ def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, lis
         table = table.assign(repeat=("point", repeat))
         per_level = f"{repeat.max() + 1} of each per {of}, "
     return table, [f"passes of loading and unloading, {per_level}from the order of the rows"]
+
+
+def _rests(table: xr.Dataset) -> list[str]:
+    """Note on samples over time most of which rest, and on the command for them."""
+    time = table["time"].to_numpy() if "time" in table else np.empty(0)
+    if not 0 < (interval := float(np.median(np.diff(time))) if len(time) > 1 else 0.0) <= 1 / _FEWEST:
+        return []
+    signals = [(table["pressure"].to_numpy(), 2 * kPa), (table["contraction"].to_numpy(), 1e-3)]
+    segments = steady_segments(signals, np.diff(time, prepend=time[0]) < 0, int(1 / interval))
+    share = float(np.sum(segments.last - segments.first)) / len(time)
+    text = f"{share:.0%} of the samples rest, in {len(segments.first)} plateaus: 'mckibben points' gives their means"
+    return [text] if share > 0.5 else []
 
 
 def held_at_load(table: xr.Dataset) -> bool:
