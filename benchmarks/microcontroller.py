@@ -18,13 +18,14 @@ from typing import NamedTuple
 
 from mckibben.control import Reference, Sine, Step
 from mckibben.export import export
+from mckibben.firmware import Hardware
 from mckibben.scenario import Scenario
 from mckibben.study.compare import Suite
 from mckibben.units import deg
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
 CORTEX_M7 = ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 ROOT = Path(__file__).parents[1]
 STARTUP = """
 #include <stdint.h>
@@ -109,7 +110,7 @@ def main() -> int:
         for single in (False, True):
             with tempfile.TemporaryDirectory() as made:
                 folder = Path(made)
-                export(scenario, "c", folder, name="controller", single=single)
+                export(scenario, "c", folder, name="controller", hardware=Hardware(single=single))
                 size = footprint(folder)
                 row = [name, "float" if single else "double", f"{size.code / 1000:.1f}", f"{size.stack}"]
                 if shutil.which(EMULATOR):

@@ -50,7 +50,7 @@ WORKFLOWS: Mapping[str, tuple[Mapping[str, Box], Sequence[tuple[str, str]]]] = {
             "export": (2, 1, "mckibben\nexport --to c", OURS),
             "control": (3, 1, "mckibben\nrig control", OURS),
             "code": (2, 2, "C99 with a\nrecorded run", FILE),
-            "board": (3, 2, "board or\nROS 2 node", OTHER),
+            "board": (3, 2, "board", OTHER),
         },
         [
             ("scenario", "tune"),

@@ -14,6 +14,7 @@ from mckibben.codegen import SourceModule, write_js
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.controller import controller_functions, controller_program
+from mckibben.firmware import Hardware
 from mckibben.scenario import Scenario
 
 NODE = shutil.which("node")
@@ -76,29 +77,39 @@ def test_controller(tmp_path, kind):
     random = np.random.default_rng(1)
     rows = np.column_stack([random.normal(0, 0.1, 50), random.uniform(12, 18, 50), random.normal(0, 0.1, 50),
                             *random.uniform(2e5, 5e5, (2, 50))])  # fmt: skip
+    rows = np.clip(rows, [-0.3, 12, -0.3, 0, 0], [0.3, 18, 0.3, 6e5, 6e5]).repeat(4, 0)
+    rows[40:45, 2], rows[80:200, 4] = 9.0, -9e9  # held; vented, and held again
 
     def episode(rows):
         def step(state, row):
             setpoint = source.setpoint._replace(angle=row[0], stiffness=row[1])
             measurement = source.measurement._replace(angle=row[2], pressures=(row[3], row[4]))
-            done = source.step(source.parameters, state, setpoint, measurement)
-            return done["state"], (*done["commands"].values(), done["telemetry"]["stiffness_estimate"])
+            done = source.contained(source.parameters, state, setpoint, measurement)
+            told = done["telemetry"]
+            return done["state"], (
+                *done["commands"].values(),
+                told["stiffness_estimate"],
+                told["status"],
+                told["fault"],
+            )
 
-        return lax.scan(step, source.init(source.parameters, source.measurement)["state"], rows)[1]
+        return lax.scan(step, source.start(source.parameters, source.measurement), rows)[1]
 
     expected = np.column_stack(jax.jit(episode)(rows))
     body = """const self = controller.defaults(), names = ["angle", "pressures_0", "pressures_1"];
-              controller.init(self, given.first);
+              if (controller.init(self, 2 * given.period, given.first)) return [];
+              if (!controller.init(self, given.period, given.first)) return [];
               return given.rows.map(([angle, stiffness, theta, p1, p2]) => {
                   const now = {angle: theta, pressures_0: p1, pressures_1: p2};
                   const {commands, telemetry} = controller.step(self, {angle, stiffness}, now);
-                  const held = controller.step(self, {angle: NaN, stiffness}, now);
-                  if (!held.telemetry.held || held.commands.pressure2 !== commands.pressure2) return [];
-                  return [commands.pressure1, commands.pressure2, telemetry.stiffness_estimate];
+                  const {stiffness_estimate, status, fault} = telemetry;
+                  return [commands.pressure1, commands.pressure2, stiffness_estimate, status, fault];
               });"""
     angle, pressures = source.measurement
     first = {"angle": float(angle), "pressures_0": float(pressures[0]), "pressures_1": float(pressures[1])}
-    found = run((tmp_path / "controller.js").read_text(), body, {"first": first, "rows": rows.tolist()})
+    found = run(
+        (tmp_path / "controller.js").read_text(), body, {"first": first, "rows": rows.tolist(), "period": source.period}
+    )
     assert np.ptp(expected, 0).min() > 1
     assert np.allclose(found, expected, rtol=1e-12)
     module, _ = controller_program(source, "controller")
@@ -109,7 +120,8 @@ def test_controller(tmp_path, kind):
 
 def test_nothing_is_written_for_numbers_of_32_bits(tmp_path):
     with pytest.raises(ExportError) as caught:
-        export(Scenario.read("examples/pre-contracted-step-pid.yaml"), "js", tmp_path / "out", single=True)
+        scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+        export(scenario, "js", tmp_path / "out", hardware=Hardware(single=True))
     assert caught.value.field == "single"
     assert not (tmp_path / "out").exists()
 

@@ -1,17 +1,25 @@
 """Controllers as C99: all of the comparison compile without warnings, and repeat the recorded run."""
 
 import importlib
+import re
 import shutil
 import subprocess
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+from jax import lax
 
 from mckibben.codegen import write_c
 from mckibben.codegen.c import comment_text
 from mckibben.codegen.native import compiler
+from mckibben.containment.limits import Limits
 from mckibben.errors import ExportError, FileError, ParameterError
 from mckibben.export import export
 from mckibben.export.controller import controller_functions, controller_program
+from mckibben.firmware import Hardware
+from mckibben.serial_protocol import FaultCode, FirmwareState
 
 pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
 REPLAYED = {
@@ -20,7 +28,7 @@ REPLAYED = {
     "decoupling, adapted": {},
     "decoupling, valve lag adapted": {},
     "predictive": {},
-    "sliding mode": {"single": True},
+    "sliding mode": {"hardware": Hardware(single=True)},
 }
 
 
@@ -38,72 +46,155 @@ def scenarios(board):
     return board.scenarios(0.3)
 
 
-FAULTS = r"""
+FAULTS = """
 #include "knee.h"
-#include <math.h>
 #include <stdio.h>
-static knee with, without; /* bad samples */
-static knee_setpoint setpoint = {0.1f, 15.0f};
-static knee_measurement measurement = {0.05f, 2e5f, 3e5f};
-static knee_telemetry telemetry;
-static knee_commands step(knee *self)
+int main(void) /* a sample in each row of the input; commands, status and fault in each row of the output */
 {
+    static knee self;
+    knee_setpoint setpoint;
+    knee_measurement measurement;
     knee_commands commands;
-    knee_step(self, &setpoint, &measurement, &commands, &telemetry);
-    return commands;
-}
-static int same(knee_commands x, knee_commands y)
-{
-    return isfinite(x.pressure1 + x.pressure2) && !(x.pressure1 < y.pressure1 || x.pressure1 > y.pressure1) &&
-           !(x.pressure2 < y.pressure2 || x.pressure2 > y.pressure2);
-}
-#define FAULT(input, number) \
-    do { \
-        const knee_setpoint right = setpoint; \
-        const knee_measurement good = measurement; \
-        const knee_commands last = step(&with); \
-        step(&without); \
-        input = number; \
-        bad += !same(step(&with), last) || !telemetry.held; \
-        setpoint = right, measurement = good; \
-        bad += !same(step(&with), step(&without)) || telemetry.held; \
-    } while (0)
-#define FAULTS(input) FAULT(input, NAN); FAULT(input, INFINITY); FAULT(input, -INFINITY)
-int main(void)
-{
-    int bad = 0;
-    knee_defaults(&with);
-    measurement.angle = NAN;
-    bad += knee_init(&with, &measurement) || !isfinite(step(&with).pressure1);
-    measurement.angle = 0.05f;
-    bad += !knee_init(&with, &measurement);
-    without = with;
-    FAULTS(setpoint.angle);
-    FAULTS(setpoint.stiffness);
-    FAULTS(measurement.angle);
-    FAULTS(measurement.pressures_0);
-    FAULTS(measurement.pressures_1);
-    return bad;
+    knee_telemetry telemetry;
+    double row[ROW], out[4];
+    int first = 1;
+    knee_defaults(&self);
+    while (fread(row, sizeof row, 1, stdin)) {
+        ASSIGN
+        if (first) {
+            first = knee_init(&self, (NUMBER)(1.01 * PERIOD), &measurement);
+            knee_step(&self, &setpoint, &measurement, &commands, &telemetry);
+            if (first || telemetry.status != 4 || commands.pressure1 > 0 || commands.pressure2 > 0)
+                return 1;
+            if (!knee_init(&self, (NUMBER)PERIOD, &measurement))
+                return 2;
+            first = 0;
+        }
+        if (row[ROW - 1] > 0)
+            knee_hold(&self, &commands, &telemetry);
+        else
+            knee_step(&self, &setpoint, &measurement, &commands, &telemetry);
+        out[0] = (double)commands.pressure1, out[1] = (double)commands.pressure2;
+        out[2] = (double)telemetry.status, out[3] = (double)telemetry.fault;
+        fwrite(out, sizeof out, 1, stdout);
+    }
+    return 0;
 }
 """
+BAD = (np.nan, np.inf, -np.inf, 1.7e308, -1e7, 1e7)
+INPUTS = (
+    "setpoint.angle",
+    "setpoint.stiffness",
+    "measurement.angle",
+    "measurement.pressures_0",
+    "measurement.pressures_1",
+)
+RUNNING, VENTED, FROZEN = FirmwareState.RUNNING, FirmwareState.VENTED, FaultCode.FROZEN
 
 
-def check_faults(folder, options):
-    """After a sample that is not finite, the exported controller goes on as if the period had not been."""
-    (folder / "faults.c").write_text(FAULTS)
-    command = [compiler(), *options, "-fsanitize=undefined", "-o", "faults", "faults.c", "knee.c", "-lm"]
+def faulty(samples, faults=10_000, seed=1):
+    """Rows of samples with random faults at their inputs: bad numbers, stuck ones, or no sample (last column is 1)."""
+    draw = np.random.default_rng(seed)
+    lengths, gaps = draw.geometric(1 / 15, faults), draw.geometric(1 / 10, faults) + 300 * (draw.random(faults) < 0.05)
+    starts = np.cumsum(gaps + lengths) - lengths
+    total = starts[-1] + lengths[-1]
+    rows = np.column_stack([np.resize(samples, (total, samples.shape[1])), np.zeros(total)])
+    bad = np.zeros(total, bool)
+    inputs, kinds = draw.integers(0, samples.shape[1], faults), draw.integers(0, len(BAD) + 2, faults)
+    for start, length, which, kind in zip(starts, lengths, inputs, kinds, strict=True):
+        during = slice(start, start + length)
+        bad[during] = kind <= len(BAD)
+        if kind < len(BAD):
+            rows[during, which] = BAD[kind]
+        elif kind == len(BAD):
+            rows[during, -1] = 1
+        else:
+            rows[during, which] = rows[start - 1, which]
+    return rows, bad
+
+
+def outputs_in_c(folder, period, options, rows, number):
+    """Commands, status and fault of each row by the exported program."""
+    assign = [f"{name} = ({'double' if 'setpoint' in name else number})row[{i}];" for i, name in enumerate(INPUTS)]
+    words = {"ROW": str(rows.shape[1]), "PERIOD": repr(period), "NUMBER": number, "ASSIGN": " ".join(assign)}
+    program = re.sub(rf"\b({'|'.join(words)})\b", lambda match: words[match[1]], FAULTS)
+    (folder / "faults.c").write_text(program)
+    command = [compiler(), *options, "-O1", "-fsanitize=address,undefined", "-o", "faults", "faults.c", "knee.c", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
-    assert subprocess.run(["./faults"], cwd=folder).returncode == 0
+    done = subprocess.run(["./faults"], cwd=folder, input=rows.tobytes(), capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    return np.frombuffer(done.stdout).reshape(-1, 4)
+
+
+def outputs_in_python(source, rows):
+    """The same by the functions from which the program was made."""
+
+    def period(state, row):
+        setpoint = source.setpoint._replace(angle=row[0], stiffness=row[1])
+        measurement = source.measurement._replace(angle=row[2], pressures=(row[3], row[4]))
+        done = lax.cond(
+            row[5] > 0,
+            lambda: source.hold(source.parameters, state),
+            lambda: source.contained(source.parameters, state, setpoint, measurement),
+        )
+        told = done["telemetry"]
+        return done["state"], jnp.stack([*done["commands"].values(), told["status"] * 1.0, told["fault"] * 1.0])
+
+    first = source.measurement._replace(angle=rows[0, 2], pressures=(rows[0, 3], rows[0, 4]))
+    return np.asarray(jax.jit(lambda rows: lax.scan(period, source.start(source.parameters, first), rows)[1])(rows))
+
+
+def check_faults(folder, scenario, options, *, single):
+    """No command is not finite or outside its limits, a lasting fault vents, and Python computes the same."""
+    rows, bad = faulty(np.genfromtxt(folder / "replay.csv", delimiter=",", skip_header=2)[:, : len(INPUTS)])
+    found = outputs_in_c(folder, scenario.control_period, options, rows, "float" if single else "double")
+    highest = max(muscle.specimen.domain.pressure_max for muscle in scenario.plant().muscles)
+    assert np.all((found[:, :2] >= 0) & (found[:, :2] <= highest))
+    periods = round(0.1 / scenario.control_period)
+    lasting = np.convolve(bad, np.ones(periods))[: len(bad)] > periods - 0.5
+    assert np.count_nonzero(lasting) > 5
+    assert np.all(found[lasting, :2] == 0)
+    assert set(found[:, 2]) == {1, 2, 3, 4} and set(found[:, 3]) >= {0, 1, 2, 4}
+    if not single:
+        expected = outputs_in_python(controller_functions(scenario), rows)
+        assert np.array_equal(found[:, 2:], expected[:, 2:])
+        assert np.max(np.abs(found - expected)) < 1e-6 * highest
 
 
 @pytest.mark.parametrize("name", REPLAYED)
 @pytest.mark.slow
-def test_it_repeats_the_recorded_run_and_passes_over_bad_samples(board, scenarios, name, tmp_path):
+def test_it_repeats_the_recorded_run_and_contains_faults(board, scenarios, name, tmp_path):
     export(scenarios[name], "c", tmp_path, name="knee", **REPLAYED[name])
     subprocess.run(["make", "-s", "replay"], cwd=tmp_path, check=True)
     done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name] else 1e-11)
-    check_faults(tmp_path, board.STRICT)
+    assert "not used" not in done.stdout
+    check_faults(tmp_path, scenarios[name], board.STRICT, single="hardware" in REPLAYED[name])
+
+
+@pytest.mark.parametrize("stuck", range(2, 5))
+def test_a_frozen_sensor_vents_until_it_moves_again(scenarios, stuck):
+    """Each sensor, while the commands move; then a ramp, at whose end the controller is as one that began there."""
+    scenario = scenarios["PID"]
+    source = controller_functions(scenario, Limits(moved=0.01, ramp=0.1))
+    draw, periods = np.random.default_rng(1), round(0.6 / scenario.control_period)
+    rows = np.zeros((2 * periods, 6))
+    rows[:, 0], rows[:, 1] = 0.1 * np.sin(np.arange(2 * periods) * scenario.control_period * 20), 15.0
+    rows[:, 2:5] = [0.0, 2e5, 2e5] + draw.normal(size=(2 * periods, 3)) * [1e-4, 1e3, 1e3]
+    rows[:periods, stuck] = rows[0, stuck]
+    found = outputs_in_python(source, rows)
+    assert found[periods - 1].tolist() == [0, 0, VENTED, FROZEN]
+    assert found[periods + round(0.2 / scenario.control_period), 2] == RUNNING
+    healthy = rows.copy()
+    healthy[:periods, stuck] += draw.normal(size=periods) * 1e-6
+    assert not np.any(outputs_in_python(source, healthy)[:, 3])
+
+
+def test_a_run_outside_the_limits_is_not_exported(scenarios, tmp_path):
+    with pytest.raises(ExportError) as caught:
+        export(scenarios["PID"], "c", tmp_path / "out", hardware=Hardware(limits=Limits(highest_pressure=1e5)))
+    assert caught.value.field.startswith("measurement.pressures") and caught.value.value > 1e5
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
@@ -137,7 +228,7 @@ HOSTILE = ("a /* b", "a */ b", "/*/", "a \\", "a ??/", "???/", "a\\\nb", 'a" \\'
 
 @pytest.mark.parametrize("title", HOSTILE)
 def test_no_name_changes_the_program(scenarios, title, tmp_path):
-    """As C and as the C++ of the sketch, with all warnings as errors; trigraphs are read in C99."""
+    """With all warnings as errors; trigraphs are read in C99."""
     module, _ = controller_program(controller_functions(scenarios["PID"]), "knee")
     header, source = write_c(module, f"{title}\n{title!r}\n{title}", units={"setpoint.angle": title.split("\n")[0]})
     (tmp_path / "knee.h").write_text(header)
@@ -182,8 +273,6 @@ def test_wrong_arguments_are_named(scenarios, target, name, field, tmp_path):
 
 
 def test_what_c_cannot_hold_is_said_before_anything_is_written(scenarios, tmp_path, monkeypatch):
-    import jax.numpy as jnp
-
     from mckibben.control import PositionStiffnessControl
 
     step = PositionStiffnessControl.step

@@ -13,10 +13,12 @@ from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.fmi import fmu
 from mckibben.export.fmu import plant_unit
+from mckibben.firmware import Hardware
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
+from mckibben.serial_protocol import FaultCode, FirmwareState
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
 
@@ -236,6 +238,22 @@ def test_steps_of_a_controller_are_whole_periods(folder, opened):
         loop.fmu.doStep(2 * PERIOD, 1.5 * PERIOD)
 
 
+def test_a_controller_contains_a_bad_input(folder, opened):
+    loop, names = opened(folder / "controller.fmu"), ("command1", "command2", "status", "fault")
+    good = loop.get("measurement.pressure1").item()
+    loop.fmu.doStep(0.0, PERIOD)
+    last = loop.get("command1", "command2")
+    found = []
+    for number, value in enumerate([np.nan] * 60 + [good] * 60):
+        loop.set(measurement__pressure1=value)
+        found.append(loop.get(*names))
+        loop.fmu.doStep((1 + number) * PERIOD, PERIOD)
+    assert found[0].tolist() == [*last, FirmwareState.HOLDING, FaultCode.NOT_FINITE]
+    assert found[59].tolist() == [0, 0, FirmwareState.VENTED, FaultCode.NOT_FINITE]
+    assert found[-1][2:].tolist() == [FirmwareState.RAMPING, FaultCode.NONE]
+    assert 0 < found[-1][0] < 2 * good
+
+
 @pytest.mark.slow
 def test_switching_valves_are_for_co_simulation_only(tmp_path):
     valve = "{class: SwitchingValves, conductance: 0.1 L/(s*bar), supply: 7 bar, period: 5 ms}"
@@ -280,8 +298,8 @@ def test_parameters_that_are_not_finite_are_left_out(tmp_path):
 
 def test_nothing_is_written_for_numbers_of_32_bits(scenario, tmp_path):
     with pytest.raises(ExportError) as caught:
-        export(scenario, "fmu", tmp_path / "out", single=True)
-    assert caught.value.field == "single"
+        export(scenario, "fmu", tmp_path / "out", hardware=Hardware(single=True))
+    assert caught.value.field == "hardware"
     assert not (tmp_path / "out").exists()
 
 

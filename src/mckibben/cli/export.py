@@ -16,7 +16,7 @@ def export(
     to: str = "",
     out: Path | None = None,
     name: str = "",
-    single: bool = False,
+    hardware: Path | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -34,8 +34,8 @@ def export(
         Output folder.
     name : NAME
         Name of the program or model.
-    single
-        32-bit numbers, with c: for processors without 64-bit units.
+    hardware : HARDWARE.yaml
+        Limits of a controller's samples, and whether its numbers have 32 bits.
     force
         Replace the results of an earlier run in DIR.
     json
@@ -48,13 +48,15 @@ def export(
     from mckibben.config.model import read_text
     from mckibben.export import export as write
     from mckibben.export.targets import CONTROLLERS
+    from mckibben.firmware import Hardware
     from mckibben.leg import LegScenario
     from mckibben.scenario import Scenario
 
     kind = LegScenario if "leg" in (read_document(read_text(scenario)).data or ()) else Scenario
     with keeping(folder):
         read = kind.read(scenario)
-        exported = write(read, to, folder, name=name, single=single, overwrite=force)
+        parts = None if hardware is None else Hardware.read(hardware)
+        exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
     if to in CONTROLLERS and isinstance(read, Scenario):
         exported = replace(exported, margins=read.margins())
     present(exported, json=json)

@@ -146,7 +146,6 @@ def _function(function: Function, writer: Writer, types: _Types) -> dict[str, ob
         used.add(structure := name.split(".", 1)[0])
         return f"self->{name}" if structure == "state" else name.replace(".", "->", 1)
 
-    guard = [place_of(name) for name in function.checked]
     lines, last = writer.function(function.scope, place_of), list[str]()
     for result, members in function.results.items():
         for name, value in zip(element_names(result, members), function.values[result], strict=True):
@@ -156,11 +155,7 @@ def _function(function: Function, writer: Writer, types: _Types) -> dict[str, ob
                 place = f"*{name}" if is_scalar(members) and result != "state" else place_of(name)
                 lines.append(f"    {place} = {writer.text(value)};")
     lines += last
-    if guard:
-        call = f"        {types.name}_{function.fallback}({', '.join(['self', *function.outputs])});"
-        answer = [call, "        return;"] if function.fallback else ["        return;"]
-        lines = [f"    if (!isfinite({' + '.join(guard)})) {{", *answer, "    }", *lines]
-    unused = [name for name in function.inputs if name not in used]
+    unused = [name for name in function.inputs if name not in used and not function.guard]
     unused += ["self"] * (not any("self->" in line for line in lines))
     lines = [*(f"    (void){name};" for name in unused), *lines]
-    return {"text": function.text, "signature": types.signature(function), "lines": lines}
+    return {"function": function, "signature": types.signature(function), "lines": lines}

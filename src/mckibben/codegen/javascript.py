@@ -72,11 +72,7 @@ def _object(members: Sequence[Member], texts: Sequence[str]) -> str:
 
 def _function(function: Function, writer: Writer) -> Mapping[str, object]:
     """Description, name, arguments and statements of a function."""
-    lines = []
-    if checked := function.checked:
-        answer = f" {function.fallback}(self)" if function.fallback else ""
-        lines = [f"    if (!Number.isFinite({' + '.join(checked)})) return{answer};"]
-    lines += writer.function(function.scope, lambda name: f"self.{name}" if name.startswith("state.") else name)
+    lines = writer.function(function.scope, lambda name: f"self.{name}" if name.startswith("state.") else name)
     returned: dict[str, str] = {}
     for result, members in function.results.items():
         texts = [writer.text(value) for value in function.values[result]]
@@ -90,4 +86,4 @@ def _function(function: Function, writer: Writer) -> Mapping[str, object]:
     elif returned:
         lines.append(f"    return {{{', '.join(f'{name}: {text}' for name, text in returned.items())}}};")
     arguments = ", ".join(["self", *function.inputs])
-    return {"text": function.text, "name": function.name, "arguments": arguments, "lines": lines}
+    return {"function": function, "name": function.name, "arguments": arguments, "lines": lines}

@@ -50,9 +50,10 @@ class Function:
         Values of the results in the graph, by the name of their structure, element by element.
     text
         Description, a comment in the source.
-    fallback
-        Function with the same results but the state, called in its place if a real argument is not finite, so that the
-        state does not change; "" if there are none; None if nothing is checked. C and JavaScript have it.
+    guard
+        Functions of arguments of this one: one that is called first; or that, a check, and another function, of which
+        none is called if the check gives 0, the last one in place of this if it gives 1, and the first one before this
+        if it gives 2. C and JavaScript have it.
     """
 
     name: str
@@ -61,14 +62,7 @@ class Function:
     scope: Scope
     values: dict[str, list[Value]]
     text: str
-    fallback: str | None = None
-
-    @property
-    def checked(self) -> list[str]:
-        """Names of the real arguments, which are to be finite if there is a fallback."""
-        inputs = {} if self.fallback is None else self.inputs
-        real = {name: [member for member in members if member.kind is Kind.REAL] for name, members in inputs.items()}
-        return [element_name for name, members in real.items() for element_name in element_names(name, members)]
+    guard: tuple[Function, ...] = ()
 
     @property
     def inputs(self) -> dict[str, list[Member]]:
@@ -79,6 +73,11 @@ class Function:
     def outputs(self) -> dict[str, list[Member]]:
         """Results other than the state."""
         return {name: members for name, members in self.results.items() if name != "state"}
+
+    @property
+    def call(self) -> str:
+        """Call without results."""
+        return f"{self.name}({', '.join(['self', *self.inputs])})"
 
     @property
     def returned(self) -> str | None:
@@ -131,7 +130,7 @@ class SourceModule:
         text: str,
         function: Callable[..., Mapping[str, PyTree]],
         arguments: Mapping[str, PyTree],
-        fallback: str | None = None,
+        guard: Sequence[str] = (),
     ) -> None:
         """Add a function of the parameters and of named trees, which returns named trees.
 
@@ -147,8 +146,8 @@ class SourceModule:
         arguments
             Examples of the arguments by name: pytrees of numbers and arrays, whose shapes and types are those of the
             program.
-        fallback
-            See `Function`.
+        guard
+            Names of functions: see `Function`.
         """
         scope = self.graph.scope = self.graph.root.inner()
         members_by_argument = {name: self._members(name, tree) for name, tree in arguments.items()}
@@ -166,8 +165,11 @@ class SourceModule:
             zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), tree)
             members_by_result[result] = self._members(result, zeros)
             values[result] = [value for _ in jax.tree.leaves(tree) for value in next(rest).flat]
+            if result == "state":
+                members_by_result[result], values[result] = _changed(members_by_result[result], values[result])
         self.graph.scope = self.graph.root
-        self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text, fallback))
+        guards = tuple(next(other for other in self.functions if other.name == guarding) for guarding in guard)
+        self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text, guards))
 
     def _members(self, name: str, tree: PyTree) -> list[Member]:
         """Members of an argument or a result; the state has the prefix of the parameters."""
@@ -175,8 +177,9 @@ class SourceModule:
 
     @property
     def state(self) -> list[Member]:
-        """Members of the state, if a function has one."""
-        return next((function.results["state"] for function in self.functions if "state" in function.results), [])
+        """Members of the state, if a function has one; a function may return a part of it."""
+        structures = (part for function in self.functions for part in (function.arguments, function.results))
+        return max((part["state"] for part in structures if "state" in part), key=len, default=[])
 
     @property
     def scopes(self) -> list[Scope]:
@@ -205,6 +208,18 @@ class SourceModule:
                 array[at] = self.graph.input(element(name, member, number), member.kind)
             arrays.append(array)
         return arrays
+
+
+def _changed(members: Sequence[Member], values: Sequence[Value]) -> tuple[list[Member], list[Value]]:
+    """Members of the state that a function changes, and their values."""
+    rest, changed, results = iter(values), list[Member](), list[Value]()
+    for member in members:
+        elements = [next(rest) for _ in range(member.size)]
+        own = element_names("state", [member])
+        if any((value.operation, value.data) != ("input", name) for value, name in zip(elements, own, strict=True)):
+            changed.append(member)
+            results += elements
+    return changed, results
 
 
 def is_scalar(members: Sequence[Member]) -> bool:

@@ -1,17 +1,16 @@
 """Program of a controller: its functions, and a recorded run for checking them.
 
 The same functions are written as C and JavaScript, for a joint or a leg, and run in an FMU. They depend on parameters
-and state alone, and do not accept samples that are not finite.
+and state alone; `containment` checks their samples.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,8 +20,10 @@ from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
+from mckibben.containment.functions import ControllerFunctions, functions_of
+from mckibben.containment.limits import Limits, joint_containment
 from mckibben.control import Setpoint
-from mckibben.export.plant import is_real
+from mckibben.errors import ExportError
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
@@ -38,6 +39,7 @@ _UNITS = {
     **dict.fromkeys(("stiffness", "stiffness_estimate"), "N*m/rad"),
     **dict.fromkeys(("command", "pressure", "pressures", "reservoir"), "Pa"),
     **dict.fromkeys(("force", "ground_force", "tension"), "N"),
+    **dict.fromkeys(("frozen", "tolerated", "ramp", "held", "good", "unchanged"), "s"),
     **{"velocity": "rad/s", "torque": "N*m", "temperatures": "K", "contraction": "1"},
 }
 """Units of arguments and results by the names of their quantities."""
@@ -64,103 +66,23 @@ class ControllerModule(NamedTuple):
     left_out: tuple[str, ...]
 
 
-class ControllerFunctions(NamedTuple):
-    """Functions of a controller over its parameters, and examples of their arguments.
-
-    The functions are pure, and take the parameters first: ``init(parameters, measurement)`` returns the ``state``, and
-    whether the measurement is ``valid``; ``step(parameters, state, setpoint, measurement)`` the next ``state``, the
-    ``commands`` [Pa] and the ``telemetry``; ``hold(parameters, state)`` the last commands, at first the measured
-    pressures, for a sample that is not finite: it leaves the state as it is, and the telemetry is ``held``.
-    """
-
-    parameters: dict[str, PyTree]
-    of: Callable[[PyTree], PyTree]  # the controller with these parameters
-    init: Callable[[PyTree, PyTree], dict[str, PyTree]]
-    step: Callable[[PyTree, PyTree, PyTree, PyTree], dict[str, PyTree]]
-    hold: Callable[[PyTree, PyTree], dict[str, PyTree]]
-    state: PyTree
-    setpoint: PyTree
-    measurement: PyTree  # the first one
-    plant: Plant
-    initial: PyTree  # state of the plant
-    period: float  # s
-
-
-class HeldState(NamedTuple):
-    """State of a controller, and its last commands [Pa]."""
-
-    controller: PyTree
-    commands: tuple[Array, ...]
-
-
-def controller_functions(scenario: Scenario) -> ControllerFunctions:
-    """First and subsequent steps of a scenario's controller; all its real numbers are parameters."""
+def controller_functions(scenario: Scenario, limits: Limits | None = None) -> ControllerFunctions:
+    """Contained steps of a scenario's controller; all its real numbers, and the limits, are parameters."""
     period = scenario.control_period
     plant, controller = scenario.plant().with_period(period), scenario.control().with_period(period)
+    bounds = joint_containment(scenario, limits or Limits())
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
     setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
-    return functions_of(plant, controller, plant.complete_state(initial), period, setpoint)
+    return functions_of(plant, controller, plant.complete_state(initial), period, setpoint, bounds)
 
 
-def functions_of(
-    plant: Plant,
-    controller: PyTree,
-    initial: PyTree,
-    period: float,
-    setpoint: PyTree,
-    applied: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]] = lambda controller, setpoint: (controller, setpoint),
-) -> ControllerFunctions:
-    """Functions of a controller of a joint or a leg, all of whose real numbers but the period are parameters.
-
-    Parameters
-    ----------
-    plant, initial
-        Plant and its state at the start, for the first measurement.
-    period
-        Control period [s].
-    setpoint
-        Example of a setpoint.
-    applied
-        ``applied(controller, setpoint)`` returns the controller and the second argument of its `step`.
-    """
-    numbers, fixed = eqx.partition(controller, is_real)
-    parameters = {"controller": numbers}
-
-    def of(parameters: PyTree) -> PyTree:
-        return eqx.combine(parameters["controller"], fixed)
-
-    def init(parameters: PyTree, measurement: PyTree) -> dict[str, PyTree]:
-        finite = jax.tree.map(lambda number: jnp.where(jnp.isfinite(number), number, 0.0), measurement)
-        state = HeldState(of(parameters).init(finite), tuple(map(jnp.asarray, finite.pressures)))
-        valid = jnp.isfinite(sum(jax.tree.leaves(measurement)))  # none of which comes near the largest number
-        return {"state": state, "valid": valid}
-
-    def step(parameters: PyTree, state: HeldState, setpoint: PyTree, measurement: PyTree) -> dict[str, PyTree]:
-        controller, second = applied(of(parameters), setpoint)
-        state = HeldState(*controller.step(state.controller, second, measurement, np.asarray(period)))
-        return {"state": state, **answer(parameters, state, held=False)}
-
-    def hold(parameters: PyTree, state: HeldState) -> dict[str, PyTree]:
-        return answer(parameters, state, held=True)
-
-    def answer(parameters: PyTree, state: HeldState, *, held: bool) -> dict[str, PyTree]:
-        pressures = {f"pressure{number}": command for number, command in enumerate(state.commands, 1)}
-        telemetry = of(parameters).telemetry(state.controller)
-        return {"commands": pressures, "telemetry": {**telemetry, "held": jnp.asarray(held)}}
-
-    measurement = plant.sample(initial, 0.0)[1]
-    state = jax.eval_shape(lambda measurement: init(parameters, measurement)["state"], measurement)
-    state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state)
-    return ControllerFunctions(parameters, of, init, step, hold, state, setpoint, measurement, plant, initial, period)
-
-
-def controller_module(scenario: Scenario, name: str = "controller") -> ControllerModule:
+def controller_module(scenario: Scenario, name: str = "controller", limits: Limits | None = None) -> ControllerModule:
     """Source module of a scenario's controller: first step, subsequent steps, and the laws and limits of its model.
 
     All its real numbers are adjustable parameters; numbers of hidden neurons, seeds and other integers are fixed.
     Raises `ExportError` for parts that cannot be expressed in another language.
     """
-    source = controller_functions(scenario)
+    source = controller_functions(scenario, limits)
     module, left_out = controller_program(source, name)
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     setpoints = jax.tree.map(lambda x: x[:_MOST_PERIODS], setpoints)
@@ -180,17 +102,17 @@ def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceMo
 
 
 def stepping_module(name: str, source: ControllerFunctions) -> SourceModule:
-    """Source module of a controller: `init`, `hold` and `step`.
-
-    `step` calls `hold` in place of itself if a number of the setpoint or the measurement is not finite.
-    """
-    module = SourceModule(name, source.parameters, "controller.")
-    text = "first state, from the first measurement; false if that is not finite"
-    module.add("init", text, source.init, {"measurement": source.measurement})
-    module.add("hold", "the last commands, for a period without a valid sample", source.hold, {"state": source.state})
-    arguments = {"state": source.state, "setpoint": source.setpoint, "measurement": source.measurement}
-    text = "one control period: new state, and commands from now on; hold if a number is not finite"
-    module.add("step", text, source.step, arguments, "hold")
+    """Source module of a controller: `init` calls `begin`, and `step` calls `check` and possibly `begin` or `hold`."""
+    module, state = SourceModule(name, source.parameters, "controller."), {"state": source.state}
+    number, measurement = np.zeros(()), {"measurement": source.measurement}
+    sample = state | {"setpoint": source.setpoint} | measurement
+    module.add("begin", "used by init and step: first state of the controller", source.begin, measurement)
+    text = "first state, from the control period [s] and the first measurement; false, and vented, if one is not valid"
+    module.add("init", text, source.init, {"period": number} | measurement, ("begin",))
+    module.add("check", "used by step: 0 to use a sample, 1 to hold, 2 to begin again first", source.check, sample)
+    module.add("hold", "one control period without a usable sample: the last commands, or the vent", source.hold, state)
+    text = "one control period: new state, and commands from now on"
+    module.add("step", text, source.step, sample, ("begin", "check", "hold"))
     return module
 
 
@@ -249,7 +171,20 @@ def recorded(
     first, *table = _recorded(source.plant, controller, rows, source.initial, *timing, setpoint_of)
     start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
     recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
+    _check_limits(source, columns, recording[1:])
     return ControllerModule(module, units_of(module, "Pa, gauge"), tuple(columns), recording, ())
+
+
+def _check_limits(source: ControllerFunctions, columns: Sequence[str], recording: NDArray[np.float64]) -> None:
+    """Raise `ExportError` if the recorded samples leave the limits."""
+    limits = source.parameters["limits"]
+    low, high = (np.array(list(map(float, jax.tree.leaves(bounds)))) for bounds in (limits.lowest, limits.highest))
+    samples = recording[:, : len(low)]
+    for row, column in np.argwhere((samples < low) | (samples > high))[:1]:
+        name, value, allowed = columns[column], samples[row, column], f"{low[column]:.6g}..{high[column]:.6g}"
+        message = f"{name} is {value:.6g} after {row * source.period:g} s of the run, outside its limits {allowed}"
+        remedy = "give other limits in the section limits of a file (command line: --hardware FILE)"
+        raise ExportError(message, field=name, value=value, remedy=remedy)
 
 
 @jit_arrays
@@ -268,7 +203,8 @@ def _recorded(
         plant_state, measurement = plant.sample(states[0], period)
         wanted = setpoint_of(controller, states[1], rows, measurement, period)
         state, commands = controller.step(states[1], rows, measurement, period)
-        following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
+        commands = plant.clip_commands(commands)
+        following = plant.follow(plant_state, commands, period, substeps)
         return (following, state), (tuple(wanted), tuple(jax.tree.leaves(measurement)), commands)
 
     with batched_program():  # compiles a third faster
@@ -282,7 +218,8 @@ def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:
     `pressure` is the text for pressures, which may say to what they refer.
     """
     units = {f"parameters.{path}": unit for path, unit in _units(module.parameters, "") if unit}
-    for structure, members in (module.structures() | {"state": module.state}).items():
+    limits = [member for member in module.members if member.path.startswith("limits.")]
+    for structure, members in (module.structures() | {"state": module.state, "parameters": limits}).items():
         for member in members:
             quantity = re.sub(r"[\d._]+$", "", member.path).rpartition(".")[2]
             if quantity in _UNITS:

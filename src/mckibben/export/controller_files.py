@@ -1,7 +1,6 @@
 """Export of a controller as C99 and as JavaScript.
 
-With the C come a recorded run, a program that replays it, compares the commands and times the steps, and a sketch for
-microcontrollers.
+With the C come a recorded run, and a program that replays it, compares the commands and times the steps.
 """
 
 from __future__ import annotations
@@ -10,8 +9,9 @@ import hashlib
 from pathlib import Path
 
 import mckibben
-from mckibben.codegen.c import comment_text, write_c
+from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js
+from mckibben.containment.limits import Limits
 from mckibben.export.controller import ControllerModule, controller_functions, controller_module, controller_program
 from mckibben.export.targets import Exported, filled
 from mckibben.scenario import Scenario
@@ -19,8 +19,10 @@ from mckibben.scenario import Scenario
 _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 
 
-def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False) -> Exported:
-    """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers.
+def c_files(
+    scenario: Scenario, name: str, folder: Path, *, single: bool = False, limits: Limits | None = None
+) -> Exported:
+    """The controller of a scenario as C99, with a program that checks it.
 
     Raises `ExportError` for an operation that C cannot express.
 
@@ -32,29 +34,21 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
         Folder of the export, to which paths in the scenario are relative.
     single
         Whether numbers have 32 bits; the setpoint, and what depends on it alone, keep 64.
+    limits
+        Limits of its samples.
     """
-    made, text = controller_module(scenario, name), scenario.dumps(folder=folder)
+    made, text = controller_module(scenario, name, limits), scenario.dumps(folder=folder)
     comment = (
         f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
     title = f'the scenario "{scenario.name}"'
-    files = program_files(made, name, title, comment, scenario.control_period, single=single, sketch=True)
-    values = {
-        "name": name,
-        "title": comment_text(" ".join(scenario.name.split())),
-        "microseconds": f"{scenario.control_period * 1e6:.0f}",
-    }
-    sketch = {
-        f"sketch/{name}/{name}.ino": filled("sketch.ino", values),
-        f"sketch/{name}/{name}.h": files[f"{name}.h"],
-        f"sketch/{name}/{name}.c": files[f"{name}.c"],
-    }
-    return Exported({**files, "scenario.yaml": text, **sketch}, made.left_out)
+    files = program_files(made, name, title, comment, scenario.control_period, single=single)
+    return Exported({**files, "scenario.yaml": text}, made.left_out)
 
 
 def program_files(
-    made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool, sketch: bool = False
+    made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool
 ) -> dict[str, str]:
     """A controller as C99, with a program that replays a recorded run and times the steps.
 
@@ -64,8 +58,8 @@ def program_files(
         Name in the instructions, and text at the beginning of the sources.
     period
         Control period [s].
-    single, sketch
-        Whether numbers have 32 bits, and whether there is a sketch.
+    single
+        Whether numbers have 32 bits.
     """
     sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
@@ -78,8 +72,7 @@ def program_files(
         "first_command": [part for part, _ in columns].index("commands"),
         "real": "float" if single else "double",
         "tolerance": _TOLERANCES[single],
-        "sketch": sketch,
-        "period": f"{period * 1e3:g} ms",
+        "seconds": f"{period!r}",
         "left_out": made.left_out,
     }
     return {
@@ -92,18 +85,18 @@ def program_files(
     }
 
 
-def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:
+def js_files(scenario: Scenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:
     """The controller of a scenario as a script for pages and Node.
 
     Raises `ExportError` for operations that need 64-bit integers, such as random numbers.
     """
-    module, left_out = controller_program(controller_functions(scenario), name)
-    period = f"{scenario.control_period * 1e3:g} ms"
+    module, left_out = controller_program(controller_functions(scenario, limits), name)
+    period = scenario.control_period
     comment = (
         f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
         f"  const self = {name}.defaults();\n"
-        f"  {name}.init(self, measurement); // once, from the first measurement\n"
-        f"  const {{commands}} = {name}.step(self, setpoint, measurement); // every {period}\n"
+        f"  {name}.init(self, {period!r}, measurement); // once: period [s], first measurement\n"
+        f"  const {{commands, telemetry}} = {name}.step(self, setpoint, measurement); // in each period\n"
         "measurement: {angle, pressures_0, pressures_1}, setpoint: {angle, stiffness}; rad, Pa (gauge), N*m/rad.\n"
         f"After changing self.parameters call {name}.prepare(self)."
     )

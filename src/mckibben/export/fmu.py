@@ -15,10 +15,10 @@ from jaxtyping import Array, PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
+from mckibben.containment.limits import Limits
 from mckibben.export.controller import controller_functions, units_of
 from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
-from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported
 from mckibben.joint import Measurement
 from mckibben.muscle import Muscle, MuscleState
@@ -66,7 +66,7 @@ def plant_unit(
         Longest step [s] of `advance`, by `JointPlant.advance`, and its integration steps.
     """
     valve = plant.valve
-    numbers, fixed = eqx.partition(plant, is_real)
+    numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
     initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=(), friction=()))
     held = valve.holds_pressure
     start = {"angle": initial.angle, "velocity": initial.velocity, **({"pressures": initial.pressures} if held else {})}
@@ -171,7 +171,7 @@ def muscle_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
 
 def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     """Program of a muscle: its law and the friction of its threads."""
-    numbers, fixed = eqx.partition(muscle, is_real)
+    numbers, fixed = eqx.partition(muscle, eqx.is_inexact_array_like)
     module = SourceModule(name, numbers)
     inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
     state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), muscle.init_state(0.0, 0.0)._replace(creep=()))
@@ -199,12 +199,12 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     return FunctionalUnit(module, title, period, start, units_of(module), model_exchange=True)
 
 
-def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
+def controller_fmu(scenario: Scenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:
     """The controller for co-simulation with steps of the control period.
 
-    Inputs that are not finite leave its state as it is, and its outputs are the last commands.
+    Inputs that are not finite, out of range or frozen leave the state as it is, and end in a vent.
     """
-    source = controller_functions(scenario)
+    source = controller_functions(scenario, limits)
     module = SourceModule(name, source.parameters, "controller.")
     inputs = {
         "setpoint": {"angle": _NUMBER, "stiffness": _NUMBER},
@@ -217,29 +217,23 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
 
     def step(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         setpoint = source.setpoint._replace(**inputs["setpoint"])
-        return source.step(parameters, state, setpoint, measured(inputs))
+        return source.contained(parameters, state, setpoint, measured(inputs))
 
     def results(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        return outputs(step(parameters, state, inputs))
-
-    def hold(parameters: PyTree, state: PyTree) -> dict[str, PyTree]:
-        return outputs(source.hold(parameters, state))
-
-    def outputs(done: dict[str, PyTree]) -> dict[str, PyTree]:
+        done = step(parameters, state, inputs)
         commands = {f"command{number}": done["commands"][f"pressure{number}"] for number in (1, 2)}
-        return {"results": commands | done["telemetry"]}
+        return {"results": jax.tree.map(lambda number: number.astype(float), commands | done["telemetry"])}
 
     def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        return {"state": source.init(parameters, measured(inputs))["state"]}
+        return {"state": source.start(parameters, measured(inputs))}
 
     def advance(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": step(parameters, state, inputs)["state"]}
 
     both = {"state": source.state, "inputs": inputs}
     module.add("init", "first state, from the first measurement", init, {"inputs": inputs})
-    module.add("hold", "the last commands, for inputs that are not finite", hold, {"state": source.state})
-    module.add("evaluate", "commands from now on; the last ones for inputs that are not finite", results, both, "hold")
-    module.add("advance", "state after a control period; as it is for inputs that are not finite", advance, both, "")
+    module.add("evaluate", "commands from now on", results, both)
+    module.add("advance", "state after a control period", advance, both)
     setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
     pressure1, pressure2 = source.measurement.pressures
     starts = {

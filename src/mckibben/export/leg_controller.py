@@ -5,13 +5,17 @@ from __future__ import annotations
 import dataclasses
 import os
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, PyTree
 
 import mckibben
+from mckibben.containment import ControlSample
+from mckibben.containment.functions import functions_of
+from mckibben.containment.limits import FINITE, Limits
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.export.controller import ControllerModule, functions_of, recorded, stepping_module
+from mckibben.export.controller import ControllerModule, recorded, stepping_module
 from mckibben.export.controller_files import program_files
 from mckibben.export.targets import Exported, check_name
 from mckibben.leg import JointwiseControl, LegMeasurement, LegPlant, LegReference, LegStart
@@ -92,7 +96,10 @@ def _module(
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
         return _with_setpoints(controller, setpoints), jnp.zeros(())
 
-    source = functions_of(plant, example, initial, period, setpoint, applied)
+    sample = ControlSample(setpoint, plant.sample(initial, 0.0)[1])
+    lowest, highest = (jax.tree.map(lambda _, bound=bound: bound, sample) for bound in (-FINITE, FINITE))
+    limits = Limits().containment(plant, lowest, highest)
+    source = functions_of(plant, example, initial, period, setpoint, limits, applied)
     times, substeps = sampling_times(duration, period), plant.needed_substeps(start.angles, None, period)
     return recorded(source, stepping_module(name, source), controller, times, substeps, _wanted)
 

@@ -18,7 +18,6 @@ from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
-from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, filled
 from mckibben.joint import (
     Geometry,
@@ -147,7 +146,7 @@ def muscle_functions(
     filters
         Whether MuJoCo's own filter models first-order valves.
     """
-    numbers, fixed = eqx.partition(numeric(plant), is_real)
+    numbers, fixed = eqx.partition(numeric(plant), eqx.is_inexact_array_like)
     module, functions = SourceModule(name, {"plant": numbers}, "plant."), []
     for number, drive in enumerate(drives, 1):
         state = start.muscles[drive.index], start.pressures[drive.index], state_of_muscle(start.air, drive.index)

@@ -52,7 +52,7 @@ def plant_module(
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += [] if plant.command_delay is None else ["delay of the commands"]
     plant = numeric(plant.with_ideal_io())
-    numbers, fixed = eqx.partition(plant, is_real)
+    numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
     module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
     state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
 
@@ -103,8 +103,3 @@ def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> Plan
     return Motion(motion.position, motion.velocity, ((), ()), pressures, air).applied_to(
         PlantState(state.angle, state.velocity, state.pressures, NO_STATES), pressures
     )
-
-
-def is_real(leaf: object) -> bool:
-    """Whether a leaf is a real number or an array of them."""
-    return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"

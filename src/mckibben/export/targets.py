@@ -19,6 +19,7 @@ from mckibben.simulation import Margins, margin_remarks
 from mckibben.storage.files import atomic_write, check_free, make_folder
 
 if TYPE_CHECKING:
+    from mckibben.firmware import Hardware
     from mckibben.leg import LegScenario
 
 
@@ -95,7 +96,7 @@ def export(
     out: str | os.PathLike[str],
     *,
     name: str = "",
-    single: bool = False,
+    hardware: Hardware | None = None,
     overwrite: bool = False,
 ) -> Exported:
     """Write a scenario of a joint or a leg, or its controller, in another format into a folder.
@@ -110,23 +111,30 @@ def export(
     name
         Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``muscle``, ``joint`` or
         ``leg``, according to the format.
-    single
-        32-bit instead of 64-bit numbers, for the format ``c``.
+    hardware
+        Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """
     targets, owner = (TARGETS, "joint") if isinstance(scenario, Scenario) else (LEG_TARGETS, "leg")
     if target not in targets:
         message = f"{quoted(target)} is not a format of a {owner}"
         raise ParameterError(message, field="to", value=target, remedy=f"give {' or '.join(targets)}")
-    if single and target != "c":
-        remedy = "leave it out, or write c, of a joint"
-        raise ExportError(f"single does not apply to {target}", field="single", value=single, remedy=remedy)
     place, default, _ = targets[target]
     name = check_name(name or default)
     module, function = place.split(":")
-    options: dict[str, bool] = {"single": True} if single else {}
+    options = {} if hardware is None else _options(hardware, target)
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)
     exported.save(out, force=overwrite)
     return exported
+
+
+def _options(hardware: Hardware, target: str) -> dict[str, object]:
+    """Options of a format by a file of hardware; `ExportError` if they do not apply."""
+    options: dict[str, object] = {"limits": hardware.limits, **({"single": True} if hardware.single else {})}
+    if target not in CONTROLLERS or (hardware.single and target != "c"):
+        field, formats = ("single", ("c",)) if target in CONTROLLERS else ("hardware", CONTROLLERS)
+        remedy = f"leave it out, or write {' or '.join(formats)}, of a joint"
+        raise ExportError(f"{field} does not apply to {target}", field=field, value=target, remedy=remedy)
+    return options
 
 
 _RESERVED = frozenset(  # by the standard headers and by the replay program

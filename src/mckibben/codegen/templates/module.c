@@ -25,6 +25,18 @@ ${line}
 
 ${function.signature}
 {
+<% set guard = function.function.guard %>
+<% if guard | length == 1 %>
+    ${name}_${guard[0].call};
+<% elif guard %>
+    switch (${name}_${guard[1].call}) {
+    case 1:
+        ${name}_${guard[2].name}(self, ${function.function.outputs | join(", ")});
+        return;
+    case 2:
+        ${name}_${guard[0].call};
+    }
+<% endif %>
 <% for line in function.lines %>
 ${line}
 <% endfor %>

@@ -27,7 +27,7 @@ void ${name}_defaults(${name} *self);
 void ${name}_prepare(${name} *self);
 
 <% for function in functions %>
-/* ${function.text} */
+/* ${function.function.text} */
 ${function.signature};
 
 <% endfor %>

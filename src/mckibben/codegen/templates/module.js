@@ -24,8 +24,16 @@ const ${name} = (function () {
     }
 
 <% for function in functions %>
-    // ${function.text}
+    // ${function.function.text}
     function ${function.name}(${function.arguments}) {
+    <% set guard = function.function.guard %>
+    <% if guard | length == 1 %>
+        ${guard[0].call};
+    <% elif guard %>
+        const action = ${guard[1].call};
+        if (action === 1) return ${guard[2].name}(self);
+        if (action === 2) ${guard[0].call};
+    <% endif %>
     <% for line in function.lines %>
     ${line}
     <% endfor %>

@@ -58,24 +58,27 @@ int main(int count, char **arguments)
     ${name}_telemetry telemetry;
     const long steps = count > 2 ? strtol(arguments[2], NULL, 10) : 1000000;
     const double *row;
-    int number;
+    int number, held = 0;
     long step;
     clock_t start;
     if (count < 2 || !read_table(arguments[1]))
         return 2;
     ${name}_defaults(&controller);
     inputs(table[0], &setpoint, &measurement);
-    ${name}_init(&controller, &measurement);
+    ${name}_init(&controller, (${real})${seconds}, &measurement);
     for (number = 1; number < ROWS; ++number) {
         row = table[number];
         inputs(row, &setpoint, &measurement);
         ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
+        held += telemetry.fault != 0;
 <% for part, member in columns if part == "commands" %>
         compare((double)commands.${member}, row[${first_command + loop.index0}]);
 <% endfor %>
     }
     printf("%d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", ROWS - 1, deviation,
            deviation / largest);
+    if (held)
+        printf("%d samples were not used: the limits in ${name}_defaults do not fit this run\n", held);
     start = clock();
     for (step = 0; step < steps; ++step) {
         inputs(table[1 + step % (ROWS - 1)], &setpoint, &measurement);
