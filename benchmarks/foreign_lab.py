@@ -5,7 +5,7 @@
 
 The steps are 1 to 6 of docs/compare.md, "For your joint and valves", and all but the last are commands of `mckibben`
 on the rig of benchmarks/foreign_rig.py, or for `pair` and `servo` on that of benchmarks/foreign_elbow.py: a test of
-one muscle, its force law, the joint with a weight of 500 g (2 kg on the elbow), the valves, and a comparison on the
+one muscle, its force law, the joint with a weight of 1.5 kg (2 kg on the elbow), the valves, and a comparison on the
 calibrated model, in which the PIDs have ten times the budget of the others. The last step runs the tuned controllers on
 the foreign plant, with other loads, supplies, friction, disturbances and references in each run, and prints the median
 angle RMSE, in which failed runs count as infinite, the same without the offset of the encoder, which no controller can
@@ -70,7 +70,7 @@ JOINT = Lab(
     stiffness="12 N*m/rad",
     references={"13.5..16": "10..13", "14 N*m": "11 N*m", "16 N*m": "13 N*m", "15 N*m": "12 N*m"},
     stroke=24,
-    weight=500,
+    weight=1500,
     distance="200 mm",
     friction="3..15 N",
     disturbance=0.3,

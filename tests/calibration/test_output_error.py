@@ -99,6 +99,7 @@ def test_a_scenario_gets_the_estimates_as_plant_and_model(found):
     plant = calibrated_scenario(Scenario.parse(example), found).plant()
     assert plant.command_delay == pytest.approx(found.quantities["delay"].value)
     assert plant.valve.time_constant == pytest.approx(found.quantities["valve.time_constant"].value)
+    assert plant.sensors.encoder_offset == pytest.approx(found.quantities["zero"].value) != 0
 
 
 def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):

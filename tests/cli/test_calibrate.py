@@ -94,6 +94,15 @@ def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there
     assert 0.9 < found[0.5][1] < 0.7 * found[0.5][0]
 
 
+@pytest.mark.filterwarnings("always")
+@pytest.mark.parametrize(("mass", "light"), [(0.2, True), (1.0, False)])
+def test_a_weight_that_turns_the_joint_by_less_than_its_friction_is_warned_of(recwarn, mass, light):
+    """Two muscles with 7.5 N on arms of 3 cm hold some 0.45 N*m; at 40 deg 0.2 kg turn by 0.25 N*m."""
+    scenario = Scenario.read(EXAMPLE.parents[1] / "valves" / "regulator-decoupling.yaml")
+    assert Sweeps(-0.17, 0.17, 20.0, mass, 0.2).scenarios(scenario)
+    assert any("weight" in str(warning.message) for warning in recwarn.list) == light
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

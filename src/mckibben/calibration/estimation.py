@@ -36,12 +36,12 @@ from mckibben.calibration.equations import (
     sliding_from,
 )
 from mckibben.calibration.fitting import (
-    UNEXPLAINED,
     Calibration,
     JointEstimate,
     LocalMinimum,
     correlation_time,
     draws,
+    misfit_remarks,
     probabilities,
     remembered,
 )
@@ -55,7 +55,6 @@ from mckibben.result import Column, Listing, Remark, column
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
 _LEAST_VARIANCE = 1e-8
-_NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which a misfit is irrelevant
 _CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 _APART = 100  # samples, of the stiffness along recordings
@@ -217,8 +216,8 @@ class JointCalibration(CalibratedJoint):
         Root mean square of its sensor noise [N*m], the part not shared by even and odd samples.
     misfit
         Root mean square of the error of the model [N*m]: the residual without its noise. Deviations contain it.
-    described
-        Whether the residual is within twice its noise, or below a thousandth of the highest torque.
+    highest
+        Highest torque of a muscle [N*m].
     """
 
     _error = Column("N*m", digits=3)
@@ -226,7 +225,7 @@ class JointCalibration(CalibratedJoint):
     residual: float = column("N*m", "residual torque", digits=2)
     noise: float = column("N*m", "noise of the torque", digits=2)
     misfit: float = column("N*m", "error of the model", digits=2)
-    described: bool = True
+    highest: float = 0.0
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
         """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
@@ -240,14 +239,8 @@ class JointCalibration(CalibratedJoint):
 
     def remarks(self) -> list[Remark]:
         """Whether the model describes the recordings, and remarks on the quantities."""
-        if self.described:
-            return super().remarks()
-        text = (
-            f"the residual torque of {self.residual:.2g} N*m is far above its noise, {self.noise:.2g} N*m: the model "
-        )
-        text += "does not describe the recordings, and deviations contain its error"
-        remedy = "check which recordings had the weight, the units, and the encoder's zero"
-        return [Remark.warning("residual", text, remedy), *super().remarks()]
+        remedy = "which recordings had the weight, the units, and the encoder's zero"
+        return misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy) + super().remarks()
 
 
 def calibrate_joint(
@@ -293,8 +286,7 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     minima, residual, noise = _solve(problem, halves)
-    arms = np.abs(joint.geometry.moment_arms(halves[0][0].angle))
-    relevant = max(UNEXPLAINED * noise, _NEGLIGIBLE * float(np.max(problem.force)) * float(np.max(arms)))
+    highest = float(np.max(problem.force) * np.max(np.abs(joint.geometry.moment_arms(halves[0][0].angle))))
     model = jax.tree.map(number, _model(problem, jnp.asarray(minima[0].z)))
     try:
         recheck(model)
@@ -302,7 +294,7 @@ def calibrate_joint(
         raise IdentificationError(f"the recordings contradict the model: {error.message}", remedy=_CHECK) from None
     parts = model.joint, model.load, tuple(recordings), problem, minima
     misfit = math.sqrt(max(residual**2 - noise**2, 0.0))
-    return JointCalibration(quantities_of(problem, minima), *parts, residual, noise, misfit, residual <= relevant)
+    return JointCalibration(quantities_of(problem, minima), *parts, residual, noise, misfit, highest)
 
 
 def quantities_of(problem: CalibrationProblem, minima: Sequence[LocalMinimum]) -> dict[str, JointEstimate]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,11 +22,12 @@ from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estim
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import independent, replaced, write_text
 from mckibben.control import Multisine, Reference, Sine
-from mckibben.errors import ParameterError, StoppedError
+from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.numerics.compiled import jit
+from mckibben.plant.sensors import PerfectSensors, SampledSensors
 from mckibben.rig import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
@@ -71,7 +73,8 @@ class Sweeps:
         Angles are swept slowly, three times a minute or part, with a motion of 1 Hz, from which the inertia follows,
         and the stiffness twice over 70 % of the range attainable at all angles, bare and with the weight (but not with
         a return spring). With a weight the faster motion is larger in the middle of the range. Raises `ParameterError`
-        if there is no such range, `IdentificationError` if the angles do not overcome the friction of the model.
+        if there is no such range, `IdentificationError` if the angles do not overcome the friction of the model. Warns
+        of a weight whose torque is below that friction, as it hardly determines the forces.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         sliding_from(first_model_of(scenario), np.array([self.lowest, self.highest, self.highest]))
@@ -81,6 +84,8 @@ class Sweeps:
                 "no stiffness is attainable at all of the angles, with and without weight",
                 remedy="give other angles, or a smaller weight",
             )
+        if self.added_mass:
+            self._check_weight(first_model_of(scenario), load_of(scenario))
         least, most = (
             float(min(share * amplitude, fastest / (2 * np.pi * _FAST) ** 2)) for share, fastest in (_LEAST, _MOST)
         )
@@ -128,6 +133,18 @@ class Sweeps:
     def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
         """Return a load with the weight."""
         return jax.tree.map(float, _with_weight(load, added_mass, self.distance))
+
+    def _check_weight(self, joint: AntagonisticJoint, load: Load) -> None:
+        """Warn if the weight turns the joint by less than friction holds it, in the middle at the highest pressures."""
+        pressures = joint.muscle1.domain.pressure_max, joint.muscle2.domain.pressure_max
+        ends = np.array([self.lowest, self.highest])
+        states = joint.update_state(joint.init_state(self.lowest, pressures), ends.mean(), pressures)
+        friction = abs(float(joint.friction_torque(ends.mean(), None, pressures, states)))
+        turned = self._weighted(load, self.added_mass).gravity_torque(ends) - load.gravity_torque(ends)
+        if (most := float(np.max(np.abs(turned)))) < friction:
+            text = f"the torque of the weight, at most {most:.2g} N*m, is below the friction, {friction:.2g} N*m: "
+            text += "it hardly determines the forces; use a heavier weight, or wider angles"
+            warnings.warn(text, McKibbenWarning, stacklevel=2)
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
@@ -305,8 +322,11 @@ def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJo
 
 
 def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
-    """Return the scenario with the estimates as its plant, and as its controller's model."""
+    """Return the scenario with the estimates as its plant, encoder included, and as its controller's model."""
     parts: dict[str, Any] = {"joint": calibrated_model(scenario, fit), "load": fit.load}
+    sensors = SampledSensors() if isinstance(scenario.sensors, PerfectSensors) else scenario.sensors
+    if isinstance(sensors, SampledSensors):
+        parts["sensors"] = replaced(sensors, {"encoder_offset": fit.quantities["zero"].value})
     if isinstance(fit, CommandedCalibration):
         valve = replaced(scenario.valve, {name: getattr(fit.valve, name) for name in ("time_constant", "rate")})
         parts |= {"valve": valve, "command_delay": fit.delay}

@@ -23,11 +23,11 @@ Floats = NDArray[np.float64]
 
 CONFLICT = 2.5
 """Prior standard deviations from the first model above which a quantity is named."""
-UNEXPLAINED = 2.0
+_UNEXPLAINED = 2.0
 """Ratio of residual to noise above which a model does not describe the recordings."""
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
 """Units of quantities in texts that differ from SI."""
-_NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which a misfit is irrelevant
+_NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure or torque up to which a misfit is irrelevant
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
 _SIGNIFICANT = 2.0  # standard deviations of the variance of noise by which a residual exceeds it
 _STAGES, _BRIEF, _EVALUATIONS = 3, 10, 60  # re-estimations of the variance; evaluations of a start and of a stage
@@ -394,12 +394,16 @@ def noise_of(errors: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(np.concatenate([np.diff(part) for part in errors]) ** 2) / 2))
 
 
-def misfit_remarks(residual: float, noise: float, highest: float, remedy: str) -> list[Remark]:
-    """Return the remark on a residual pressure [Pa] that its noise does not explain, where it matters."""
-    if residual <= max(UNEXPLAINED * noise, _NEGLIGIBLE * highest):
+def misfit_remarks(residual: float, noise: float, highest: float, unit: str, remedy: str) -> list[Remark]:
+    """Return the remark on a residual pressure [Pa] or torque [N*m] that its noise does not explain, where it matters.
+
+    >>> len(misfit_remarks(5e3, 1e3, 6e5, "kPa", "units")), len(misfit_remarks(1e3, 1.0, 6e5, "kPa", "units"))
+    (1, 0)
+    """
+    if residual <= max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
         return []
     text = (
-        f"the residual of {show(residual, 'kPa', 2)} is far above the noise, {show(noise, 'kPa', 2)}: the model does "
+        f"the residual of {show(residual, unit, 2)} is far above the noise, {show(noise, unit, 2)}: the model does not "
     )
-    text += "not describe the recordings, and deviations contain its error"
+    text += "describe the recordings, and deviations contain its error"
     return [Remark.warning("residual", text, f"check {remedy}")]

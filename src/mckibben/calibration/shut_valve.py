@@ -107,7 +107,7 @@ class AirFit(Calibration):
         """Misfit, short phases, and an assumed dead volume."""
         highest = max(float(phase.pressures.max()) for phase in self.phases)
         remedy = "that the valve was shut, and that length and room stayed the same"
-        remarks = misfit_remarks(self.residual, self.noise, highest, remedy)
+        remarks = misfit_remarks(self.residual, self.noise, highest, "kPa", remedy)
         if all(phase.end - phase.begin < 2 * tau for phase, tau in zip(self.phases, self.time_constants, strict=True)):
             text = f"no phase lasts two time constants of the temperature, {max(self.time_constants):.2g} s"
             remarks.append(Remark.warning("phases", text, "watch the pressure for longer"))

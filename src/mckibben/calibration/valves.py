@@ -101,7 +101,8 @@ class ValveCalibration(Calibration):
 
     def remarks(self) -> list[Remark]:
         """Misfit, quantities that differ between the valves, and those that are far from the first model."""
-        remarks = misfit_remarks(self.residual, self.noise, self.highest, "class of the valve, units, which muscle")
+        remedy = "class of the valve, units, which muscle"
+        remarks = misfit_remarks(self.residual, self.noise, self.highest, "kPa", remedy)
         for name in self.differing:
             both = " and ".join(str(self.quantities[f"valve{number}.{name}"]) for number in (1, 2))
             model = "the mean" if name == "delay" else "both valves"
