@@ -75,7 +75,7 @@ class McapMessage(NamedTuple):
 
 
 class McapWriter:
-    """Appends messages from any thread; each append is one chunk, synced to disk before it returns.
+    """Appends chunks of messages from any thread; each append is synced to disk before it returns.
 
     Parameters
     ----------
@@ -115,8 +115,8 @@ class McapWriter:
         self._end = len(content)
         self._file = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
 
-    def append(self, messages: Sequence[McapMessage]) -> None:
-        """Append messages as one chunk, all or none.
+    def append(self, *chunks: Sequence[McapMessage]) -> None:
+        """Append chunks of messages, all or none.
 
         Raises
         ------
@@ -125,24 +125,30 @@ class McapWriter:
         OSError
             If they cannot be written; the file is then as before.
         """
-        body = [self._packed(*self._channels())]
-        for topic, sequence, time, data in messages:
-            stamp = round(time * 1e9)
-            body += [_MESSAGE.pack(MESSAGE_OPCODE, len(data) + 22, topic + 1, sequence, stamp, stamp), data]
-            self._counts[topic + 1] += 1
-        content, times = b"".join(body), [round(message.time * 1e9) for message in messages]
-        chunk = self._records.Chunk(
-            "zstd", self._zstd.compress(content), max(times), min(times), zlib.crc32(content), len(content)
-        )
-        packed = self._packed(chunk)
-        self._write(packed)
-        index = self._records.ChunkIndex(
-            len(packed), self._end, "zstd", len(chunk.data), max(times), 0, {}, min(times), len(content)
-        )
-        self._indexes.append(index)
-        self._end += len(packed)
+        content, indexes = b"", []
+        for messages in chunks:
+            packed, index = self._chunk(messages, self._end + len(content))
+            content += packed
+            indexes.append(index)
+        self._write(content)
+        self._indexes += indexes
+        self._end += len(content)
         if not is_same_file(self.path, self._file):
             raise FileNotFoundError(errno.ENOENT, "it was removed or moved during writing")
+
+    def _chunk(self, messages: Sequence[McapMessage], position: int) -> tuple[bytes, Any]:
+        """Chunk of messages at a position of the file, and its index."""
+        body = [self._packed(*self._channels())]
+        stamps = [round(message.time * 1e9) for message in messages]
+        for (topic, sequence, _, data), stamp in zip(messages, stamps, strict=True):
+            body += [_MESSAGE.pack(MESSAGE_OPCODE, len(data) + 22, topic + 1, sequence, stamp, stamp), data]
+            self._counts[topic + 1] += 1
+        content, first, last = b"".join(body), min(stamps), max(stamps)
+        packed = self._zstd.compress(content)
+        chunk = self._records.Chunk("zstd", packed, last, first, zlib.crc32(content), len(content))
+        record, size = self._packed(chunk), len(content)
+        index = self._records.ChunkIndex(len(record), position, "zstd", len(packed), last, 0, {}, first, size)
+        return record, index
 
     @property
     def closed(self) -> bool:

@@ -287,28 +287,29 @@ class Recorder:
                 if closing and not self._pending:
                     return
 
-    def _packed(self, pending: list[list[np.ndarray] | dict[str, Any]]) -> list[McapMessage]:
-        """Messages of rows and events, in their order."""
-        messages: list[McapMessage] = []
+    def _packed(self, pending: list[list[np.ndarray] | dict[str, Any]]) -> list[list[McapMessage]]:
+        """Chunks of rows and events in their order, each of which ends with an event: damage costs one point."""
+        chunks: list[list[McapMessage]] = [[]]
         for entry in pending:
             if isinstance(entry, dict):
                 data = json.dumps(entry, ensure_ascii=False, allow_nan=False).encode()
-                messages.append(McapMessage(EVENTS, 0, self._time, data))
+                chunks[-1].append(McapMessage(EVENTS, 0, self._time, data))
+                chunks.append([])
                 continue
             rows = pack_rows(self.columns, entry, self._written)
             self._written, self._time = self._written + len(rows), rows[-1].time
-            messages += rows
-        return messages
+            chunks[-1] += rows
+        return [chunk for chunk in chunks if chunk]
 
-    def _write(self, messages: list[McapMessage]) -> None:
+    def _write(self, chunks: list[list[McapMessage]]) -> None:
         """Append to the file; on a full disk, in the space of the reserve."""
         try:
-            self._file.append(messages)
+            self._file.append(*chunks)
         except OSError as error:
             if error.errno not in _FULL:
                 raise
             self._reserve.unlink(missing_ok=True)
-            self._file.append(messages)
+            self._file.append(*chunks)
             with self._change:
                 self._failure = error  # it is kept, but nothing more should come
 

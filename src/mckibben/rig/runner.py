@@ -179,6 +179,7 @@ class Runner(StepInterpreter):
                     self._vent()
                     for _ in range(2):  # a chunk that is damaged later must not cause a finished test to move again
                         rig.recorder.event(DONE, "all steps are done", points=self._number, pulses=rig.pulses)
+                        rig.recorder.flush()
             except BaseException as error:
                 raise rig.record_stop(error) from error
 

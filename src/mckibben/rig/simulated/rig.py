@@ -325,10 +325,6 @@ class RealTimeRig(SimulatedRig):
         self._wall, self._sleep = wall, sleep
         self._began = wall()
 
-    @property
-    def description(self) -> Mapping[str, str]:
-        return {**super().description, "pace": "real time"}
-
     def open(self) -> None:
         super().open()
         self._began = self._wall()

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RigError
 from mckibben.rig.backend import Block, Channel
 from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected
@@ -51,12 +50,6 @@ class Sensor:
     wander: float = 0.0
     resolution: float = 0.0
     gain: float = 1.0
-
-    def __post_init__(self) -> None:
-        name, unit = self.channel.name, self.channel.unit
-        amounts = {"noise": self.noise, "wander": self.wander, "resolution": self.resolution}
-        check_positive(name, unit, zero=True, **amounts)
-        check_within(name, -1e9, 1e9, unit, drift=self.drift)
 
 
 FORCE_SENSOR = Sensor(
