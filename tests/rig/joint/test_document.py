@@ -37,4 +37,5 @@ def test_a_card_is_wired_as_it_is_said(tmp_path, stiff):
         "valve1": "Dev2/ao0",
         "valve2": "Dev2/ao1",
     }
-    assert card.inputs[0].high == pytest.approx(176.8 * deg) and card.outputs[1].high == pytest.approx(9 * bar, rel=1e-3)
+    assert card.inputs[0].high == pytest.approx(176.8 * deg)
+    assert card.outputs[1].high == pytest.approx(9 * bar, rel=1e-3)
