@@ -112,7 +112,7 @@ BUDGET = {
     "firmware": 30,
     "identification": 3600,
     "joint": 1200,
-    "leg": 3350,
+    "leg": 3360,
     "muscle": 1580,
     "numerics": 840,
     "paper": 740,

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
-from mckibben.leg import JointwiseControl, Leg, LegScenario, LegStart, TimedReference, simulate_leg
+from mckibben.leg import JointwiseControl, Leg, LegScenario, LegStart, PressureSchedule, TimedReference, simulate_leg
 from mckibben.leg.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
 from mckibben.leg.tree import MASSLESS, Body, Frame, Hinge, equations, frames_of, path_through
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
+from mckibben.units import deg
 
 ARM = "examples/leg/umarm.yaml"
 REFERENCE = json.loads(Path(__file__).with_name("umarm.json").read_text())
@@ -59,6 +60,19 @@ def test_an_arm_of_24_muscles_is_that_of_soromox(arm: Leg, case: dict[str, list[
     found = np.array(acceleration(arm, posture, velocity, tuple(applied), ZERO, 0.0).angles)
     expected = np.array(case["acceleration_rad_s2"])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_an_arm_swings_to_where_its_muscles_pull_it() -> None:
+    """Muscle a of the first joint, with more pressure than the others, turns it most."""
+    plant = LegScenario.read(ARM).plant()
+    names, even = plant.leg.muscle_names, (2e5,) * 24
+    schedule = PressureSchedule(tuple((3e5 if name == "u1a" else 2e5,) for name in names))
+    start = LegStart((0.0,) * 12, even, clearance=0.2)
+    run = simulate_leg(plant, schedule, start, duration=0.2, control_period=1e-3, substeps=2)
+    turned = {name: abs(angle[-1]) for name, angle in zip(run.joints, run["angle"], strict=True)}
+    assert run.engine == "native"
+    assert max(turned, key=turned.__getitem__) == "u1y" and turned["u1y"] > 5 * deg
 
 
 def random_tree(rng: np.random.Generator) -> tuple[list[Hinge], list[Body], list[list[tuple[int, Vector]]]]:

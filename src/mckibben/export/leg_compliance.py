@@ -12,10 +12,10 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import numpy as np
 
 from mckibben.leg import Leg, LegJoint, LegPlant, LegState
-from mckibben.leg.dynamics import foot_mobility, joint_mobility, posture_of
+from mckibben.leg.dynamics import mobilities, posture_of
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
 """Speeds [m/s], [rad/s] at which the restitution equals that of the plant."""
@@ -53,9 +53,9 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     leg, ground = plant.leg, plant.ground
     zero = posture_of(leg, [0.0] * len(leg.joints))
     foot = _at_centre_of_last(leg)
-    body = float(jnp.trace(foot_mobility(foot, zero))) / 3  # MuJoCo's mean over x, y and z
-    normal = jnp.stack([jnp.asarray(component) for component in ground.normal])
-    mobility, softness = float(normal @ foot_mobility(leg, start.posture) @ normal), {}
+    body = float(mobilities(foot, zero)[0].trace()) / 3  # MuJoCo's mean over x, y and z
+    normal = np.array([float(component) for component in ground.normal])
+    mobility, softness = float(normal @ mobilities(leg, start.posture)[0] @ normal), {}
     if leg.trunk.freedom == "fixed":  # a straight leg below a fixed trunk has no mobility along itself
         mobility = max(mobility, 1 / float(leg.total_mass))
     stiffness = float(ground.stiffness)
@@ -64,7 +64,7 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     weight = float(leg.total_mass * plant.gravity)
     slope = float(ground.friction * weight / ground.slip_speed) or 1.0
     softness["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
-    for joint, mobility in zip(leg.joints, jnp.diag(joint_mobility(leg, zero)).tolist(), strict=True):
+    for joint, mobility in zip(leg.joints, mobilities(leg, zero)[1].diagonal().tolist(), strict=True):
         if joint.locked is None:
             softness[joint.name] = _stop(joint, mobility)
     return softness

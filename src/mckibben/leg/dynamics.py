@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from numpy.typing import NDArray
 
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.tree import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
-from mckibben.numerics.compiled import jit
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector, X, Y, Z, product, total
 
 Scalar = Float[Array, ""]
@@ -152,6 +153,17 @@ def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -
     return jax.tree.map(jnp.asarray, found)
 
 
+def _slides(leg: Leg) -> list[Vector]:
+    """Directions in which the trunk moves without turning."""
+    return [SLIDES[name] for name in leg.trunk.motions if name in SLIDES]
+
+
+def _foot_velocities(leg: Leg, tree: _Tree, found: Sequence[Frame], point: Contact) -> list[Vector]:
+    """Velocity of the foot's point of contact per rate of each motion."""
+    pairs = zip(found[1:], tree.hinges, strict=True)
+    return [*_slides(leg), *(at.axis.cross(point.position - at.position) for at, hinge in pairs if hinge.free)]
+
+
 def _equations(
     leg: Leg,
     posture: Posture,
@@ -163,14 +175,12 @@ def _equations(
 ) -> Equations:
     tree = _tree(leg, posture, velocity)
     found = tree.frames()
-    slides = [SLIDES[name] for name in leg.trunk.motions if name in SLIDES]
     point = contact(leg, found, normal)
-    made = equations(slides, tree.hinges, tree.bodies, found, gravity, {tree.foot: (force, point.arm)})
+    made = equations(_slides(leg), tree.hinges, tree.bodies, found, gravity, {tree.foot: (force, point.arm)})
     if slip_mass is None:
         return made
-    pairs = zip(found[1:], tree.hinges, strict=True)
-    moved = [*slides, *(at.axis.cross(point.position - at.position) for at, hinge in pairs if hinge.free)]
-    slips = [one - normal.scaled(one.dot(normal)) for one in moved]  # of the point, per rate of each motion
+    moved = _foot_velocities(leg, tree, found, point)
+    slips = [one - normal.scaled(one.dot(normal)) for one in moved]
     rows = [
         [total(entry, product(slip_mass, slips[i].dot(slips[j]))) for j, entry in enumerate(row)]
         for i, row in enumerate(made.matrix)
@@ -218,30 +228,25 @@ def joint_equations(leg: Leg, angles: Sequence[ArrayLike], rates: Sequence[Array
     return Equations(rows, [sign * bias for sign, bias in zip(signs, made.bias, strict=True)])
 
 
-def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "3 3"]:
-    """Return the acceleration of the foot per force on it [1/kg], forwards, to the left and up."""
+def mobilities(leg: Leg, posture: Posture) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the acceleration of the foot per force on it [1/kg] and those of the joints per torque [1/(kg*m^2)].
+
+    Shapes (3, 3), forwards, to the left and up, and (joints, joints), 0 for locked joints; NaN where a joint turns
+    bodies without inertia.
+    """
     still = at_rest(posture)
-
-    def moved(force: Array) -> Array:
-        rates = acceleration(leg, posture, still, (0.0,) * len(leg.joints), Vector(*force), 0.0)
-        point = contact(leg, frames(leg, posture, rates))  # at rest, accelerations depend on forces as velocities do
-        return jnp.stack([jnp.asarray(one, float) for one in point.velocity])
-
-    return jax.jacfwd(moved)(jnp.zeros(3))
-
-
-def joint_mobility(leg: Leg, posture: Posture) -> Float[Array, "joints joints"]:
-    """Return the accelerations of the joints per torque on them [1/(kg*m^2)]; 0 for locked joints."""
-    still = at_rest(posture)
-
-    def moved(torques: Array) -> Array:
-        return jnp.stack(acceleration(leg, posture, still, tuple(torques), ZERO, 0.0).angles)
-
-    return jax.jacfwd(moved)(jnp.zeros(len(leg.joints)))
-
-
-@jit
-def mobilities(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[Array, Array]:
-    """Return the mobilities of the foot and of the joints at angles [rad]."""
-    posture = posture_of(leg, angles)
-    return foot_mobility(leg, posture), joint_mobility(leg, posture)
+    tree = _tree(leg, posture, still)
+    found = tree.frames()
+    moved = np.array([tuple(map(float, one)) for one in _foot_velocities(leg, tree, found, contact(leg, found))])
+    rows = [list(map(float, row)) for row in _equations(leg, posture, still, 0.0).matrix]
+    size = len(rows)
+    lower = np.array([row + [0.0] * (size - len(row)) for row in rows]).reshape(size, size)
+    matrix = lower + np.tril(lower, -1).T
+    singular = np.linalg.matrix_rank(matrix) < size
+    inverse = np.full((size, size), np.nan) if singular else np.linalg.inv(matrix)
+    free = [index for index, joint in enumerate(leg.joints) if joint.locked is None]
+    signs = np.array([leg.joints[index].sign for index in free])
+    joints, first = np.zeros((len(leg.joints),) * 2), size - len(free)
+    joints[np.ix_(free, free)] = inverse[first:, first:] * np.outer(signs, signs)
+    foot = moved.reshape(size, 3)
+    return foot.T @ inverse @ foot, joints

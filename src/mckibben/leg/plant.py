@@ -230,7 +230,7 @@ class LegPlant(Plant[LegState]):
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
         leg, ground = self.leg, self.ground
-        mobility, of_joints = map(np.asarray, mobilities(leg, angles))
+        mobility, of_joints = mobilities(leg, posture_of(leg, angles))
         if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
             raise SimulationError(
                 "a joint turns links without inertia about its axis",
