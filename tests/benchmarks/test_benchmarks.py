@@ -104,3 +104,10 @@ def test_a_mutant_changes_one_part_and_afterwards_the_file_is_as_before(monkeypa
     assert not any(tool.survives(tmp_path, one, [], ["tests"]) for one in found)
     assert len(set(seen)) == len(seen) == len(found) and text not in seen
     assert file.read_text(encoding="utf-8") == text
+
+
+def test_no_degenerate_test_of_a_muscle_gives_a_law_in_silence(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    found = importlib.import_module("designs").outcomes(20)
+    assert len(found) == 5 and all(sum(numbers.values()) == 4 for numbers in found.values())
+    assert not any(numbers["silent"] for numbers in found.values())

@@ -11,7 +11,7 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.identification import Fit
-from mckibben.muscle import Muscle, ThresholdLaw, forces
+from mckibben.muscle import Muscle, forces
 from mckibben.units import bar, mm, percent
 
 TABLES = Path(__file__).parents[2] / "src" / "mckibben" / "catalog" / "tables"
@@ -238,30 +238,6 @@ def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, option
     found = cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *options)
     assert (found.code, found.out) == (2, "")
     assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
-
-
-@pytest.mark.slow
-def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
-    """The law in muscle.yaml has the threshold, and gives the measured forces."""
-    late = ThresholdLaw(law=catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
-    pressure, contraction = map(np.ravel, np.meshgrid(np.arange(13) * 0.25, np.linspace(-3, 10, 9)))
-    force = np.asarray(late.force(contraction / 100, pressure * bar))
-    force = np.maximum(force + np.random.default_rng(1).normal(0, 0.3, force.size), 0)
-    rows = [f"{p},{c},{f}" for p, c, f in zip(pressure, contraction, force, strict=True)]
-    (tmp_path / "points.csv").write_text("\n".join(["pressure_bar,contraction_percent,force_N", *rows]))
-    (tmp_path / "recipe.yaml").write_text("slack_force: 2 N\ninitial_length: 180 mm\n")
-    given = ("identify", "points.csv", "--threshold", "--read", "recipe.yaml")
-    found = cli(*given, "--json", "--out", "kept")
-    assert found.code == 0, found.err
-    assert values(json.loads(found.out), "threshold", "threshold")[0] == pytest.approx(0.4 * bar, rel=0.05)
-    muscle = read_component(Muscle, tmp_path / "kept" / "muscle.yaml")
-    assert isinstance(muscle.law, ThresholdLaw)
-    np.testing.assert_allclose(
-        muscle.law.force(0.05, np.array([1e5, 3e5])), late.force(0.05, np.array([1e5, 3e5])), atol=1
-    )
-    domain, rounding = muscle.law.domain, pytest.approx
-    assert (domain.pressure_min, domain.pressure_max) == (rounding(0, abs=1e-3), rounding(3 * bar, rel=1e-9))
-    assert "no significant" not in cli(*given).out
 
 
 @pytest.mark.slow

@@ -89,41 +89,8 @@ def test_at_takes_what_is_near_and_names_what_there_is():
     assert grid().at(2.005 * bar).force.tolist() == [4, 5, 6, 7]
     assert len(grid().at([1 * bar, 2 * bar])) == 8
     assert len(grid().at(1.9 * bar, tolerance=0.2 * bar)) == 4
-    with pytest.raises(RangeError, match=r"no point of pressure \[bar\] 3; there are 1, 2, 4\.5"):
+    with pytest.raises(RangeError, match=r"no point at 3 bar; there are 1, 2, 4\.5"):
         grid().at([2 * bar, 3 * bar])
-
-
-def test_split_holds_out_any_of_the_given_things():
-    train, held_out = grid().split(pressures=2 * bar, repeats=2)
-    assert held_out.force.tolist() == [1, 3, 4, 5, 6, 7, 9, 11]
-    assert train.force.tolist() == [0, 2, 8, 10]
-    train, held_out = grid().split(directions="loading")
-    assert held_out.contraction.tolist() == 6 * [0.0]
-    assert train.contraction.tolist() == 6 * [0.2]
-
-
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
-        ({}, "no points to hold out"),
-        ({"repeats": [1, 2]}, "no points to train on"),
-        ({"repeats": []}, "no repeat is given"),
-        ({"pressures": []}, r"no pressure \[bar\] is given"),
-        ({"repeats": [1, 7]}, "no point of repeat 7; there are 1, 2"),
-        ({"directions": ["up"]}, "no point of direction up; there are loading, unloading"),
-        ({"pressures": 3e5}, r"no point of pressure \[bar\] 3"),
-    ],
-)
-def test_a_split_that_cannot_be_is_refused(what, message):
-    with pytest.raises(RangeError, match=message):
-        grid().split(**what)
-
-
-def test_a_dataset_without_repeats_says_so():
-    data = IsobaricDataset.of(pressure=[0, 0], contraction=[0, 0], force=[1, 2])
-    assert len(data.repeats) == len(data.directions) == 0
-    with pytest.raises(RangeError, match="no repeat is recorded"):
-        data.split(repeats=1)
 
 
 @pytest.mark.parametrize("mask", [np.ones(11, bool), np.ones(12, int), True, np.ones((12, 1), bool)])

@@ -204,7 +204,7 @@ def test_points_without_levels_have_blocks_all_the_same(written):
     pressure, contraction, force, _ = measured(scatter=0.3)
     data = read(written(pressure, contraction, force))
     assert "set_pressure" not in data.table
-    assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_pressure) == 8
+    assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_level) == 8
 
 
 def test_an_empty_dataset_stays_empty():

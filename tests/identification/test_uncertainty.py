@@ -146,7 +146,9 @@ def test_beyond_the_pressures_the_misfit_grows_with_the_distance(fit):
     pressure = np.array([8, 8.5, 9, 11]) * bar  # measured up to 8 bar
     band = fit.force_intervals(0.1, pressure).prediction
     assert (np.diff(band.upper - band.lower) > 0).all()
-    square, freedom = fit.leave_one_pressure_out.misfit(pressure)
+    domain = fit.law.domain
+    distance = (pressure - domain.pressure_max) / (domain.pressure_max - domain.pressure_min)
+    square, freedom = fit.leave_one_pressure_out.misfit(distance, 1)
     assert square[3] / square[2] == pytest.approx(9) and freedom.tolist() == [np.inf, freedom[1], 5, 5]
 
 

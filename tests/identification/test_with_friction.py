@@ -80,7 +80,7 @@ def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     found = identify_with_friction(ExponentialLaw, rig)
     muscle = found.muscle(mk.Specimen("mine", 0.2))
     assert (muscle.law, muscle.friction) == (found.fit.law, found.friction)
-    assert float(found.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
+    assert float(found.fit.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
     doubtful = dataclasses.replace(found.hysteresis, notes=(Remark.warning("half_width", "at a bound"),))
     warned = dataclasses.replace(found, hysteresis=doubtful)
     assert warned.warnings == (*found.fit.warnings, "at a bound")

@@ -84,12 +84,12 @@ def test_validation_is_the_error_over_the_points_of_the_retest(identification, p
 
 def test_held_out_means_not_seen(identification):
     settled = identification.rig.settled
-    for found, (train, unseen) in (
-        (identification.held_out_pressures, settled.split(pressures=list(TEST_PRESSURES))),
-        (identification.held_out_repeat, settled.split(repeats=[1])),
+    for found, unseen in (
+        (identification.held_out_pressures, np.isin(settled.levels, TEST_PRESSURES)),
+        (identification.held_out_repeat, settled.table["repeat"].to_numpy() == 1),
     ):
-        law = identify(ExponentialLaw, train).law
-        taut = unseen.taut
+        law = identify(ExponentialLaw, settled.select(~unseen)).law
+        taut = settled.select(unseen).taut
         error = np.asarray(law.force(taut.contraction, taut.pressure)) - taut.force
         assert found.of(EXPERIMENTAL).rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
         assert found.of(EXPERIMENTAL).rmse < found.of(CHOU).rmse

@@ -19,7 +19,7 @@ def drawn():
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), LAW)
     protocol = IsobaricProtocol(pressures=np.arange(0, 8) * 0.75 * bar, step=3 * mm, repeats=1, samples=20)
     data = SimulatedIsobaricTest(muscle, force_drift=2.0).run(protocol, seed=1)
-    found = identify_hysteresis(LAW, data)
+    found = identify_hysteresis(ExponentialLaw, data)
     return data, found, loops(data, found)
 
 

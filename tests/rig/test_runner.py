@@ -11,8 +11,9 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
-from mckibben.muscle import MaxwellSlip, Muscle, forces
-from mckibben.rig import IsobaricProtocol, recorder
+from mckibben.identification import identify_with_friction
+from mckibben.muscle import ExponentialLaw, MaxwellSlip, Muscle, forces
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, recorder
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import assemble, read_record, segments
 from mckibben.rig.recorder import Recorder
@@ -90,6 +91,26 @@ def test_at_constant_length_and_at_constant_force(tmp_path):
     np.testing.assert_allclose(data.force, 100.0, atol=2.5)
     np.testing.assert_allclose(data.force, forces(MUSCLE, data.contraction, data.pressure), atol=1.5)
     assert data.contraction[1] > data.contraction[0] + 0.03
+    assert list(data.table["direction"].to_numpy()) == ["unloading"] * 2 + ["loading"] * 2
+    assert (data.table["set_force"] == 100.0).all()
+
+
+@pytest.mark.slow
+def test_a_test_at_constant_forces_is_identified_as_the_isobaric_one(tmp_path):
+    muscle = replace(MUSCLE, friction=MaxwellSlip(12.0, 0.5 * mm))
+    protocol = IsotonicProtocol(repeats=1, **QUICK)
+    data = assemble(tmp_path, run(tmp_path, steps_of(protocol, muscle), of=muscle, muscle=muscle))
+    isobaric = IsobaricProtocol(pressures=np.arange(2, 7) * bar, repeats=1)
+    found, other = (
+        identify_with_friction(ExponentialLaw, points)
+        for points in (data, SimulatedIsobaricTest(muscle).run(isobaric, seed=1))
+    )
+    assert found.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.5)
+    assert other.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.1)
+    ours, theirs = (fit.fit.force_intervals(data.contraction, data.pressure) for fit in (found, other))
+    assert np.mean(ours.prediction.contains(theirs.prediction.value)) > 0.95
+    truth = forces(MUSCLE.law, data.contraction, data.pressure)
+    assert np.sqrt(np.mean((ours.confidence.value - truth) ** 2)) < 1.0
 
 
 def test_plateaus_are_recorded_whole_and_the_way_between_thinned_out(tmp_path):

@@ -17,7 +17,7 @@ from mckibben.units import show
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
-    from mckibben.identification import Fit, FitWithFriction, HysteresisFit, PooledFit, Ranking, ThresholdFit
+    from mckibben.identification import Fit, FitWithFriction, HysteresisFit, PooledFit, Ranking
 
 
 class Source(NamedTuple):
@@ -28,9 +28,7 @@ class Source(NamedTuple):
     recipe: Recipe
     volume: float | None
 
-    def write(
-        self, folder: Path, fit: Fit, law: str | dict[str, str] = "fit.yaml", loops: HysteresisFit | None = None
-    ) -> None:
+    def write(self, folder: Path, fit: Fit, loops: HysteresisFit | None = None) -> None:
         """Write fit, recipe and points, and the muscle if its initial length is known."""
         fit.to_yaml(folder / "fit.yaml")
         self.recipe.to_yaml(folder / "recipe.yaml")
@@ -44,7 +42,6 @@ class Source(NamedTuple):
             specimen=attrs["specimen"] or common,
             initial_length=attrs.get("initial_length"),
             volume=self.volume,
-            law=law,
             friction=loops.friction if loops else None,
             undetermined=loops.undetermined if loops else (),
         )
@@ -58,30 +55,18 @@ class Source(NamedTuple):
             yield Remark.note("data", text)
 
 
-def identified(fitted: FitWithFriction, late: ThresholdFit | None, source: Source) -> Report:
-    """Report of a law with friction and, if it was asked for, a threshold."""
-    loops, significant = fitted.hysteresis, late is not None and late.is_significant
-    fit = late.fit if late and significant else fitted.fit
-    tables = [
-        *titled(fit.listings(), "law"),
-        *(titled(late.listings(), "threshold") if late else ()),
-        *(titled(loops.listings(), "law and friction") if loops else ()),
-    ]
+def identified(fitted: FitWithFriction, source: Source) -> Report:
+    """Report of a law with friction."""
+    fit, loops = fitted.fit, fitted.hysteresis
 
     def write(folder: Path) -> None:
-        points, law = fitted.points, "fit.yaml"
-        if late and significant:
-            points = late.effective(points)
-            law = {"class": "threshold", "law": "fit.yaml", "threshold": show(late.threshold, "bar", 15)}
-        source.write(folder, fit, law, loops)
-        report.save(report.isobaric(points, fit), folder, "fit")
-        report.save(report.force_bands(points, fit), folder, "bands")
+        source.write(folder, fit, loops)
+        report.save(report.isobaric(fitted.points, fit), folder, "fit")
+        report.save(report.force_bands(fitted.points, fit), folder, "bands")
         if loops:
             report.save(report.loops(source.points, loops), folder, "loops")
 
-    text = fitted.verdict() + (f". {late.verdict()}" if late else "")
-    remarks = [*fitted.remarks(), *(late.notes if late else ()), *source.remarks()]
-    return Report(text, tuple(tables), tuple(remarks), write)
+    return Report(fitted.verdict(), tuple(fitted.listings()), (*fitted.remarks(), *source.remarks()), write)
 
 
 def ranked(ranking: Ranking, source: Source) -> Report:

@@ -23,11 +23,10 @@ _CHOICES = {"auto": None, "on": True, "off": False}
 @command
 def identify(
     data: Data,
-    of: Literal["force", "creep", "air"] = "force",
+    of: Literal["force", "creep", "air", "inverse"] = "force",
     law: str = "exponential",
     friction: str = "auto",
     inner: str = "",
-    threshold: bool = False,
     pool: bool = False,
     for_length: str = "",
     keep_outliers: bool = False,
@@ -39,15 +38,16 @@ def identify(
     """Identify a muscle: a force law with standard errors and cross-validation errors, its creep, or its air.
 
     With --law all, every law is fitted, and laws are ranked by cross-validation over pressures, inner contractions,
-    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown. Where loading
-    and unloading differ, friction and drift of the force sensor are identified with the law (--friction off: without).
+    directions and repeats. Where loading and unloading differ, friction and drift of the force sensor are identified
+    with the law (--friction off: without).
 
     Parameters
     ----------
-    of : force|creep|air
-        What to identify: the force law of measured points; or, of recordings over time, the creep after steps
-        of the pressure at fixed lengths, or heat to the wall, leak and dead volume of the air: fill a muscle
-        fast, shut the valve, watch; vent, shut, watch.
+    of : force|inverse|creep|air
+        What to identify: the force law of measured points; of a test at constant loads, the pressure over
+        contraction, load and direction as a table (CSV and C); or, of recordings over time, the creep after
+        steps of the pressure at fixed lengths, or heat to the wall, leak and dead volume of the air: fill a
+        muscle fast, shut the valve, watch; vent, shut, watch.
     law
         Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.
     friction : FORM
@@ -55,8 +55,6 @@ def identify(
         unloading differ, in the form that predicts held-out loops best).
     inner : SIZE
         Inner diameter or measured volume of air at contraction 0, for muscle.yaml.
-    threshold
-        Identify a pressure threshold with the law.
     pool
         Each file is another specimen of one make; one law for all, and errors left out.
     for_length : LENGTH
@@ -68,26 +66,24 @@ def identify(
     """
     form = "" if friction == "auto" else friction
     if of != "force":
-        check_unused(f"--of {of}", inner=inner, threshold=threshold, pool=pool, friction=form)
+        if of == "inverse":
+            from mckibben.identification import inverse_table
+
+            return inverse_table(reading.data(data))
+        check_unused(f"--of {of}", inner=inner, pool=pool, friction=form)
         return _of_recordings(of, data, dead_volume, reading)
     from mckibben.cli.identified import Source, identified, pooled, ranked
-    from mckibben.identification import (
-        identify_pooled,
-        identify_threshold,
-        identify_with_friction,
-        rank,
-        shows_hysteresis,
-    )
+    from mckibben.identification import identify_pooled, identify_with_friction, rank
     from mckibben.study.inputs import law_type_named
 
     law_type, robust = law_type_named(law) if law != _ALL else None, not keep_outliers
     if law_type is None:
-        check_unused("--law all", friction=form, threshold=threshold, pool=pool)
+        check_unused("--law all", friction=form, pool=pool)
     form_type = None if friction in _CHOICES else _friction_form(friction)
     if not pool:
         check_unused("specimens that are not pooled (--pool)", for_length=for_length)
     elif law_type is not None:
-        check_unused("--pool", friction=form, threshold=threshold, inner=inner)
+        check_unused("--pool", friction=form, inner=inner)
         length = parse_optional("--for-length", for_length, "m", positive=True)
         return pooled(identify_pooled(law_type, [reading.data([file]) for file in data], robust=robust), length)
     points = reading.data(data)
@@ -95,11 +91,7 @@ def identify(
     if law_type is None:
         return ranked(rank(points, robust=robust, progress=progress), source)
     asked = True if form_type else _CHOICES[friction]
-    if threshold and asked is None and shows_hysteresis(points):
-        asked = True  # the misfit of the law without its threshold would hide the friction
-    fitted = identify_with_friction(law_type, points, friction=asked, form=form_type, robust=robust)
-    late = identify_threshold(law_type, fitted.points, robust=robust) if threshold else None
-    return identified(fitted, late, source)
+    return identified(identify_with_friction(law_type, points, friction=asked, form=form_type, robust=robust), source)
 
 
 def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading) -> Result:

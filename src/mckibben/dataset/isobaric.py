@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -29,38 +28,6 @@ if TYPE_CHECKING:
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
 
 
-def matching(column: np.ndarray, values: ArrayLike, name: str, tolerance: float = 0.0) -> NDArray[np.bool_]:
-    """Mask of the points whose entry in a column is one of the values, each of which must match a point.
-
-    Parameters
-    ----------
-    column
-        Shape (points,).
-    values
-        A value, or several.
-    tolerance
-        Within which numbers match.
-
-    Raises
-    ------
-    RangeError
-        With the values that no point has, and those that there are.
-
-    Examples
-    --------
-    >>> matching(np.array([1.0, 2.0, 2.001]), 2.0, "pressure [bar]", 0.01).tolist()
-    [False, True, True]
-    """
-    wanted, present = np.atleast_1d(np.asarray(values)).ravel(), np.unique(column)
-    close = np.abs(column[:, None] - wanted) <= tolerance if tolerance else column[:, None] == wanted
-    missing = wanted[~np.any(close, axis=0)]
-    if len(missing) or not len(wanted):
-        text = f"there is no point of {name} {format_list(missing)}" if len(missing) else f"no {name} is given"
-        there = f"there are {format_list(present)}" if len(present) else f"no {name} is recorded"
-        raise RangeError(text, value=missing[0].item() if len(missing) else None, remedy=there)
-    return np.asarray(np.any(close, axis=1))
-
-
 def format_list(values: np.ndarray, most: int = 24) -> str:
     """Numbers or words as text, abbreviated if there are many.
 
@@ -84,10 +51,10 @@ class IsobaricDataset(MeasuredTable):
         Along ``point``: ``pressure`` [Pa, gauge], ``contraction`` [-, positive = shorter], ``force`` [N];
         where known ``direction`` ("loading": being stretched; "unloading": shortening; empty: unknown), ``phase``
         ("filling" or "venting" at a fixed length, else empty), ``repeat``, ``time`` [s], ``set_pressure`` [Pa, NaN
-        where unknown] and ``force_spread`` [N]. Along ``point`` and ``sample`` the raw ``force_samples`` [N] and
-        ``pressure_samples`` [Pa], where kept. Attributes: ``specimen``, ``source``, ``slack_force`` [N] and, where
-        known, ``initial_length`` [m]; ``columns_read`` (a table of what each column of the source
-        file was read as), ``ignored_columns`` and ``repairs``, if any.
+        where unknown], ``set_force`` [N] and ``force_spread`` [N]. Along ``point`` and ``sample`` the raw
+        ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes: ``specimen``, ``source``,
+        ``slack_force`` [N] and, where known, ``initial_length`` [m]; ``columns_read`` (a table of what each column of
+        the source file was read as), ``ignored_columns`` and ``repairs``, if any.
 
     Examples
     --------
@@ -96,8 +63,7 @@ class IsobaricDataset(MeasuredTable):
     ... )
     >>> data
     <IsobaricDataset: 4 points (2 slack), 2 pressures 1..2 bar, contraction 0..25 %>
-    >>> train, held_out = data.taut.split(pressures=2e5)
-    >>> held_out.force
+    >>> data.taut.at(2e5).force
     array([174.])
     """
 
@@ -115,6 +81,7 @@ class IsobaricDataset(MeasuredTable):
         repeat: ArrayLike | None = None,
         time: ArrayLike | None = None,
         set_pressure: ArrayLike | None = None,
+        set_force: ArrayLike | None = None,
         force_samples: ArrayLike | None = None,
         pressure_samples: ArrayLike | None = None,
         specimen: str = "",
@@ -136,6 +103,8 @@ class IsobaricDataset(MeasuredTable):
             Shape (points,): integers from 0 up, and [s].
         set_pressure
             Shape (points,): nominal pressure [Pa], NaN where unknown.
+        set_force
+            Shape (points,): nominal load [N], held while the pressure changes, as by hanging weights.
         force_samples, pressure_samples
             Shape (points, samples): raw samples [N], [Pa], not copied.
         specimen, source
@@ -233,32 +202,13 @@ class IsobaricDataset(MeasuredTable):
 
         Raises a `RangeError` that names the available pressures if there is no point at one of them.
         """
-        return self.select(matching(self.levels / bar, np.asarray(pressures) / bar, "pressure [bar]", tolerance / bar))
-
-    def split(
-        self,
-        *,
-        pressures: ArrayLike | None = None,
-        repeats: ArrayLike | None = None,
-        directions: str | Sequence[str] | None = None,
-    ) -> tuple[Self, Self]:
-        """Split into training points and those at any given level [Pa, within 0.01 bar], repeat or direction.
-
-        Raises
-        ------
-        RangeError
-            If nothing is given, a value is not in the dataset, or one part would be empty.
-        """
-        held_out = np.zeros(len(self), bool)
-        if pressures is not None:
-            held_out |= matching(self.levels / bar, np.asarray(pressures) / bar, "pressure [bar]", 0.01)
-        for name, values in (("repeat", repeats), ("direction", directions)):
-            held_out |= matching(self._column(name), values, name) if values is not None else False
-        if held_out.all() or not held_out.any():
-            side = "train on" if held_out.any() else "hold out"
-            remedy = "name some, not all, pressures, repeats or directions"
-            raise RangeError(f"the split leaves no points to {side}", remedy=remedy)
-        return self.select(~held_out), self.select(held_out)
+        levels, wanted = self.levels, np.atleast_1d(np.asarray(pressures, float)).ravel()
+        close = np.abs(levels[:, None] - wanted) <= tolerance
+        if len(missing := wanted[~close.any(axis=0)]) or not len(wanted):
+            text = f"there is no point at {format_list(missing / bar)} bar" if len(missing) else "no pressure is given"
+            there = f"there are {format_list(np.unique(levels) / bar)} bar"
+            raise RangeError(text, field="pressures", remedy=there)
+        return self.select(close.any(axis=1))
 
     def plateau_means(self) -> Self:
         """Dataset with the mean pressure and force of the raw samples, without the samples.

@@ -95,8 +95,9 @@ def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, lis
     """Table with directions and repeats, and a note; unchanged if it has directions or shows no reversals."""
     if "direction" in table:
         return table, []
-    held, of = (table["force"], "load") if held_at_load(table) else (_levels(table), "level")
-    values, groups = np.unique(held, return_inverse=True)
+    loads = held_loads(table)
+    of = "level" if loads is None else "load"
+    values, groups = np.unique(_levels(table) if loads is None else loads, return_inverse=True)
     grouped = 2 * len(values) <= len(groups)
     strokes = passes(groups if grouped else 0 * groups, table["contraction"].to_numpy(), files)
     if strokes is None:
@@ -122,10 +123,17 @@ def _rests(table: xr.Dataset) -> list[str]:
     return [text] if share > 0.5 else []
 
 
-def held_at_load(table: xr.Dataset) -> bool:
-    """Whether the load is held along a path, as by hanging weights: few forces, each at three points or more."""
-    counts = np.unique(table["force"], return_counts=True)[1]
-    return counts.min(initial=len(table["force"])) >= _FEWEST and len(counts) < len(np.unique(_levels(table)))
+def held_loads(table: xr.Dataset) -> Floats | None:
+    """Load [N] that is held along the path of each point, as by hanging weights, shape (points,); None if none is.
+
+    It is the set force or, without one, a force that is typed: few values, each at three points or more.
+    """
+    if "set_force" in table and np.isfinite(table["set_force"]).all():
+        return np.asarray(table["set_force"].to_numpy())
+    force = table["force"].to_numpy()
+    counts = np.unique(force, return_counts=True)[1]
+    typed = counts.min(initial=len(force)) >= _FEWEST and len(counts) < len(np.unique(_levels(table)))
+    return force if typed else None
 
 
 def _levels(table: xr.Dataset) -> Floats:
@@ -253,7 +261,7 @@ class Slack(NamedTuple):
 
 
 def _slack_of(table: xr.Dataset) -> Slack | None:
-    if held_at_load(table):
+    if held_loads(table) is not None:
         return None
     levels = _levels(table)
     levels = np.where(np.isnan(grouped := pressure_levels(levels)), levels, grouped)

@@ -48,6 +48,7 @@ VARIABLES: Mapping[str, Variable] = {
     "repeat": Variable("1", "number of the repeat"),
     "time": Variable("s", "time since the start of the test"),
     "set_pressure": Variable("Pa", "nominal gauge pressure"),
+    "set_force": Variable("N", "nominal load, held while the pressure changes"),
     "force_samples": Variable("N", "axial pull, raw samples", dims=("point", "sample")),
     "pressure_samples": Variable("Pa", "gauge pressure, raw samples", dims=("point", "sample")),
     "force_spread": Variable("N", "standard deviation of the force over the samples"),
@@ -186,7 +187,7 @@ def _value_problems(name: str, values: np.ndarray, place: str) -> Iterator[Probl
             yield _first(bad, values, name, "is neither " + " nor ".join(map(repr, WORDS[name])), "", place)
         return
     finite = np.isfinite(values)
-    if name == "set_pressure":
+    if name in ("set_pressure", "set_force"):
         finite |= np.isnan(values)  # unknown
     if not finite.all():
         yield _first(~finite, values, name, "is not finite", "", place)
@@ -356,7 +357,7 @@ class MeasuredTable(Suggesting):
         return load_validated(Path(path), cls)
 
 
-_CSV_HEADERS = "pressure_Pa contraction_ratio force_N direction phase repeat time_s set_pressure_Pa"
+_CSV_HEADERS = "pressure_Pa contraction_ratio force_N direction phase repeat time_s set_pressure_Pa set_force_N"
 CSV_COLUMNS = dict(zip(VARIABLES, _CSV_HEADERS.split(), strict=False))
 
 

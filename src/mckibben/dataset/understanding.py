@@ -298,7 +298,7 @@ class _Reader:
         texts = [] if isinstance(cells, np.ndarray) else cells
         values = to_numbers(texts, self.raw.decimal, certain=bool(self.recipe.decimal)) if texts else np.array(cells)
         wrong = ~np.isfinite(values)
-        if name == "set_pressure" and texts:
+        if name in ("set_pressure", "set_force") and texts:
             wrong &= [bool(cell.strip()) for cell in texts]
         for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])

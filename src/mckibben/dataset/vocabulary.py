@@ -23,6 +23,7 @@ UNITS: Mapping[str, str] = {
 QUANTITIES: Mapping[str, tuple[str, ...]] = {
     **{name: tuple(units.split()) for name, units in UNITS.items()},
     **dict.fromkeys(("set_pressure", "pressure1", "pressure2"), tuple(UNITS["pressure"].split())),
+    "set_force": tuple(UNITS["force"].split()),
     **dict.fromkeys(("displacement", "shortening"), tuple(UNITS["length"].split())),
     "lengthening": (*UNITS["length"].split(), *UNITS["contraction"].split()),
     "relative_length": tuple(UNITS["contraction"].split()),
@@ -54,6 +55,8 @@ _NAMES: Mapping[str, str] = {
     "set_pressure": """set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure,
         target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
         sollwert druck, druck sollwert""",
+    "set_force": """set force, force set, force setpoint, nominal force, target force, set load, nominal load, weight,
+        hanging weight, sollkraft, kraft soll, gewicht""",
     "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp,
         test time, zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum,
         uhrzeit, zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time,

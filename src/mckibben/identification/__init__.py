@@ -7,6 +7,7 @@ from mckibben.identification.fitting import identify
 from mckibben.identification.friction import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
+from mckibben.identification.inverse import InverseTable, inverse_table
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, identify_pooled
@@ -14,7 +15,6 @@ from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
-from mckibben.identification.threshold import ThresholdFit, identify_threshold
 from mckibben.identification.validation import ErrorStatistics, Validation, validate
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
 
@@ -30,6 +30,7 @@ __all__ = [
     "HysteresisFit",
     "Interval",
     "IntervalEstimate",
+    "InverseTable",
     "LeaveOnePressureOut",
     "LeftOutSpecimen",
     "Outlier",
@@ -37,7 +38,6 @@ __all__ = [
     "RankedLaw",
     "Ranking",
     "SensorDrift",
-    "ThresholdFit",
     "Validation",
     "design_matrix",
     "find_outliers",
@@ -45,8 +45,8 @@ __all__ = [
     "identify_hysteresis",
     "identify_pooled",
     "identify_pressure_creep",
-    "identify_threshold",
     "identify_with_friction",
+    "inverse_table",
     "rank",
     "read_law",
     "shows_hysteresis",

@@ -51,7 +51,8 @@ def check_design(points: IsobaricDataset) -> None:
             remedy="measure the same contractions at two further pressures or more",
         )
     loads = f"the contraction over pressure at {format_range(force)} N, not a force law"
-    remedy = "measure at three further loads or more, or strokes at constant pressures"
+    table = "a table of the pressure at this load is inverse_table (command line: --of inverse)"
+    remedy = f"measure at three further loads or more, or strokes at constant pressures; {table}"
     across = _residuals(contraction, np.vander((pressure - pressure.mean()) / np.ptp(pressure), 4))
     if np.sqrt(np.mean(across**2)) <= CONTRACTION_NOISE:
         raise IdentificationError(

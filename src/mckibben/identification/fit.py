@@ -25,7 +25,7 @@ from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.regression import ForceIntervals, Regression, RobustErrors
 from mckibben.identification.storage import read_fields, write_fit
-from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
+from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier, hull_distance
 from mckibben.muscle import ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw
@@ -153,8 +153,8 @@ class Fit(Result, metaclass=CheckedCalls):
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
         The prediction interval has the scatter of the points or, if it is larger, that of the errors at left-out
-        pressures, which grows with the distance from the data beyond the lowest and the highest one
-        (docs/uncertainty.md). How far the law is off between the contractions is not in it.
+        pressures, which grows with the distance from the hull of the points (docs/uncertainty.md). How far the law is
+        off between the contractions is not in it.
 
         Parameters
         ----------
@@ -181,7 +181,10 @@ class Fit(Result, metaclass=CheckedCalls):
         of_law = _, freedom = model.variance(gradients)
         square, free_residuals = (np.full_like(freedom, number) for number in model.residual_variance)
         if by is None and self.leave_one_pressure_out:  # of a law that misfits, larger than the residuals
-            misfit, few = self.leave_one_pressure_out.misfit(np.broadcast_to(pressure, value.shape).ravel())
+            domain = self.law.domain
+            places = np.column_stack([np.ravel(values) for values in np.broadcast_arrays(contraction, pressure)])
+            side = (places[:, 1] > domain.pressure_max).astype(int) - (places[:, 1] < domain.pressure_min)
+            misfit, few = self.leave_one_pressure_out.misfit(hull_distance(domain, places), side)
             free_residuals = np.where(misfit > square, np.minimum(few, free_residuals), free_residuals)
             square = np.maximum(square, misfit)
         scatter = square, free_residuals

@@ -9,6 +9,7 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError, described
 from mckibben.identification.design import check_design
 from mckibben.identification.estimator import (
@@ -20,7 +21,7 @@ from mckibben.identification.estimator import (
     unidentifiable,
 )
 from mckibben.identification.fit import Fit
-from mckibben.identification.grouping import Grouping
+from mckibben.identification.grouping import Grouping, measured_weights
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import RESOLUTION, NotIdentifiableError, Regression, pressure_blocks
@@ -31,8 +32,10 @@ from mckibben.identification.summary import (
     LeaveOnePressureOut,
     Outlier,
     domain_of,
+    hull_distance,
     left_out,
     off_levels,
+    places_of,
 )
 from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.muscle.slopes import unphysical
@@ -114,6 +117,9 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     else:
         problem = FitProblem.of(law_type, points)
         solution = solve(problem, grid_search(problem))
+        if (weights := measured_weights(problem.law(solution.values), points)).std():
+            problem = problem.weighted(weights)
+            solution = solve(problem, solution.position)
     problem, parameters = solution.problem, law_type.parameters()
     at_bound = solution.at_bound
     _check_determined(problem, solution, at_bound, points)
@@ -144,7 +150,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     if (count := len(np.unique(np.round(points.contraction / RESOLUTION)))) < _CONTRACTIONS:
         text = f"between {count} contractions the error of the law is not known, and not in the prediction interval"
         notes.append(Remark.note("contraction", text, f"measure at {_CONTRACTIONS} or more"))
-    law = dataclasses.replace(problem.law(solution.values), domain=domain_of(points))
+    law = dataclasses.replace(problem.law(solution.values), domain=domain_of(points, means))
     notes += _severe_remarks(law, lopo, float(np.std(points.force)))
     return Fit(
         law=law,
@@ -270,15 +276,23 @@ _NO_CROSS_VALIDATION = "there is no cross-validation by pressure"
 
 def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut | None, str]:
     """Cross-validation errors, or the reason why there are none."""
-    levels, reason = pressure_blocks(regression.points)
+    points = regression.points
+    loads = held_loads(points.table)
+    levels, reason = pressure_blocks(points) if loads is None else (loads, "")
     if levels is None:
         return None, f"{_NO_CROSS_VALIDATION}: {reason}"
     try:
         cross = regression.cross_validated("pressure", levels)
     except NotIdentifiableError as error:
-        return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_CROSS_VALIDATION}"
-    by_pressure = {float(level): error for level, error in cross.by_block.items()}
-    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_pressure), ""
+        block = show(float(error.block), "bar" if loads is None else "N")
+        return None, f"without the points at {block} {error.reason}: {_NO_CROSS_VALIDATION}"
+    by_level = {float(level): error for level, error in cross.by_block.items()}
+    places, box, ends = places_of(points), domain_of(points), [levels == end for end in (levels.min(), levels.max())]
+    reach = [float(hull_distance(box, places[out], places[~out]).max()) or np.inf for out in ends]
+    rates = by_level[float(levels.min())] / reach[0], by_level[float(levels.max())] / reach[1]
+    if loads is not None:  # the sides of the pressure are not those of the load
+        rates = max(rates), max(rates)
+    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_level, rates), ""
 
 
 def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:

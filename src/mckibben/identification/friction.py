@@ -13,15 +13,15 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors
-from mckibben.identification.fit import Fit, warning_texts
-from mckibben.identification.fitting import identify
+from mckibben.identification.fit import warning_texts
+from mckibben.identification.fitting import check_law_type, identify
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
-from mckibben.identification.grouping import held_values
+from mckibben.identification.grouping import held_values, measured_weights
 from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, clipped, loop_half_width
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.summary import DatasetSummary, domain_of, left_out
-from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
+from mckibben.identification.summary import DatasetSummary, Outlier, domain_of, left_out
+from mckibben.muscle import ForceLaw, MaxwellSlip
 from mckibben.result import Column, Listing, Remark, Result, column, draw
 from mckibben.units import factor, mm, show
 
@@ -33,7 +33,7 @@ _VAGUE = 0.3  # relative standard error above which a parameter is not determine
 
 @dataclass(frozen=True)
 class SensorDrift:
-    """Mean rate of the drift of the force sensor [N/s], and its standard error, robust to errors common to a level."""
+    """Mean rate of the drift of the force sensor [N/s], and its standard error, robust to errors common to a path."""
 
     rate: float
     rate_error: float
@@ -54,7 +54,7 @@ class HysteresisFit(Result):
         Error [N] by form at the loops of a pressure (of a path with fewer than three pressures) left out of the fit, to
         first order in the parameters, with the drift of all loops; empty if the form was given.
     standard_errors
-        By parameter, in SI, in this order: the law's parameters (unless the law was given), ``half_width``, ``growth``,
+        By parameter, in SI, in this order: the law's parameters, ``half_width``, ``growth``,
         ``tension_growth``, ``viscous``, ``viscous_asymmetry`` and ``presliding_length``; NaN if the form lacks it or
         the data do not determine it.
     drift
@@ -63,9 +63,14 @@ class HysteresisFit(Result):
         Root mean square and largest absolute residual [N].
     tension, friction_force, offset, residuals
         Shape (points,), in dataset order: force of the law, of friction, offset of the sensor, and measured minus
-        modelled force [N]. Slack points count only if there is drift.
-    points_used, points_slack, dataset
-        Number of points used and of slack points; summary of the data.
+        modelled force [N].
+    used
+        Mask of the points that count, shape (points,): without outliers, rows at a reversal if the rate counts, and,
+        unless there is drift, slack points.
+    points_slack, dataset
+        Number of slack points; summary of the data.
+    outliers
+        Points left out because they are off the smooth surface through the others.
     notes
         Reasons not to rely on the results.
     """
@@ -82,10 +87,11 @@ class HysteresisFit(Result):
     friction_force: Floats
     offset: Floats
     residuals: Floats
-    points_used: int
+    used: Bools
     points_slack: int
     notes: tuple[Remark, ...]
     dataset: DatasetSummary
+    outliers: tuple[Outlier, ...] = ()
 
     def verdict(self) -> str:
         """Return half width and presliding length."""
@@ -142,12 +148,8 @@ class HysteresisFit(Result):
         """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
         return draw("loops", data, self)
 
-    def muscle(self, specimen: Specimen) -> Muscle:
-        """Muscle with the law and its friction."""
-        return Muscle(specimen, self.law, self.friction)
-
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without friction and drift, for fitting a static law.
+        """Used and slack plateau means of the identified dataset without friction and drift, to fit a static law.
 
         Points that are slack, as measured or by the law, remain slack.
         """
@@ -158,7 +160,8 @@ class HysteresisFit(Result):
             )
         force = np.where(means.slack, means.force, means.force - self.friction_force - self.offset)
         force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
-        return IsobaricDataset(means.table.assign(force=("point", force)).assign_attrs(friction="subtracted"))
+        table = means.table.assign(force=("point", force)).assign_attrs(friction="subtracted")
+        return IsobaricDataset(table).select(self.used | means.slack)
 
 
 _SHOWN = {
@@ -174,7 +177,7 @@ _SHOWN = {
 
 @checked_call
 def identify_hysteresis(
-    law: type[ForceLaw] | ForceLaw | Fit,
+    law: type[ForceLaw],
     dataset: IsobaricDataset,
     *,
     drift: bool = True,
@@ -190,7 +193,7 @@ def identify_hysteresis(
     Parameters
     ----------
     law
-        Class of the law to fit, or a known law (or fit).
+        Class of the law to fit.
     dataset
         Directions, initial length, and nominal pressures if measured ones scatter, in the order of the test or with
         times.
@@ -219,9 +222,7 @@ def identify_hysteresis(
     >>> round(fit.friction.half_width, 1), round(fit.friction.presliding_length / mm, 2)
     (12.0, 0.5)
     """
-    law = law.law if isinstance(law, Fit) else law
-    known = law if isinstance(law, ForceLaw) else None
-    law_type = type(law) if isinstance(law, ForceLaw) else law
+    check_law_type(law)
     means = dataset.plateau_means()
     paths = LoadingPaths.of(means)
     taut = ~means.slack
@@ -234,11 +235,14 @@ def identify_hysteresis(
     used &= (rate is None) | ~paths.at_reversal(means)
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
     reference = float(np.unique(means.levels[taut]).mean()), float(means.force[taut].mean())
-    template = known or identify(law_type, means, robust=robust).law
-    model = PathDependentModel(template, paths, means, bases[0], used, *reference, rate)
-    of_law = () if known else model.law_names
-    _check(model, form, len(of_law), bases[-1])
-    model, start = _started(model, half_gap, None if known else law_type, robust)
+    template = identify(law, means, robust=robust).law
+    weights = measured_weights(template, means)
+    model = PathDependentModel(template, paths, means, bases[0], used, weights, *reference, rate)
+    of_law = model.law_names
+    if form is not None and (missing := model.missing(form)):
+        message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
+        raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
+    model, start = _started(model, half_gap, law, robust)
     notes = [*left_out(outliers)]
     for name in _shapes_at_bound(model.template) & set(of_law):
         of_law = tuple(other for other in of_law if other != name)
@@ -253,32 +257,20 @@ def identify_hysteresis(
     solution, about_presliding = _presliding(model, solution)
     result = _result(model, solution, taut, form, comparison)
     notes += [*about_presliding, *_doubts(model, solution, result, half_gap)]
-    return dataclasses.replace(result, notes=tuple(notes))
-
-
-def _check(model: PathDependentModel, form: FrictionForm | None, of_law: int, drift: DriftBasis) -> None:
-    """Reject too few points, and a form that the data do not determine."""
-    needed, count = of_law + len(FrictionForm.CONSTANT.free) + drift.points.shape[1] + 1, np.count_nonzero(model.used)
-    if count < needed:
-        message = f"{count} points cannot determine {needed - 1} parameters of law, friction and drift"
-        remedy = f"measure at least {needed}, or give a law that is known"
-        raise IdentificationError(message, value=int(count), lower=needed, remedy=remedy)
-    if form is not None and (missing := model.missing(form)):
-        message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
-        raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
+    return dataclasses.replace(result, notes=tuple(notes), outliers=outliers)
 
 
 def _started(
-    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw] | None, robust: bool, *, rounds: int = 2
+    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw], robust: bool, *, rounds: int = 2
 ) -> tuple[PathDependentModel, dict[str, float]]:
-    """Model and start of the fits, from alternate fits of the friction and of a law (none if it is known)."""
+    """Model and start of the fits, from alternate fits of the friction and of a law."""
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(model.paths.step))}
     model, start = _branched(model, start)
-    for _ in range(rounds if law_type else 0):
+    for _ in range(rounds):
         friction = model.components(start)[1]
         corrected = IsobaricDataset(model.means.table.assign(force=("point", model.means.force - friction)))
         try:
-            model = dataclasses.replace(model, template=identify(law_type, corrected, robust=robust).law)  # type: ignore[arg-type]
+            model = dataclasses.replace(model, template=identify(law_type, corrected, robust=robust).law)
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
         model, start = _branched(model, start)
@@ -334,19 +326,11 @@ def _with_drift(
     return without, solution
 
 
-def _drift_rate(
-    model: PathDependentModel, solution: PathSolution, *, fewest_levels: int = 5
-) -> tuple[float, float, float]:
-    """Mean rate of the drift [N/s], its standard error, robust to errors common to a level, and degrees of freedom.
-
-    With fewer levels than `fewest_levels`, errors are common to a path.
-    """
+def _drift_rate(model: PathDependentModel, solution: PathSolution) -> tuple[float, float, float]:
+    """Mean rate of the drift [N/s], its standard error, robust to errors common to a path, and degrees of freedom."""
     slope = model.drift.slope
     gradient = np.concatenate([np.zeros(len(solution.free)), slope])[solution.inside]
-    by_level = np.unique(held_values(model.means)[model.used], return_inverse=True)[
-        1
-    ]  # the misfit of the law is common
-    labels = by_level if by_level.max() + 1 >= fewest_levels else model.paths.label[model.used]
+    labels = model.paths.label[model.used]
     errors = robust_errors(solution.minimum.jacobian[:, solution.inside], solution.minimum.residuals, labels)
     variance, freedom = errors.variance(gradient[None])
     return float(slope @ solution.offsets), float(np.sqrt(variance[0])), float(freedom[0])
@@ -456,11 +440,10 @@ def _result(
     residuals = means.force - tension - force - offset
     points = means.select(taut)
     friction = model.friction(solution.values)
-    names = [name for name in solution.free if name in model.law_names]
-    errors = {name: solution.error(name) for name in (*names, *FRICTION) if not name.startswith("log_")}
+    errors = {name: solution.error(name) for name in (*model.law_names, *FRICTION) if not name.startswith("log_")}
     errors["presliding_length"] = solution.error("log_presliding") * friction.presliding_length
     drift = SensorDrift(*_drift_rate(model, solution)[:2]) if len(basis.slope) else None
-    law = dataclasses.replace(model.law(solution.values), domain=domain_of(points)) if names else model.template
+    law = dataclasses.replace(model.law(solution.values), domain=domain_of(points, means))
     return HysteresisFit(
         law=law,
         friction=friction,
@@ -474,7 +457,7 @@ def _result(
         friction_force=force,
         offset=offset,
         residuals=residuals,
-        points_used=int(np.count_nonzero(used)),
+        used=used,
         points_slack=int(np.count_nonzero(~taut)),
         notes=(),
         dataset=DatasetSummary.of(points),

@@ -72,8 +72,8 @@ class PathDependentModel:
         Loading paths, and the plateau means of their rows.
     drift
         Basis of the drift of the sensor.
-    used
-        Mask of the rows that count, shape (rows,).
+    used, weights
+        Mask of the rows that count, and weights of their residuals, shape (rows,).
     reference_pressure, reference_tension
         Pressure [Pa] and tension [N] at which the friction has its half width.
     rate
@@ -85,6 +85,7 @@ class PathDependentModel:
     means: IsobaricDataset = field(repr=False)
     drift: DriftBasis = field(repr=False)
     used: Bools = field(repr=False)
+    weights: Floats = field(repr=False)
     reference_pressure: float
     reference_tension: float = 0.0
     rate: Floats | None = None
@@ -151,14 +152,15 @@ class PathDependentModel:
         return tension, self._friction(tension[:, None], [values])[:, 0]
 
     def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
-        """Modelled minus measured force [N] at the points used."""
+        """Modelled minus measured force [N] at the points used, weighted."""
         tension, friction = self.components(values)
-        return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
+        residuals = tension + friction + self.drift.points @ offsets - self.means.force
+        return (self.weights * residuals)[self.used]
 
     def jacobian(
         self, values: Mapping[str, float], names: Sequence[str], *, tension_step: float = 1e-4, step: float = 1e-6
     ) -> Floats:
-        """Derivative of the modelled force with respect to the named parameters and drift amplitudes.
+        """Weighted derivative of the modelled force with respect to the named parameters and drift amplitudes.
 
         That of the law is exact. Friction has difference quotients: over a `tension_step` [N] for parameters of the
         law, and for its own over a `step` that is divided by the range of the quantity that the parameter multiplies.
@@ -190,7 +192,7 @@ class PathDependentModel:
         friction = self._friction(np.maximum(tensions, 0.0), [values, *moved])
         slopes = (friction[:, 1:] - friction[:, :1]) / steps
         slopes[:, : len(of_law)] += columns
-        return np.concatenate([slopes, self.drift.points], axis=1)[self.used]
+        return (self.weights[:, None] * np.concatenate([slopes, self.drift.points], axis=1))[self.used]
 
     def _tension(self, values: Mapping[str, float]) -> Floats:
         return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)

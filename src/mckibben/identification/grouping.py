@@ -10,8 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.preprocessing import held_at_load
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.identification.estimator import Floats, Ints
+from mckibben.muscle import ForceLaw, forces
 
 
 class Grouping(enum.Enum):
@@ -31,7 +32,21 @@ class Grouping(enum.Enum):
 
 def held_values(points: IsobaricDataset) -> Floats:
     """Value that was held along the path of each point, shape (points,): the load [N], or else the pressure [Pa]."""
-    return points.force if held_at_load(points.table) else points.levels
+    loads = held_loads(points.table)
+    return points.levels if loads is None else loads
+
+
+def measured_weights(law: ForceLaw, points: IsobaricDataset, *, step: float = 1e-6) -> Floats:
+    """Weights, of mean square 1, of residuals of the force [N], by which they are those of the measured quantity.
+
+    Where the load is held, that is the contraction: its error times the slope of the law, by differences over a `step`,
+    is that of the force. Else all are 1.
+    """
+    if held_loads(points.table) is None:
+        return np.ones(len(points))
+    left, right = (forces(law, points.contraction + side, points.pressure) for side in (-step, step))
+    weights = 1 / np.abs(right - left)
+    return weights / np.sqrt(np.mean(weights**2))
 
 
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:

@@ -165,8 +165,8 @@ class FitProblem:
     ----------
     contraction, pressure, force
         Columns of the points [-], [Pa], [N], padded, shape (n,).
-    selected
-        Mask of the points that count, shape (n,).
+    selected, weights
+        Mask of the points that count, and weights of their residuals, shape (n,).
     constants
         Fields of the law that are not estimated.
     prior
@@ -179,6 +179,7 @@ class FitProblem:
     pressure: Floats = field(repr=False)
     force: Floats = field(repr=False)
     selected: Bools = field(repr=False)
+    weights: Floats = field(repr=False)
     constants: Mapping[str, Any] = field(default_factory=dict)
     prior: Floats | None = field(default=None, repr=False)
 
@@ -191,7 +192,12 @@ class FitProblem:
         contraction, pressure, force = (
             np.pad(column, pad, mode="edge") for column in (points.contraction, points.pressure, points.force)
         )
-        return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
+        selected = np.arange(count + pad[1]) < count
+        return cls(law_type, contraction, pressure, force, selected, np.ones(len(selected)))
+
+    def weighted(self, weights: Floats) -> FitProblem:
+        """Problem with weights of the points, shape (points,)."""
+        return replace(self, weights=np.pad(weights, (0, len(self.weights) - len(weights)), constant_values=1.0))
 
     def subset(self, selected: Bools) -> FitProblem:
         """Problem of the selected points; shape (m,) with m <= n, in the order of the points."""
@@ -223,9 +229,9 @@ class FitProblem:
             raise IdentificationError(text, remedy="measure over more contractions, or fit a simpler law") from error
 
     def columns_and_residuals(self, values: Floats) -> Floats:
-        """Design matrix, transposed, above the residuals [N], 0 if not selected: shape (parameters + 1, n)."""
+        """Design matrix transposed, above the residuals [N], weighted, 0 if not selected, shape (parameters + 1, n)."""
         stop_check.get()()
-        points = self.contraction, self.pressure, self.force, self.selected.astype(np.float64)
+        points = self.contraction, self.pressure, self.force, self.selected * self.weights
         return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
 
     def with_prior(self, rows: Floats, values: Floats) -> Floats:
@@ -272,11 +278,12 @@ class Solution:
     @property
     def residuals(self) -> Floats:
         """Measured minus fitted force [N], shape (selected,)."""
-        return self.augmented[0][: np.count_nonzero(self.problem.selected)]
+        weights = self.problem.weights[self.problem.selected]
+        return self.augmented[0][: len(weights)] / weights
 
     @property
     def jacobian(self) -> Floats:
-        """Derivative of the force with respect to all parameters, shape (selected, parameters)."""
+        """Weighted derivative of the force with respect to all parameters, shape (selected, parameters)."""
         return self.augmented[1][: np.count_nonzero(self.problem.selected)]
 
     @property
@@ -307,7 +314,7 @@ class Solution:
 
     @cached_property
     def augmented(self) -> tuple[Floats, Floats]:
-        """Residuals and Jacobian, with the rows of the prior."""
+        """Weighted residuals and Jacobian, with the rows of the prior."""
         return self.problem.response(self.values)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.preprocessing import held_at_load
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints
 from mckibben.identification.grouping import held_values
@@ -17,6 +17,9 @@ from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
 _FAR = 1.0  # m: exceeds any presliding length
+_HELD_REMEDY = (
+    "give the nominal pressure of each point (set_pressure), or the loads that were held (a column such as set_force_N)"
+)
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
 
@@ -97,9 +100,10 @@ class LoadingPaths:
     def rate(self, means: IsobaricDataset, *, ratio: float = 1.3) -> Floats | None:
         """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed.
 
-        Speeds differ if the quotient of their quartiles exceeds `ratio`: else viscous friction looks like dry friction.
+        Points that are means of samples were measured at rest. Speeds differ if the quotient of their quartiles exceeds
+        `ratio`: else viscous friction looks like dry friction.
         """
-        if "time" not in means.table:
+        if "time" not in means.table or "force_spread" in means.table:
             return None
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
         strokes = self.stroke(means)
@@ -146,8 +150,7 @@ class LoadingPaths:
         if np.median([len(path) for path in paths]) < fewest:
             raise IdentificationError(
                 f"{len(means)} points make {len(paths)} paths at constant pressure or load: too short to show friction",
-                remedy="give the nominal pressure of each point (set_pressure) or its load without noise, and rows in "
-                "the order of the test",
+                remedy=f"{_HELD_REMEDY}, and rows in the order of the test",
             )
         loading = table["direction"].to_numpy() == "loading"
         measured = length
@@ -258,8 +261,8 @@ def _gap_of_pairs(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[
     gaps = _gaps(means, taut, loading)
     if len(gaps) < 2:
         message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
-        remedy = "measure the same positions in both directions, and give nominal pressures (set_pressure)"
-        raise NoHysteresisError(message, value=len(gaps), lower=2, remedy=remedy)
+        remedy = f"measure the same positions in both directions, {_HELD_REMEDY}"
+        raise IdentificationError(message, value=len(gaps), lower=2, remedy=remedy)
     middle = float(np.median(gaps))
     error = 1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(len(gaps))
     return middle, max(error, np.finfo(float).eps * abs(middle)), len(gaps) - 1
@@ -302,12 +305,14 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
     Raises
     ------
     NoHysteresisError
-        If there are fewer than two pairs of points, or the difference is not significant.
+        If the difference is not significant.
     IdentificationError
-        If loading is significantly below unloading.
+        If there are fewer than two pairs of points, or loading is significantly below unloading.
     """
     loading = means.table["direction"].to_numpy() == "loading"
-    middle, error, freedom = (_gap_by_regression if held_at_load(means.table) else _gap_of_pairs)(means, taut, loading)
+    middle, error, freedom = (_gap_of_pairs if held_loads(means.table) is None else _gap_by_regression)(
+        means, taut, loading
+    )
     from scipy.special import stdtrit
 
     if not abs(middle) > float(stdtrit(freedom, level)) * error:

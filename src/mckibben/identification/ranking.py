@@ -31,9 +31,7 @@ from mckibben.notebook import Progress, notebook_progress
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
-EXTRAPOLATION = "highest pressure"
-"""Kind of block that is shown but does not count for the order."""
-BLOCKS = ("pressure", "contraction", EXTRAPOLATION)
+BLOCKS = ("pressure", "contraction")
 """Kinds of cross-validation blocks."""
 
 
@@ -46,8 +44,8 @@ class RankedLaw:
     fit, refused
         Fit to all taut points, or None and the reason if the law was refused.
     cross_validation
-        Errors by available kind of block: "pressure", "contraction" (inner blocks only), and "highest pressure";
-        without the mean difference between the directions, which is friction.
+        Errors by available kind of block: "pressure" and "contraction" (inner blocks only); without
+         the mean difference between the directions, which is friction.
     aicc
         Corrected Akaike information criterion; NaN with too few points.
     flags
@@ -66,14 +64,9 @@ class RankedLaw:
 
     @property
     def error(self) -> float:
-        """Geometric mean of the cross-validation RMSE of `interpolation` [N]; infinite without any."""
-        errors = [cross.rmse for cross in self.interpolation.values()]
+        """Geometric mean of the cross-validation RMSE [N]; infinite without any."""
+        errors = [cross.rmse for cross in self.cross_validation.values()]
         return math.prod(errors) ** (1 / len(errors)) if errors else math.inf
-
-    @property
-    def interpolation(self) -> dict[str, CrossValidation]:
-        """Cross-validation errors that count for the order: all but those at the highest pressure."""
-        return {name: cross for name, cross in self.cross_validation.items() if name != EXTRAPOLATION}
 
     @property
     def parameters(self) -> int:
@@ -84,9 +77,8 @@ class RankedLaw:
 class Ranking(Result):
     """Laws by cross-validation error, the best first and the refused last.
 
-    Ordered by the geometric mean of the RMSE at blocks of pressure and of contraction. The error at the highest
-    pressure, predicted from all others, is shown but does not count. Laws that are not determined without some block
-    come last; without any blocks AICc decides.
+    Ordered by the geometric mean of the RMSE at blocks of pressure and of contraction. Laws that are not
+    determined without some block come last; without any blocks AICc decides.
 
     Attributes
     ----------
@@ -135,8 +127,9 @@ class Ranking(Result):
         """Return the best law and its errors."""
         fitted = [entry for entry in self.entries if entry.fit]
         refused = f" ({len(self.entries) - len(fitted)} refused)" if len(fitted) < len(self.entries) else ""
+        criterion = "cross-validation RMSE" if self.blocks else "AICc"
         best = f": best {self.best.law}, RMSE {self.best.fit.rmse:.3g} N" if fitted and self.best.fit else ""
-        return f"{len(fitted)} laws{refused} at {len(self.points)} taut points, by {self.criterion}{best}"
+        return f"{len(fitted)} laws{refused} at {len(self.points)} taut points, by {criterion}{best}"
 
     def remarks(self) -> Iterable[Remark]:
         """Return remarks on points and tests that are left out, on the choice, and on each law."""
@@ -178,11 +171,6 @@ class Ranking(Result):
     def blocks(self) -> tuple[str, ...]:
         """Kinds of blocks of the cross-validation."""
         return tuple(name for name in BLOCKS if any(name in entry.cross_validation for entry in self.entries))
-
-    @property
-    def criterion(self) -> str:
-        """Ranking criterion: "cross-validation RMSE", or "AICc" without blocks."""
-        return "cross-validation RMSE" if self.blocks else "AICc"
 
 
 @checked_call
@@ -240,7 +228,7 @@ def rank(
 
 def _order(entry: RankedLaw) -> tuple[bool, int, float, float]:
     aicc = math.inf if math.isnan(entry.aicc) else entry.aicc
-    return entry.fit is None, -len(entry.interpolation), entry.error, aicc
+    return entry.fit is None, -len(entry.cross_validation), entry.error, aicc
 
 
 def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -252,7 +240,6 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
         missing["pressure"] = reason
     else:
         blocks["pressure"] = levels
-        blocks[EXTRAPOLATION] = np.where(levels == levels.max(), show(float(levels.max()), "bar"), "")
     blocks["contraction"] = contraction_blocks(points)
     if not blocks["contraction"].any():
         del blocks["contraction"]
@@ -301,6 +288,6 @@ def _nearly_as_good(entry: RankedLaw, first: RankedLaw, *, ratio: float = 1.5, d
     Up to a difference of 2, a model has substantial support: K. Burnham and D. Anderson, "Model Selection and
     Multimodel Inference", Springer 2002, section 2.6.
     """
-    if first.interpolation:
+    if first.cross_validation:
         return entry.error <= ratio * first.error
     return entry.aicc <= first.aicc + difference

@@ -158,7 +158,7 @@ def cross_validate(
             raise NotIdentifiableError(block, "the law is not determined")
         everything = solution.problem.subset(np.ones(len(blocks), bool))
         rows = everything.columns_and_residuals(solution.values)[:, : len(blocks)]
-        residuals[out] = rows[-1, out]
+        residuals[out] = rows[-1, out] / problem.weights[: len(blocks)][out]
         if not np.isfinite(residuals[out]).all():
             raise NotIdentifiableError(block, "the law's force is undefined there")
         by_block[block] = float(np.sqrt(np.mean(residuals[out] ** 2)))

@@ -29,7 +29,7 @@ from mckibben.storage.files import atomic_write
 
 _MOST_POINTS = 5000
 _HEAD = "# A force law identified by mckibben. The numbers of its fit are in SI: N, Pa, and those of the parameters.\n"
-_COLUMNS = ("pressure", "contraction", "force", "set_pressure", "direction", "phase", "repeat")
+_COLUMNS = ("pressure", "contraction", "force", "set_pressure", "set_force", "direction", "phase", "repeat")
 
 
 class _FitPoints(ConfigModel):
@@ -42,6 +42,7 @@ class _FitPoints(ConfigModel):
     contraction: list[float]
     force: list[float]
     set_pressure: list[float] | None = None
+    set_force: list[float] | None = None
     direction: list[str] | None = None
     phase: list[str] | None = None
     repeat: list[int] | None = None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,43 +17,52 @@ from mckibben.muscle import Domain
 from mckibben.result import Remark
 from mckibben.units import percent, show
 
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
+
 CONTRACTION_NOISE = 0.1 * percent
 """Error of a contraction [-] that counts as measurement noise."""
 
 
 @dataclass(frozen=True)
 class LeaveOnePressureOut:
-    """Leave-one-pressure-out cross-validation: each pressure is predicted by the fit to all others.
+    """Cross-validation by pressure or, of a test at constant loads, by load: each is predicted from all others.
 
-    Errors [N] over all points, and RMSE [N] by pressure [Pa].
+    Attributes
+    ----------
+    rmse, max_error
+        Errors over all points [N].
+    by_level
+        RMSE [N] by pressure [Pa] or load [N].
+    rates
+        RMSE at the lowest and the highest level, per distance from the hull of the other points [N].
     """
 
     rmse: float
     max_error: float
-    by_pressure: Mapping[float, float] = field(repr=False)
+    by_level: Mapping[float, float] = field(repr=False)
+    rates: tuple[float, float]
 
-    def misfit(self, pressure: ArrayLike, *, edge_freedom: float = 5.0) -> tuple[Floats, Floats]:
-        """Mean square error of the law [N^2] to be expected at pressures [Pa], and its degrees of freedom.
+    def misfit(self, distance: ArrayLike, side: ArrayLike = 0, *, edge_freedom: float = 5.0) -> tuple[Floats, Floats]:
+        """Mean square error of the law [N^2] at distances from the hull of the points, and its degrees of freedom.
 
-        Between the pressures it is that of the inner ones, each left out. Beyond the lowest or the highest one it is at
-        least the error there, when that pressure was left out and thus predicted from its neighbour, in proportion to
-        the distance from the data. One block says little about another: with `edge_freedom` degrees of freedom, 95 % of
-        the blocks beyond the data are covered in the sets of the catalog (docs/results/intervals.md).
+        Inside of the hull it is that of the inner levels, each left out. Outside it is at least the square of the
+        distance (`hull_distance`) times the rate: the first on side -1, the second on side 1, else the larger one. One
+        level says little about another: with `edge_freedom` degrees of freedom, 95 % of the blocks beyond the data are
+        covered in the sets of the catalog (docs/results/intervals.md).
 
         Examples
         --------
-        2 N in between, 3 N at 1 bar as predicted from 2 bar; at 0 bar, twice as far from the data as at 0.5 bar:
+        2 N inside; 3 N at the lowest level, a quarter of the range from the others:
 
-        >>> left_out = LeaveOnePressureOut(2.5, 4.0, {1e5: 3.0, 2e5: 2.0, 3e5: 2.0, 4e5: 2.5})
-        >>> left_out.misfit([2.5e5, 0.5e5, 0.0])
+        >>> by_level = {1e5: 3.0, 2e5: 2.0, 3e5: 2.0, 4e5: 2.5}
+        >>> LeaveOnePressureOut(2.5, 4.0, by_level, rates=(12.0, 10.0)).misfit([0.0, 0.125, 0.25], -1)
         (array([4., 4., 9.]), array([inf, inf,  5.]))
         """
-        pressure, levels = np.asarray(pressure, float), sorted(self.by_pressure)
-        squares = np.array([self.by_pressure[level] ** 2 for level in levels])
-        below = (levels[0] - pressure) / (levels[1] - levels[0])
-        above = (pressure - levels[-1]) / (levels[-1] - levels[-2])
-        inner = squares[1:-1].mean() if len(levels) > 2 else squares.mean()
-        beyond = np.maximum(below, 0) ** 2 * squares[0] + np.maximum(above, 0) ** 2 * squares[-1]
+        squares = np.array([self.by_level[level] ** 2 for level in sorted(self.by_level)])
+        inner = squares[1:-1].mean() if len(squares) > 2 else squares.mean()
+        rate = np.array([max(self.rates), *reversed(self.rates)])[np.asarray(side)]
+        beyond = (rate * distance) ** 2
         return np.maximum(inner, beyond), np.where(beyond > inner, edge_freedom, np.inf)
 
 
@@ -111,10 +122,45 @@ def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
     return remarks
 
 
-def domain_of(points: IsobaricDataset) -> Domain:
-    """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss."""
-    contraction, pressure = points.contraction, points.pressure if off_levels(points) else points.levels
-    return Domain(float(contraction.min()), float(contraction.max()), float(pressure.min()), float(pressure.max()))
+def domain_of(points: IsobaricDataset, measured: IsobaricDataset | None = None) -> Domain:
+    """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss.
+
+    With all `measured` points, the slack ones included, also their hull within this range, unless it is the range.
+    """
+    low, high = (bound(places_of(points), axis=0) for bound in (np.min, np.max))
+    box = Domain(*(float(end) for ends in zip(low, high, strict=True) for end in ends))
+    if measured is None or (low == high).any():
+        return box
+    corners = np.clip(places_of(measured), low, high)
+    hull = _hull((corners - low) / (high - low))
+    if hull.volume > 1 - CONTRACTION_NOISE:
+        return box
+    contractions, pressures = corners[hull.vertices].T.tolist()
+    return dataclasses.replace(box, hull_contractions=tuple(contractions), hull_pressures=tuple(pressures))
+
+
+def hull_distance(domain: Domain, places: Floats, corners: Floats | None = None) -> Floats:
+    """Distance of places from the hull of a domain or of other corners, relative to its ranges; 0 inside.
+
+    Corners and places are contractions and pressures, of shape (..., 2).
+    """
+    low, high = np.array([[domain.contraction_min, domain.pressure_min], [domain.contraction_max, domain.pressure_max]])
+    if corners is None:
+        corners = np.transpose([domain.hull_contractions, domain.hull_pressures])
+    corners = (corners - low) / (high - low) if len(corners) else np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
+    sides = _hull(corners).equations  # of unit normals
+    return np.maximum(np.max((places - low) / (high - low) @ sides[:, :2].T + sides[:, 2], axis=1), 0.0)
+
+
+def _hull(points: Floats) -> ConvexHull:
+    from scipy.spatial import ConvexHull  # takes 0.1 s to import
+
+    return ConvexHull(points)
+
+
+def places_of(points: IsobaricDataset) -> Floats:
+    """Contraction and pressure level of points, shape (points, 2)."""
+    return np.column_stack([points.contraction, points.pressure if off_levels(points) else points.levels])
 
 
 def off_levels(points: IsobaricDataset, *, small: float = 0.05) -> float:

@@ -6,18 +6,14 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from numpy.typing import ArrayLike
-
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError, no_attribute
-from mckibben.identification.estimator import Floats
 from mckibben.identification.fit import Fit, warning_texts
 from mckibben.identification.fitting import fit_means, identify
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.loading_path import NoHysteresisError, loop_half_width
-from mckibben.identification.outliers import find_outliers
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.result import Listing, Remark, Result
@@ -104,11 +100,6 @@ class FitWithFriction(Result):
             specimen = replace(specimen, volume_terms=volume_terms(self.fit.law, length, fill))
         return Muscle(specimen, self.fit.law, self.friction or NoFriction())
 
-    @checked_call
-    def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
-        """Return the force without friction [N] at a contraction [-] and a pressure [Pa], as `Fit.predict`."""
-        return self.fit.predict(contraction, pressure)
-
     def plot(self) -> Any:
         """Return a figure of points, curves and residuals without friction, see `mckibben.report.isobaric`."""
         return self.fit.plot(self.points)
@@ -170,8 +161,7 @@ def identify_with_friction(
             fit = replace(fit, notes=tuple(remark for remark in fit.notes if remark.field != "friction"))
         return FitWithFriction(fit, None, dataset, note)
     points = hysteresis.corrected(dataset)
-    # the misfit of the friction, which is largest behind reversals, does not make a point an outlier
-    fit = fit_means(law, points, find_outliers(dataset.plateau_means()) if robust else ())
+    fit = replace(fit_means(law, points, ()), outliers=hysteresis.outliers)
     if gap:
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "

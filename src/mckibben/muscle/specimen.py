@@ -22,12 +22,17 @@ VolumeTerm = Annotated[float, Quantity("m^3", "cm^3", -1e6, 1e6)]
 
 
 class Domain(Component):
-    """A box of contraction [-] and gauge pressure [Pa]."""
+    """A box of contraction [-] and gauge pressure [Pa], and within it the convex hull of measured points, if known.
+
+    The hull is given by the contractions and pressures of its corners, counter-clockwise over these axes.
+    """
 
     contraction_min: Contraction | Array = -jnp.inf
     contraction_max: Contraction | Array = jnp.inf
     pressure_min: Pressure | Array = -jnp.inf
     pressure_max: Pressure | Array = jnp.inf
+    hull_contractions: tuple[Contraction, ...] = eqx.field(default=(), kw_only=True)
+    hull_pressures: tuple[Pressure, ...] = eqx.field(default=(), kw_only=True)
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -43,10 +48,12 @@ class Domain(Component):
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
         """Return whether each point lies inside, edges included (to rounding)."""
-        p = _array(pressure)
-        return (
-            self.contains_contraction(contraction) & (p >= self.pressure_min - 1e-3) & (p <= self.pressure_max + 1e-3)
-        )
+        eps, p = _array(contraction), _array(pressure)
+        inside = self.contains_contraction(eps) & (p >= self.pressure_min - 1e-3) & (p <= self.pressure_max + 1e-3)
+        corners = list(zip(self.hull_contractions, self.hull_pressures, strict=True))
+        for (eps1, p1), (eps2, p2) in zip(corners, corners[1:] + corners[:1], strict=True):
+            inside = inside & ((eps2 - eps1) * (p - p1) >= (p2 - p1) * (eps - eps1) - 1e-3)
+        return inside
 
     def contains_contraction(self, contraction: ArrayLike) -> Bool[Array, "..."]:
         """Return whether each contraction lies inside, edges included (to rounding)."""
@@ -66,7 +73,7 @@ class Domain(Component):
         point = f"contraction {contraction:.4g} % and pressure {pressure:.4g} bar"
         if outside.size > 1:
             point = f"{outside.sum()} of {outside.size} points, the first at {point},"
-        return f"{point} are outside {self.bounds()}"
+        return f"{point} are outside {'the measured points within ' if self.hull_pressures else ''}{self.bounds()}"
 
     def intersection(self, other: Domain) -> Domain:
         """Return the intersection of two domains; `RangeError` if concrete bounds do not overlap."""
@@ -81,12 +88,12 @@ class Domain(Component):
                 f"the domains do not overlap: {self.bounds()}, and {other.bounds()}",
                 remedy="give the law, or the limits, a domain inside the specimen's",
             )
-        return Domain(*bounds)
+        of = self if self.hull_pressures else other
+        return Domain(*bounds, hull_contractions=of.hull_contractions, hull_pressures=of.hull_pressures)
 
     def filled(self, other: Domain) -> Domain:
         """Return the domain with infinite bounds replaced by the bounds of another."""
-        pairs = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
-        missing = [name for name, bound in pairs if isinstance(bound, Real) and abs(bound) == float("inf")]  # type: ignore
+        missing = [name for name, bound in vars(self).items() if isinstance(bound, Real) and abs(bound) == float("inf")]  # type: ignore
         return dataclasses.replace(self, **{name: getattr(other, name) for name in missing}) if missing else self
 
     def check_contraction(self, contraction: float, owner: str, remedy: str = "") -> None:

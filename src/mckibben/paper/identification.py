@@ -90,8 +90,8 @@ def run_identification(*, repeats: int = 5) -> Identification:
         data={RIG: rig.settled} | real,
         fits=fits,
         retested=validate({EXPERIMENTAL: fits[RIG].law, CHOU: chou}, rig.retest),
-        held_out_pressures=_held_out(chou, *rig.settled.split(pressures=list(TEST_PRESSURES))),
-        held_out_repeat=_held_out(chou, *rig.settled.split(repeats=[int(max(rig.settled.repeats))])),
+        held_out_pressures=_held_out(chou, rig.settled, np.isin(rig.settled.levels, TEST_PRESSURES)),
+        held_out_repeat=_held_out(chou, rig.settled, rig.settled.table["repeat"].to_numpy() == rig.settled.repeats[-1]),
         measured={
             name: validate(
                 {
@@ -107,8 +107,8 @@ def run_identification(*, repeats: int = 5) -> Identification:
     )
 
 
-def _held_out(chou: ChouLaw, train: IsobaricDataset, held_out: IsobaricDataset) -> Validation:
-    return validate({EXPERIMENTAL: identify(ExponentialLaw, train).law, CHOU: chou}, held_out)
+def _held_out(chou: ChouLaw, data: IsobaricDataset, out: NDArray[np.bool_]) -> Validation:
+    return validate({EXPERIMENTAL: identify(ExponentialLaw, data.select(~out)).law, CHOU: chou}, data.select(out))
 
 
 def direction_gap(data: IsobaricDataset) -> tuple[float, float]:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.identification.ranking import EXTRAPOLATION
 from mckibben.report.palette import BLACK, BLUE, ORANGE
 from mckibben.report.style import (
     DOUBLE,
@@ -39,7 +38,6 @@ _LOOKS: dict[str, Look] = {
     "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
     "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
     "contraction": {"color": ORANGE, "marker": "v", "label": "held-out contractions"},
-    EXTRAPOLATION: {"color": BLACK, "marker": ">", "label": "highest pressure, from all lower"},
 }
 
 

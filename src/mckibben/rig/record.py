@@ -290,8 +290,8 @@ class Point:
         Time of the first one, by the clock of the record [s].
     pulses, contraction
         Position of the motor from the mounted one [pulses], and contraction [-].
-    force, pressure, set_pressure
-        Mean force [N] and pressure [Pa], and set pressure [Pa].
+    force, pressure, set_pressure, set_force
+        Mean force [N] and pressure [Pa], set pressure [Pa], and force that is held [N], None if none is.
     direction, phase, repeat
         Words of the step, and number of the innermost repeat.
     keep
@@ -309,6 +309,7 @@ class Point:
     force: float
     pressure: float
     set_pressure: float
+    set_force: float | None
     direction: str
     phase: str
     repeat: int
@@ -368,17 +369,15 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
         kept = [kept[row] for row in np.flatnonzero(complete)]
         force, pressure = force[complete], pressure[complete]
     same = len(counts) == 1
-    mean = np.mean if same else np.nanmean
-    means = [mean(samples, axis=1, dtype=np.float64) for samples in (force, pressure)]
+    means = [np.nanmean(samples, axis=1, dtype=np.float64) for samples in (force, pressure)]
+    names = ("contraction", "repeat", "time", "set_pressure", "set_force")
+    columns = {name: [getattr(point, name) for point in kept] for name in names}
     return IsobaricDataset.of(
         pressure=means[1],
-        contraction=[point.contraction for point in kept],
         force=means[0],
         direction=_words([point.direction for point in kept]),
         phase=_words([point.phase for point in kept]),
-        repeat=[point.repeat for point in kept],
-        time=[point.time for point in kept],
-        set_pressure=[point.set_pressure for point in kept],
+        **{name: None if None in values else values for name, values in columns.items()},  # type: ignore[arg-type]
         force_samples=force if same else None,
         pressure_samples=pressure if same else None,
         specimen=bench.specimen.name,

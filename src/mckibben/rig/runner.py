@@ -214,6 +214,7 @@ class Runner(StepInterpreter):
             force=force,
             pressure=pressure,
             set_pressure=self._target.pressure,
+            set_force=self._target.hold.force if self._target.hold else None,
             direction=acquire.direction,
             phase=acquire.phase,
             repeat=self._repeat,

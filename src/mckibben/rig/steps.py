@@ -481,7 +481,7 @@ class IsotonicProtocol(SteppedProtocol):
     Parameters
     ----------
     forces
-        Forces [N] (ours by default); 200 N take about 2 bar, so that the pressures begin there.
+        Forces [N] (ours by default); 300 N take about 2 bar, so that the pressures begin there.
     rate
         Rate of the set pressure [Pa/s] (ours), slow enough for the motor.
     tolerance
@@ -491,7 +491,7 @@ class IsotonicProtocol(SteppedProtocol):
     short_name = "isotonic"
     held = "forces"
 
-    forces: Sequence[Tension] = (50.0, 100.0, 200.0)
+    forces: Sequence[Tension] = (50.0, 100.0, 200.0, 300.0)
     pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]
     rate: PressureRate = 0.1 * bar / s
     tolerance: Force = 2.0
@@ -502,15 +502,15 @@ class IsotonicProtocol(SteppedProtocol):
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
             inside: list[ProtocolStep] = []
-            up: list[tuple[float, Phase]] = [(pressure, "filling") for pressure in self.pressures]
-            down: list[tuple[float, Phase]] = [(pressure, "venting") for pressure in self.pressures[::-1]]
-            for pressure, phase in up + down:
+            passes: tuple[tuple[Literal["unloading", "loading"], Sequence[float]], ...]
+            passes = ("unloading", self.pressures), ("loading", self.pressures[::-1])
+            for direction, pressure in [(word, pressure) for word, pressures in passes for pressure in pressures]:
                 inside += [
                     Pressurise(pressure=pressure, rate=self.rate, holding=force),
                     HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),
                     Dwell(duration=self.dwell),
                     HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),
-                    Acquire(samples=self.samples, duration=self.acquisition, phase=phase),
+                    Acquire(samples=self.samples, duration=self.acquisition, direction=direction),
                 ]
             steps.append(Repeat(times=self.repeats, steps=tuple(inside)))
         return (*steps, Vent())
