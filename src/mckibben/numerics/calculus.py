@@ -38,8 +38,7 @@ def value_and_derivative(function: Callable[[Array], Values], x: ArrayLike) -> t
     return jax.jvp(function, (x,), (jnp.ones_like(x),))
 
 
-_BISECTIONS = 24
-_NEWTON_STEPS = 4
+_BISECTIONS, _NEWTON_STEPS = 24, 4
 
 
 def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: ArrayLike) -> Float[Array, "..."]:
@@ -136,9 +135,11 @@ def rk4(
 SEMI_IMPLICIT_LIMIT = 2.512
 """Largest product of step and mode on the negative real axis at which the rest of `semi_implicit` is stable."""
 
-_A, _B, _E = 0.24169426078821, 0.24169426078821 / 4, 0.1291528696059
-_EXPLICIT = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1 / 4, 1 / 4)
-_IMPLICIT = (0.0, 0.0, 0.0), (-_A, 0.0, 0.0), (0.0, 1 - _A, 0.0), (_B, _E, 1 / 2 - _B - _E - _A)
+_A, _E = 0.24169426078821, 0.1291528696059
+_IMEX = {  # stages of IMEX-SSP3(4,3,3); the diagonal of the implicit ones is _A
+    "explicit": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1 / 4, 1 / 4)),
+    "implicit": ((0.0,) * 3, (-_A, 0.0, 0.0), (0.0, 1 - _A, 0.0), (_A / 4, _E, 1 / 2 - _A / 4 - _E - _A)),
+}
 _WEIGHTS = 0.0, 1 / 6, 1 / 6, 2 / 3
 
 
@@ -167,7 +168,7 @@ def semi_implicit(
 
     if rolled or trace_mode()[1]:
         kind = jnp.result_type(step)
-        explicit, implicit = jnp.asarray(_EXPLICIT, kind), jnp.asarray(_IMPLICIT, kind)
+        explicit, implicit = (jnp.asarray(stages, kind) for stages in _IMEX.values())
 
         def next_stage(i: Array, slopes: tuple[State, ...]) -> tuple[State, ...]:
             here = jax.tree.map(lambda b, m, e: jnp.where(i < 2, b, jnp.where(i == 3, m, e)), *inputs)
@@ -177,7 +178,7 @@ def semi_implicit(
 
         return moved(_WEIGHTS, lax.fori_loop(0, 4, next_stage, (zero,) * 4))
     slopes: list[State] = []
-    for row, ahead, here in zip(_EXPLICIT, _IMPLICIT, (beginning, beginning, end, middle), strict=True):
+    for row, ahead, here in zip(*_IMEX.values(), (beginning, beginning, end, middle), strict=True):
         slopes.append(stage(row, ahead, slopes, here))
     return moved(_WEIGHTS, slopes)
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from mckibben.component.columns import Label, declare
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.numerics.batching import map_chunks
+from mckibben.simulation.engine import VECTOR
 
 ACCURACY = 1e-6
 """Default accuracy of the angle [rad]."""
@@ -140,12 +141,9 @@ def spacing(periods: int) -> int:
     return next((every for every in range(least, 10 * least) if periods % every == 0), 1)
 
 
-_VECTOR = 16
-
-
 def full_vectors(runs: Runs) -> Runs:
     """Runs repeated to fill vectors: XLA compiles a program for each number of them."""
-    return np.resize(runs, -(-runs.size // _VECTOR) * _VECTOR)
+    return np.resize(runs, -(-runs.size // VECTOR) * VECTOR)
 
 
 class Refinement(NamedTuple):
