@@ -133,3 +133,8 @@ def test_a_mistake_raises_a_question_of_its_topic(mistake, seed):
     assert topic in topics(*change(muscle(seed=seed))) or (
         topic == "sign" and topics(*change(muscle(seed=seed))) == {""}
     )
+
+
+def test_a_load_that_hangs_from_the_start_is_a_force_under_pressure():
+    pressure = np.linspace(0, 6e5, 13)
+    assert "range" not in topics(pressure, 0.2 * pressure / 6e5, np.full(13, 250.0))

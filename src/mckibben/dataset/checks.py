@@ -158,7 +158,7 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
     if not -6 <= low <= 16 or high > 40 or 0 < np.abs(contraction).max() < 1 * percent:
         text = f"contractions of {low:.3g} to {high:.3g} % are unusual for a muscle"
         yield points.ask("range", text, field="contraction")
-    at = int(np.argmax(force))
+    at = int(np.argmax(np.where(pressure > 0, force, 0)))
     if not (force[at] > 0 and pressure[at] > 0):
         yield points.ask("range", "no point has a force and a pressure above 0", field="force")
         return
