@@ -109,7 +109,7 @@ BUDGET = {
     "dataset": 3040,
     "experiment_design": 780,
     "export": 2500,
-    "firmware": 30,
+    "firmware": 150,
     "identification": 3600,
     "joint": 1200,
     "leg": 3360,

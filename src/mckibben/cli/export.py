@@ -27,15 +27,15 @@ def export(
     scenario : SCENARIO.yaml
         Scenario or leg; see examples/.
     to : FORMAT
-        c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu,
-        fmu-controller, fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle. mjcf, warp,
-        osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a leg: mjcf or warp.
+        c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
+        for pages. fmu, fmu-controller, fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle.
+        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a leg: mjcf or warp.
     out : DIR
         Output folder.
     name : NAME
         Name of the program or model.
     hardware : HARDWARE.yaml
-        Limits of a controller's samples, and whether its numbers have 32 bits.
+        Limits of a controller's samples, size of its numbers, board and parts of firmware.
     force
         Replace the results of an earlier run in DIR.
     json

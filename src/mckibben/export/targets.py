@@ -71,6 +71,7 @@ class Exported(Result):
 
 TARGETS = {
     "c": ("mckibben.export.controller_files:c_files", "controller", "controller as C99, for microcontrollers"),
+    "firmware": ("mckibben.firmware:firmware_files", "controller", "controller, drivers and protocol, for a board"),
     "js": ("mckibben.export.controller_files:js_files", "controller", "controller as JavaScript, for pages"),
     "fmu": ("mckibben.export.fmu:plant_fmu", "plant", "joint with load and valves as an FMU (FMI 2.0)"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller", "controller as an FMU, for co-simulation"),
@@ -80,7 +81,7 @@ TARGETS = {
     "osim": ("mckibben.export.osim:osim_files", "joint", "joint and muscles for OpenSim, at constant pressures"),
 }
 """Function of each format, ``(scenario, name, folder) -> Exported``, the default name, and a description."""
-CONTROLLERS = "c", "js", "fmu-controller"
+CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
 LEG_TARGETS = {
     "mjcf": ("mckibben.export.leg_mjcf:mjcf_files", "leg", "bodies and muscles for MuJoCo, with the C of a plugin"),
@@ -121,20 +122,26 @@ def export(
     place, default, _ = targets[target]
     name = check_name(name or default)
     module, function = place.split(":")
-    options = {} if hardware is None else _options(hardware, target)
+    options = _options(hardware, target)
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)
     exported.save(out, force=overwrite)
     return exported
 
 
-def _options(hardware: Hardware, target: str) -> dict[str, object]:
-    """Options of a format by a file of hardware; `ExportError` if they do not apply."""
-    options: dict[str, object] = {"limits": hardware.limits, **({"single": True} if hardware.single else {})}
-    if target not in CONTROLLERS or (hardware.single and target != "c"):
-        field, formats = ("single", ("c",)) if target in CONTROLLERS else ("hardware", CONTROLLERS)
+def _options(hardware: Hardware | None, target: str) -> dict[str, object]:
+    """Options of a format by a file of hardware; `ExportError` if they do not apply, or firmware has none."""
+    if hardware is None:
+        if target == "firmware":
+            remedy = "name a file with the board and its parts (command line: --hardware FILE)"
+            raise ExportError("the firmware needs its hardware", field="hardware", remedy=remedy)
+        return {}
+    if target not in CONTROLLERS or (hardware.single and target not in ("c", "firmware")):
+        field, formats = ("single", ("c", "firmware")) if target in CONTROLLERS else ("hardware", CONTROLLERS)
         remedy = f"leave it out, or write {' or '.join(formats)}, of a joint"
         raise ExportError(f"{field} does not apply to {target}", field=field, value=target, remedy=remedy)
-    return options
+    if target == "firmware":
+        return {"hardware": hardware}
+    return {"limits": hardware.limits, **({"single": True} if hardware.single else {})}
 
 
 _RESERVED = frozenset(  # by the standard headers and by the replay program

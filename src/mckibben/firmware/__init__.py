@@ -1,18 +1,92 @@
-"""Firmware of a joint: its controller, its parts, and the serial protocol."""
+"""Firmware of a joint: its controller on a board, the drivers of its parts, and the serial protocol."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+import hashlib
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+from pydantic import Field
 
 import mckibben
 from mckibben.codegen import templates
-from mckibben.config.model import DocumentModel
+from mckibben.codegen.c import comment_text, write_c
+from mckibben.codegen.source_module import SourceModule
+from mckibben.config.model import ConfigModel, DocumentModel
 from mckibben.containment.limits import Limits
-from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, MessageKind
+from mckibben.errors import ExportError
+from mckibben.export.controller import controller_functions, stepping_module, units_of
+from mckibben.export.targets import Exported
+from mckibben.numerics.compiled import numeric
+from mckibben.scenario import Scenario
+from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, Hello, MessageKind
+from mckibben.units import Angle, PositivePressure, PositiveTime, ms
+
+_ENUMS = {"KIND": MessageKind, "STATE": FirmwareState, "CODE": FaultCode, "SOURCE": CommandSource}
+"""Enumerations of the protocol by their prefixes in C."""
+_CONVERTERS = {"uno_r4": (5.0, 14), "teensy4": (3.3, 12), "esp32": (3.3, 12), "stm32": (3.3, 12)}
+"""Reference [V] and bits of the analog inputs of each board."""
+
+Pin = Annotated[str, Field(pattern=r"^[A-Z]{0,3}_?[0-9]{1,3}$")]
+"""Name of a pin in the Arduino core, such as ``A0``, ``PA5`` or ``"9"``."""
+Count = Annotated[int, Field(ge=-(2**31), lt=2**31)]
+
+
+class PressureSensor(ConfigModel):
+    """Analog sensor of gauge pressure: 0 at `low_volts`, and `pressure` [Pa] at `high_volts` at the pin."""
+
+    pin: Pin
+    low_volts: float
+    high_volts: float
+    pressure: PositivePressure
+
+
+class AngleSensor(ConfigModel):
+    """AS5600 on I2C, or a quadrature encoder with its number of `counts` per turn, zero at its position at the start.
+
+    The angle of the joint is that of the sensor minus `zero` [rad], with the opposite sign if `reversed`.
+    """
+
+    sensor: Literal["as5600", "quadrature"]
+    zero: Angle = 0.0
+    reversed: bool = False
+    pin_a: Pin = "2"
+    pin_b: Pin = "3"
+    counts: Annotated[int, Field(ge=4, le=10_000_000)] = 4096
+
+
+class RegulatorOutput(ConfigModel):
+    """Signal of a proportional regulator by filtered PWM or a converter: its shares at 0 bar and at `pressure` [Pa]."""
+
+    output: Literal["pwm", "dac"]
+    pin: Pin
+    low_share: float = 0.0
+    high_share: float = 1.0
+    pressure: PositivePressure
+
+
+class VentOutput(ConfigModel):
+    """Output of the valve that opens both muscles to the atmosphere at a level; it has to do so without current."""
+
+    pin: Pin
+    open: Literal["low", "high"]
+
+
+class ForceSensor(ConfigModel):
+    """Load cell with an HX711, recorded as `force` [N]."""
+
+    clock: Pin
+    data: Pin
+    zero: Count = 0
+    newtons_per_count: float
 
 
 class Hardware(DocumentModel):
-    """A file of hardware.
+    """A file of hardware: limits for each exported controller, board and parts for firmware.
 
     Attributes
     ----------
@@ -20,20 +94,111 @@ class Hardware(DocumentModel):
         Limits of the samples of the controller.
     single
         Whether the numbers of the controller have 32 bits, for processors without a 64-bit unit.
+    silence
+        Longest time [s] without a message of the host.
+    board
+        Kind of board: one with an Arduino core, or ``host``, this computer with a simulated joint.
+    angle, pressure1, pressure2, valve1, valve2, vent, force
+        Parts, needed for all boards but ``host``; without `force` there is no load cell.
     """
 
     kind: ClassVar[str] = "hardware file"
+    examples: ClassVar[str] = "examples/hardware/"
 
     limits: Limits = Limits()
     single: bool = False
-
-
-_ENUMS = {"KIND": MessageKind, "STATE": FirmwareState, "CODE": FaultCode, "SOURCE": CommandSource}
-"""Enumerations of the protocol by their prefixes in C."""
+    silence: PositiveTime = 100 * ms
+    board: Literal["uno_r4", "teensy4", "esp32", "stm32", "host"] | None = None
+    angle: AngleSensor | None = None
+    pressure1: PressureSensor | None = None
+    pressure2: PressureSensor | None = None
+    valve1: RegulatorOutput | None = None
+    valve2: RegulatorOutput | None = None
+    vent: VentOutput | None = None
+    force: ForceSensor | None = None
 
 
 def link_files() -> dict[str, str]:
     """Codec of the serial protocol as C99."""
     enums = [{"prefix": prefix, "members": list(members)} for prefix, members in _ENUMS.items()]
-    values = {"version": mckibben.__version__, "protocol": VERSION, "longest": LONGEST, "enums": enums}
-    return {name: templates.filled(name, values, "mckibben.firmware") for name in ("link.h", "link.c")}
+    return _filled(("link.h", "link.c"), {"protocol": VERSION, "longest": LONGEST, "enums": enums})
+
+
+def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Hardware) -> Exported:
+    """Project of a board: a sketch of its Arduino core, or C with a simulated joint for this computer.
+
+    Raises `ExportError` for a part that is missing.
+    """
+    needed = ("board",) if hardware.board == "host" else ("board", "angle", *_PARTS, "vent")
+    for field in needed:
+        if getattr(hardware, field) is None:
+            message, remedy = f"the firmware needs {field}", f"give {field} in the hardware file"
+            raise ExportError(message, field=field, remedy=remedy)
+    source, text = controller_functions(scenario, hardware.limits), scenario.dumps(folder=folder)
+    module = stepping_module(name, source)
+    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}."
+    program = write_c(module, comment, single=hardware.single, wide=("setpoint",), units=units_of(module, "Pa, gauge"))
+    channels = [("angle", "rad"), ("pressure1", "Pa"), ("pressure2", "Pa"), *[("force", "N")] * bool(hardware.force)]
+    hello = Hello(
+        f"mckibben {mckibben.__version__} {hardware.board}",
+        round(source.period * 1e6),
+        hashlib.sha256(text.encode()).digest(),
+        channels,
+        [("command1", "Pa"), ("command2", "Pa")],
+        [("angle", "rad"), ("stiffness", "N*m/rad")],
+    )
+    values = {
+        **{field: getattr(hardware, field) for field in ("board", "angle", "vent", "force")},
+        "pressures": [hardware.pressure1, hardware.pressure2],
+        "valves": [hardware.valve1, hardware.valve2],
+        "volts": _CONVERTERS.get(str(hardware.board), (0, 0))[0],
+        "bits": _CONVERTERS.get(str(hardware.board), (0, 0))[1],
+        "name": name,
+        "title": comment_text(" ".join(scenario.name.split())),
+        "real": "float" if hardware.single else "double",
+        "period": repr(source.period),
+        "microseconds": hello.period,
+        "silence": round(hardware.silence * 1e6),
+        "measurements": [channel for channel, _ in channels],
+        "hello": list(hello.pack()),
+    }
+    files = {f"{name}.h": program.header, f"{name}.c": program.source, **link_files()}
+    files |= _filled(("firmware.h", "firmware.c"), values)
+    left_out: tuple[str, ...] = ()
+    if hardware.board == "host":
+        files |= _filled(("host.c", "simulated.c", "simulated.h", "host.mk"), values)
+        files["Makefile"] = files.pop("host.mk")
+        left_out = ("delay of the commands",) if source.plant.command_delay is not None else ()
+        files |= dict(zip(("plant.h", "plant.c"), write_c(_plant(scenario, source.period)), strict=True))
+    else:
+        files[f"{name}.ino"] = _filled(("board.ino",), values)["board.ino"]
+    folder_name = f"{name}/" if hardware.board != "host" else ""  # a sketch stands in a folder of its name
+    contents = {f"{folder_name}{path}": content for path, content in files.items()}
+    return Exported({**contents, "scenario.yaml": text}, left_out)
+
+
+def _plant(scenario: Scenario, period: float) -> SourceModule:
+    """Simulated joint with ideal sensors: `init`, at 0 rad without pressure, and `advance` by a control period."""
+    plant, substeps, zeros = numeric(scenario.plant().with_ideal_io()), scenario.needed_substeps(), (np.zeros(()),) * 2
+    numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
+    module, state = SourceModule("plant", numbers), jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
+
+    def init(parameters: PyTree) -> dict[str, PyTree]:
+        return {"state": eqx.combine(parameters, fixed).init_state(0.0, (0.0, 0.0))}
+
+    def advance(parameters: PyTree, state: PyTree, commands: PyTree) -> dict[str, PyTree]:
+        plant = eqx.combine(parameters, fixed)
+        return {"state": plant.advance(state, plant.clip_commands(commands), period, substeps)}
+
+    module.add("init", "state at 0 rad without pressure", init, {})
+    module.add("advance", "state after a control period", advance, {"state": state, "commands": zeros})
+    return module
+
+
+_PARTS = "pressure1", "pressure2", "valve1", "valve2"
+
+
+def _filled(names: tuple[str, ...], values: dict[str, object]) -> dict[str, str]:
+    """Templates of this package with values."""
+    values = {"version": mckibben.__version__, **values}
+    return {name: templates.filled(name, values, "mckibben.firmware") for name in names}

@@ -1,0 +1,220 @@
+/* Arming, protocol and safety around the controller. One step per period: measure, check, command, report. */
+#include "firmware.h"
+
+#include "${name}.h"
+
+#include <math.h>
+#include <string.h>
+
+static const uint8_t HELLO[] = {${hello | join(", ")}};
+enum { VERSION_OFFSET = 0, DIGEST_OFFSET = 8, DIGEST_SIZE = 32 };
+
+static ${name} controller;
+static ${name}_setpoint setpoint;
+static double asked[COMMANDS];
+static link_receiver receiver;
+static uint8_t state = STATE_DISARMED, fault = CODE_NONE, source;
+static bool has_setpoint, has_commands;
+static uint16_t sequence, held, missed_periods;
+static uint32_t heard; /* us, time of the last valid message */
+
+static void send(uint8_t kind, const uint8_t *body, size_t size)
+{
+    static link_message message;
+    static uint8_t line[LINK_FRAME];
+    message.kind = kind;
+    message.size = (uint8_t)size;
+    message.sequence = sequence++;
+    message.time = board_time();
+    memcpy(message.body, body, size);
+    board_write(line, link_encode(&message, line));
+}
+
+static void report(uint8_t code, uint8_t channel, double value)
+{
+    uint8_t body[6] = {code, channel};
+    link_put_float(body + 2, (float)value);
+    fault = code;
+    send(KIND_FAULT, body, sizeof body);
+}
+
+static void vent(uint8_t next)
+{
+    state = next;
+    has_setpoint = has_commands = false;
+}
+
+static ${name}_measurement measured(const double values[MEASUREMENTS])
+{
+    ${name}_measurement measurement;
+    measurement.angle = (${real})values[0];
+    measurement.pressures_0 = (${real})values[1];
+    measurement.pressures_1 = (${real})values[2];
+    return measurement;
+}
+
+static void arm(const link_message *message)
+{
+    double values[MEASUREMENTS];
+    ${name}_measurement measurement;
+    const uint8_t wanted = message->body[0];
+    if (state != STATE_DISARMED || message->size != 1 + DIGEST_SIZE || wanted > SOURCE_COMMANDS ||
+        !(wanted == SOURCE_SETPOINTS ? has_setpoint : has_commands)) {
+        report(CODE_REFUSED, 255, message->kind);
+        return;
+    }
+    if (memcmp(message->body + 1, HELLO + DIGEST_OFFSET, DIGEST_SIZE) != 0) {
+        report(CODE_OTHER_DIGEST, 255, 0);
+        return;
+    }
+    board_measure(values);
+    measurement = measured(values);
+    ${name}_defaults(&controller);
+    if (!${name}_init(&controller, (${real})${period}, &measurement)) {
+        report((uint8_t)controller.state.fault, 255, 0);
+        return;
+    }
+    source = wanted;
+    controller.state.share = 0; /* a ramp from the measured pressures */
+    state = STATE_RAMPING;
+    fault = CODE_NONE;
+}
+
+static void take(const link_message *message)
+{
+    int i;
+    double numbers[SETPOINTS];
+    switch (message->kind) {
+    case KIND_HELLO:
+        send(KIND_HELLO, HELLO, sizeof HELLO);
+        break;
+    case KIND_ARM:
+        arm(message);
+        break;
+    case KIND_DISARM:
+        vent(STATE_DISARMED);
+        fault = CODE_NONE;
+        break;
+    case KIND_VENT:
+        vent(STATE_VENTED);
+        report(CODE_VENT_ASKED, 255, 0);
+        break;
+    case KIND_SETPOINT:
+        if (message->size != 8 * SETPOINTS) {
+            report(CODE_REFUSED, 255, message->kind);
+            break;
+        }
+        for (i = 0; i < SETPOINTS; ++i)
+            numbers[i] = link_double(message->body + 8 * i);
+        setpoint.angle = numbers[0];
+        setpoint.stiffness = numbers[1];
+        has_setpoint = true;
+        break;
+    case KIND_COMMAND:
+        if (message->size != 4 * COMMANDS) {
+            report(CODE_REFUSED, 255, message->kind);
+            break;
+        }
+        for (i = 0; i < COMMANDS; ++i)
+            asked[i] = (double)link_float(message->body + 4 * i);
+        has_commands = true;
+        break;
+    case KIND_HEARTBEAT:
+        break;
+    default:
+        report(CODE_REFUSED, 255, message->kind);
+    }
+}
+
+void firmware_begin(bool watchdog)
+{
+    board_vent(true);
+    ${name}_defaults(&controller);
+    heard = board_time();
+    send(KIND_HELLO, HELLO, sizeof HELLO);
+    if (watchdog) {
+        state = STATE_VENTED;
+        report(CODE_WATCHDOG, 255, 0);
+    }
+}
+
+void firmware_receive(uint8_t byte)
+{
+    static link_message message;
+    if (link_receive(&receiver, byte, &message)) {
+        heard = board_time();
+        take(&message);
+    }
+}
+
+/* Commands of the host, within the limits of the controller, which holds and vents for it too. */
+static void follow_host(const ${name}_measurement *measurement, ${name}_commands *commands, ${name}_telemetry *telemetry)
+{
+    const ${name}_parameters *limits = &controller.parameters;
+    ${name}_setpoint inside;
+    inside.angle = limits->limits_lowest_setpoint_angle;
+    inside.stiffness = limits->limits_lowest_setpoint_stiffness;
+    if (${name}_check(&controller, &inside, measurement) != 0 || !isfinite(asked[0]) || !isfinite(asked[1])) {
+        ${name}_hold(&controller, commands, telemetry);
+        return;
+    }
+    controller.state.held = 0;
+    controller.state.status = telemetry->status = STATE_RUNNING;
+    telemetry->fault = CODE_NONE;
+    commands->pressure1 = (${real})fmin(fmax(asked[0], (double)limits->limits_lowest_commands_0), (double)limits->limits_highest_commands_0);
+    commands->pressure2 = (${real})fmin(fmax(asked[1], (double)limits->limits_lowest_commands_1), (double)limits->limits_highest_commands_1);
+    controller.state.commands_0 = commands->pressure1;
+    controller.state.commands_1 = commands->pressure2;
+}
+
+static void control(const double values[MEASUREMENTS], uint16_t missed, ${name}_commands *commands)
+{
+    ${name}_telemetry telemetry;
+    const ${name}_measurement measurement = measured(values);
+    uint8_t before = fault;
+    for (; missed > 0; --missed)
+        ${name}_hold(&controller, commands, &telemetry);
+    if (source == SOURCE_SETPOINTS)
+        ${name}_step(&controller, &setpoint, &measurement, commands, &telemetry);
+    else
+        follow_host(&measurement, commands, &telemetry);
+    held = (uint16_t)(held + (telemetry.status == STATE_HOLDING));
+    if (telemetry.fault != CODE_NONE && telemetry.fault != before)
+        report((uint8_t)telemetry.fault, 255, 0);
+    if (telemetry.status == STATE_VENTED)
+        vent(STATE_VENTED); /* until the host disarms, even if the samples are good again */
+    else
+        state = (uint8_t)telemetry.status;
+}
+
+void firmware_step(uint16_t missed)
+{
+    ${name}_commands commands = {0, 0};
+    double values[MEASUREMENTS], sent[COMMANDS];
+    uint8_t body[8 + 4 * (MEASUREMENTS + COMMANDS)];
+    int i;
+    bool armed = state != STATE_DISARMED && state != STATE_VENTED;
+    missed_periods = (uint16_t)(missed_periods + missed);
+    board_measure(values);
+    if (armed && board_time() - heard > SILENCE_US) {
+        vent(STATE_VENTED);
+        report(CODE_HOST_SILENT, 255, 0);
+    } else if (armed) {
+        control(values, missed < 100 ? missed : 100, &commands);
+    }
+    armed = state != STATE_DISARMED && state != STATE_VENTED;
+    sent[0] = armed ? (double)commands.pressure1 : 0;
+    sent[1] = armed ? (double)commands.pressure2 : 0;
+    board_command(sent);
+    board_vent(!armed);
+    body[0] = state;
+    body[1] = fault;
+    link_put16(body + 2, held);
+    link_put16(body + 4, missed_periods);
+    link_put16(body + 6, receiver.lost);
+    for (i = 0; i < MEASUREMENTS; ++i)
+        link_put_float(body + 8 + 4 * i, (float)values[i]);
+    for (i = 0; i < COMMANDS; ++i)
+        link_put_float(body + 8 + 4 * (MEASUREMENTS + i), (float)sent[i]);
+    send(KIND_SAMPLE, body, sizeof body);
+}

@@ -1,0 +1,9 @@
+CFLAGS = -std=c99 -O2 -Wall -Wextra -Wpedantic -Wconversion -Werror
+
+firmware: host.c simulated.c firmware.c link.c ${name}.c plant.c
+	$(CC) $(CFLAGS) -o $@ $^ -lm
+
+clean:
+	rm -f firmware
+
+.PHONY: clean
