@@ -42,7 +42,7 @@ pressure2: {{pin: A1, {ANALOG}}}
 valve1: {{output: pwm, pin: "9", pressure: 8 bar}}
 valve2: {{output: dac, pin: "10", pressure: 8 bar}}
 vent: {{pin: "7", open: low}}
-force: {{clock: "4", data: "5", zero: 8421, newtons_per_count: 0.01}}
+force: {{clock: "4", data: "5", zero: 8421, newtons_per_count: 0.01 N}}
 single: true
 """
 

@@ -16,6 +16,7 @@ import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.source_module import SourceModule
+from mckibben.config.fields import Flag
 from mckibben.config.model import ConfigModel, DocumentModel
 from mckibben.containment.limits import Limits
 from mckibben.errors import ExportError
@@ -24,7 +25,7 @@ from mckibben.export.targets import Exported
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, Hello, MessageKind
-from mckibben.units import Angle, PositivePressure, PositiveTime, ms
+from mckibben.units import Angle, BoundedInt, ForceTerm, PositivePressure, PositiveTime, Share, ms
 
 _ENUMS = {"KIND": MessageKind, "STATE": FirmwareState, "CODE": FaultCode, "SOURCE": CommandSource}
 """Enumerations of the protocol by their prefixes in C."""
@@ -33,15 +34,15 @@ _CONVERTERS = {"uno_r4": (5.0, 14), "teensy4": (3.3, 12), "esp32": (3.3, 12), "s
 
 Pin = Annotated[str, Field(pattern=r"^[A-Z]{0,3}_?[0-9]{1,3}$")]
 """Name of a pin in the Arduino core, such as ``A0``, ``PA5`` or ``"9"``."""
-Count = Annotated[int, Field(ge=-(2**31), lt=2**31)]
+Count = Annotated[int, BoundedInt(-(2**31), 2**31 - 1)]
 
 
 class PressureSensor(ConfigModel):
     """Analog sensor of gauge pressure: 0 at `low_volts`, and `pressure` [Pa] at `high_volts` at the pin."""
 
     pin: Pin
-    low_volts: float
-    high_volts: float
+    low_volts: Share
+    high_volts: Share
     pressure: PositivePressure
 
 
@@ -53,10 +54,10 @@ class AngleSensor(ConfigModel):
 
     sensor: Literal["as5600", "quadrature"]
     zero: Angle = 0.0
-    reversed: bool = False
+    reversed: Flag = False
     pin_a: Pin = "2"
     pin_b: Pin = "3"
-    counts: Annotated[int, Field(ge=4, le=10_000_000)] = 4096
+    counts: Annotated[int, BoundedInt(4, 10_000_000)] = 4096
 
 
 class RegulatorOutput(ConfigModel):
@@ -64,8 +65,8 @@ class RegulatorOutput(ConfigModel):
 
     output: Literal["pwm", "dac"]
     pin: Pin
-    low_share: float = 0.0
-    high_share: float = 1.0
+    low_share: Share = 0.0
+    high_share: Share = 1.0
     pressure: PositivePressure
 
 
@@ -82,7 +83,7 @@ class ForceSensor(ConfigModel):
     clock: Pin
     data: Pin
     zero: Count = 0
-    newtons_per_count: float
+    newtons_per_count: ForceTerm
 
 
 class Hardware(DocumentModel):
@@ -106,7 +107,7 @@ class Hardware(DocumentModel):
     examples: ClassVar[str] = "examples/hardware/"
 
     limits: Limits = Limits()
-    single: bool = False
+    single: Flag = False
     silence: PositiveTime = 100 * ms
     board: Literal["uno_r4", "teensy4", "esp32", "stm32", "host"] | None = None
     angle: AngleSensor | None = None
