@@ -95,23 +95,23 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 830,
+    "top": 820,
     "actuator": 1050,
     "calibration": 2070,
     "catalog": 230,
-    "cli": 1460,
-    "codegen": 2570,
+    "cli": 1440,
+    "codegen": 2540,
     "component": 1030,
     "config": 550,
     "containment": 290,
     "contract": 650,
     "control": 2290,
-    "dataset": 3040,
+    "dataset": 3030,
     "experiment_design": 780,
-    "export": 2500,
-    "firmware": 150,
+    "export": 2470,
+    "firmware": 140,
     "identification": 3600,
-    "joint": 1200,
+    "joint": 1160,
     "leg": 3360,
     "muscle": 1580,
     "numerics": 840,
@@ -120,16 +120,16 @@ BUDGET = {
     "reachability": 1250,
     "report": 2230,
     "rig": 6060,
-    "scenario": 720,
+    "scenario": 690,
     "serial_protocol": 160,
-    "simulation": 2860,
+    "simulation": 2810,
     "storage": 460,
     "study": 2890,
     "web": 2320,
 }
 
-MOST_ANY = 750  # uses of `Any`
-MOST_CONSTANTS = 730  # numbers at module level, to come to 500
+MOST_ANY = 710  # uses of `Any`
+MOST_CONSTANTS = 620  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 LONG = {"mckibben.rig.record.assemble"}
 """A function of grade D that remains until the recorder is made anew."""
