@@ -204,7 +204,7 @@ class SimulationResult(RunResult):
     angle_resolution
         Step of the sensor of the angle [rad], 0 for none.
     domains
-        Domains of the two muscles; empty if unknown.
+        Domains of the two muscles, as boxes if read from a file; empty if unknown.
     known_outcome
         Outcome of a stored run; None to derive it from the columns.
     feasibility
@@ -349,8 +349,11 @@ class SimulationResult(RunResult):
 
     def _attributes(self) -> dict[str, Any]:
         own = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
-        domains = [float(bound) for domain in self.domains for bound in vars(domain).values()]
-        return super()._attributes() | own | ({"domains": np.array(domains)} if domains else {})
+        boxes = [
+            (domain.contraction_min, domain.contraction_max, domain.pressure_min, domain.pressure_max)
+            for domain in self.domains
+        ]
+        return super()._attributes() | own | ({"domains": np.ravel(np.array(boxes, float))} if boxes else {})
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
