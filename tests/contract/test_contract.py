@@ -78,6 +78,9 @@ LEG = dataclasses.replace(
         leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
     ),
 )
+SPANNING = leg.SpanningMuscle(
+    ROUGH, (leg.BodyPoint("trunk", (0.03, 0.0, 0.1)), leg.BodyPoint("knee", (0.03, 0.0, -0.05)))
+)
 EXAMPLES = [
     *(example() for example in LAWS.values()),
     muscle.SpringLaw(1000.0, 180 * mm),
@@ -137,6 +140,8 @@ EXAMPLES = [
     LEG.links[0],
     LEG.joints[0],
     LEG.biarticular[0],
+    SPANNING,
+    SPANNING.through[0],
     leg.LegPlant(LEG, FirstOrderValve(0.02)),
     MountedMuscle(SPECIMEN, CHOU, friction=SLIP),
 ]
