@@ -166,7 +166,7 @@ def runs(tmp_path_factory, knee):
         "unequal": mk.JointPlant(knee, LOAD, mk.UnequalValves(FLOW, TUBE)),
         "warm": mk.JointPlant(knee, LOAD, mk.UnequalValves(WARM, TUBE)),
         "rate": mk.JointPlant(knee, LOAD, mk.FirstOrderValve(0.02, rate=2e6)),
-        "stretch": mk.JointPlant(dataclasses.replace(knee, tendon=SPRING), LOAD, FLOW),
+        "stretch": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, knee.muscle1, knee.muscle2, SPRING), LOAD, FLOW),
     }
     return plants, build(tmp_path_factory.mktemp("runs"), plants)
 
