@@ -266,6 +266,7 @@ def test_days_and_months_that_may_be_exchanged_are_no_clock(put):
 
 READINGS: dict[str, tuple[str, dict[str, object], tuple[str, str]]] = {  # text, options, column and its remarks
     "a mass that hangs": (table("Pressure [bar];Contraction [%];Weight [kg]", P, C, F / 9.80665), {}, ("Weight [kg]", "masses times g")),
+    "a mass below a load cell": (table("Pressure [bar];Contraction [%];Force [N];Weight [kg]", P, C, F, F.round(-2) / 9.80665), {}, ("Weight [kg]", "masses times g")),
     "elongation": (table("Pressure [bar];Elongation (%);Force [N]", P, -C, F), {}, ("Elongation (%)", "")),
     "relative length": (table("Pressure [bar];Relative length (-);Force [N]", P, 1 - C / 100, F), {}, ("Relative length (-)", "")),
     "set and measured": (table("Soll [bar];Ist [bar];Contraction [%];Kraft ist [N]", P.round(), P, C, F), {}, ("Ist [bar]", "")),

@@ -93,6 +93,11 @@ class _Entry(NamedTuple):
     gain: float = 1.0
     offset: float = 0.0
 
+    def without_sensor(self) -> _Entry:
+        """The entry where no column is a force: a weight that hangs is."""
+        hung = self.header.quantity == "set_force" and _MASS.search(self.column.name)
+        return self._replace(header=self.header._replace(quantity="force")) if hung else self
+
 
 class _Reader:
     """Steps of `understand`."""
@@ -104,7 +109,6 @@ class _Reader:
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
         self.asked_about: set[str] = set()
-        self.at_joint = recipe.joint is not None
 
     def read(self, needed: Sequence[str], geometry: JointPaths | None) -> Table:
         table, raw = self.table, self.raw
@@ -121,7 +125,7 @@ class _Reader:
         for problem in raw.corrupt:
             self.ask(problem.message, "corrupt", line=problem.line)
             table.repairs.append(str(problem))
-        if self.at_joint:
+        if self.recipe.joint is not None:
             needed = needed_at_joint(table.columns, self.recipe.lever)
             self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
         self._lengths()
@@ -196,14 +200,15 @@ class _Reader:
                 understood.append(_Entry(column, header, source, gain, offset))
             else:
                 self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
-        return understood
+        sensed = any(entry.header.quantity == "force" for entry in understood)
+        return understood if sensed else [entry.without_sensor() for entry in understood]
 
     def _header_of(self, column: RawColumn, label: str) -> Header:
         """Meaning of a column that the recipe does not name; those of a joint are read in its tests alone."""
         header = parse_header(label, column.unit)
         if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
             return Header("time", "") if seconds_of(header, column.cells) is not None else header
-        return header if self.at_joint or header.quantity not in _OF_JOINTS else Header("", header.unit)
+        return header if self.recipe.joint is not None or header.quantity not in _OF_JOINTS else Header("", header.unit)
 
     def _unread(self, column: RawColumn, label: str, dimension: str, *, other_unit: bool) -> None:
         """Ask about a column that is not understood, unless its name or its content says that it is not needed."""
@@ -322,8 +327,7 @@ class _Reader:
             shown = str(column.cells[at])[:40]
             meant = f"columns={{{shown!r}: {first!r}}} (command line: --column '{shown}={first}')"
             remedy = f"give its meaning, {first} or {second}: {meant}"
-            line = int(self.table.lines[at])
-            self.ask(f"{shown!r} is not a {name}", field=column.name, line=line, remedy=remedy)
+            self.ask(f"{shown!r} is not a {name}", field=column.name, line=int(self.table.lines[at]), remedy=remedy)
         return np.array([said.get(cell, "") for cell in cells], "<U9")
 
     def _lengths(self) -> None:

@@ -38,8 +38,7 @@ as `relative_length` is. `pressure1` and `pressure2` are those of the muscles of
 _NAMES: Mapping[str, str] = {
     "pressure": """p, pressure, muscle pressure, druck, muskeldruck, istdruck, p muskel, p ist, messdruck, überdruck""",
     "force": """f, force, axial force, tension, tensile force, pull, load, load cell, kraft, zugkraft, axialkraft,
-        muskelkraft, standardkraft, kraftaufnehmer, standard force, weight, weights, hanging weight, hanging mass,
-        gewicht, gewichte, last, anhängelast""",
+        muskelkraft, standardkraft, kraftaufnehmer, standard force, last""",
     "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
         verkuerzung, relative verkürzung""",
     "length": """length, muscle length, länge, laenge, muskellänge, muskellaenge""",
@@ -56,7 +55,7 @@ _NAMES: Mapping[str, str] = {
         target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
         sollwert druck, druck sollwert""",
     "set_force": """set force, force set, force setpoint, nominal force, target force, set load, nominal load, weight,
-        hanging weight, sollkraft, kraft soll, gewicht""",
+        weights, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast""",
     "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp,
         test time, zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum,
         uhrzeit, zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time,
