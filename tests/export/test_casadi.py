@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
@@ -94,14 +95,29 @@ def test_air_of_flow_valves(knee, load, wall):
     close(found, np.array(jax.tree.leaves(eqx.filter_jit(state_rate)(plant, state, (1e5, 4e5)))))
 
 
-def test_what_cannot_be_written_is_refused(knee, load, scenario):
+def test_series_springs(knee, load):
+    """An extended spring, and one at its preload; the slope is that of the implicit function."""
     spring = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
-    plant = mk.JointPlant(
-        mk.AntagonisticJoint(knee.geometry, knee.muscle1, knee.muscle2, spring), load, mk.IdealValve()
-    )
+    joint = mk.AntagonisticJoint(knee.geometry, knee.muscle1, knee.muscle2, spring)
+    functions = casadi_plant(mk.JointPlant(joint, load, mk.IdealValve())).functions
+    x = casadi.SX.sym("x")
+    slope = casadi.Function("slope", [x], [casadi.jacobian(functions["torque"](x, [2e5, 3e5]), x)])
+    for angle in (-0.2, 0.1, 0.3):
+        close(functions["tensions"](angle, [2e5, 3e5]), np.stack(joint.tensions(angle, (2e5, 3e5))))
+        stiffness = float(joint.stiffness(angle, (2e5, 3e5)))
+        assert float(functions["stiffness"](angle, [2e5, 3e5])) == pytest.approx(stiffness, rel=1e-9)
+        assert float(slope(angle)) == pytest.approx(-stiffness, rel=1e-9)
+
+
+def test_what_cannot_be_written_is_refused(knee, load, scenario):
+    class Settling(mk.KneeLoad):
+        def gravity_torque(self, angle):
+            halved = lax.while_loop(lambda x: jnp.abs(x) > 1e-3, lambda x: x / 2, jnp.asarray(angle))
+            return super().gravity_torque(angle) + halved
+
     with pytest.raises(ExportError) as caught:
-        casadi_plant(plant)
-    assert caught.value.field
+        casadi_plant(mk.JointPlant(knee, Settling(0.5, 0.5, 0.1, 0.2, 0.02, 0.015), mk.IdealValve()))
+    assert caught.value.field == "while"
     assert caught.value.remedy
     with pytest.raises(ParameterError) as wrong:
         casadi_plant(scenario, parameters=["load.mass3"])

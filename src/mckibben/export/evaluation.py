@@ -118,7 +118,7 @@ class _Evaluation:
         if not carried and not arrays:
             return
         if loop.going is not None:
-            remedy = "use another option of this component, such as rigid tendons"
+            remedy = "use another option of this component, or a fixed number of iterations"
             raise ExportError("a loop that ends on a condition cannot be unrolled", field="while", remedy=remedy)
         for variable in carried:
             self._known[id(variable)] = self.value(variable.initial)
