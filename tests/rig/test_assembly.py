@@ -30,6 +30,7 @@ POINT_0 = Point(
     force=0.0,
     pressure=0.0,
     set_pressure=1e5,
+    set_force=None,
     direction="loading",
     phase="",
     repeat=0,
