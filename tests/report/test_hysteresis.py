@@ -6,7 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.identification.friction import identify_hysteresis
-from mckibben.muscle import Muscle
+from mckibben.muscle import ExponentialLaw, Muscle
 from mckibben.report.identification import loops
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent

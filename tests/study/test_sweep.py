@@ -14,6 +14,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, ParameterError, SimulationError
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Outcome
+from mckibben.simulation.metrics import USUAL_METRICS
 from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, open_store, read_store
 from mckibben.study.study import InterruptedStudy
