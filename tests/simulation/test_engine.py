@@ -1,6 +1,5 @@
 """Runs and batches through emitted C against XLA's, over plants, controllers, sensors and disturbances."""
 
-import importlib
 import subprocess
 
 import numpy as np
@@ -14,8 +13,6 @@ from mckibben.scenario import Scenario
 from mckibben.simulation import feasibility, problem
 from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size, run_alone
 from mckibben.simulation.software import software
-
-SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
@@ -165,7 +162,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("CC", "false")
     monkeypatch.setattr(native, "_FAILED", [])
     monkeypatch.setattr(native, "_WARNED", [])
-    for function in (SIMULATE._start, feasibility.static_bands, problem._each_sample, run_alone):
+    for function in (problem._start, feasibility.static_bands, problem._each_sample, run_alone):
         monkeypatch.setattr(function.native, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
