@@ -193,7 +193,7 @@ class LandingStudy:
 
 
 def _remark(landing: dict[str, Any]) -> str:
-    """What the choice of a stiffness does not show."""
+    """Remarks on limits of the chosen stiffness."""
     if not landing["avoids_stop"]:
         return "no stiffness avoids the stop"
     if landing["best_bottoms_out"]:

@@ -177,7 +177,7 @@ class Backend(abc.ABC):
 
     @property
     def losses(self) -> str:
-        """What was lost on the way to the hardware so far, and not fatal; empty for nothing."""
+        """Losses on the way to the hardware so far, none of them fatal; empty if there are none."""
         return ""
 
     def status(self) -> Iterator[ChannelStatus]:

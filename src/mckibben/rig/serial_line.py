@@ -90,7 +90,7 @@ class SerialBackend(Backend):
 
     @property
     def losses(self) -> str:
-        """What was lost on the line so far; empty for nothing."""
+        """Losses on the line so far; empty if there are none."""
         counts = {name: getattr(self._receiver, name) for name in ("corrupted", "lost", "repeated")}
         counts["lost by the board"] = self._newest.lost if self._newest else 0
         return ", ".join(f"{count} messages {name}" for name, count in counts.items() if count)

@@ -26,7 +26,7 @@ _FAULT = struct.Struct("<BBf")  # code, channel, value
 
 
 class MessageKind(IntEnum):
-    """What a message is; `HELLO` and `HEARTBEAT` are sent by both sides."""
+    """Kind of a message; `HELLO` and `HEARTBEAT` are sent by both sides."""
 
     HELLO = 1
     ARM = 2
