@@ -60,7 +60,6 @@ LAW = mk.catalog.law("lei-mas-10-180n")
         (lambda: mk.catalog.specimen(["x"]), "str"),  # type: ignore[arg-type]
         (lambda: mk.rank(DATA, "all"), "ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.Reference(0.0, "13"), "SI units"),
-        (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA).predict(0.1), "contraction, pressure"),  # type: ignore[call-arg]
         (lambda: SCENARIO.simulate().metrics["rmse"], "'angle_rmse'"),
         (lambda: SCENARIO.joint.stiffness(10 * deg), "stiffness(angle, pressures)"),  # type: ignore[call-arg]
         (lambda: SCENARIO.simulate()["angel"], "'angle'"),
@@ -83,6 +82,7 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (lambda: SCENARIO, "stiffness", "joint.stiffness(angle, pressures)"),
         (lambda: LAW, "stiffness", "slope(contraction, pressure)"),
         (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA), "rmse", "fit.rmse"),
+        (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA), "predict", "fit.predict"),
         (lambda: mk, "envelope", "scenario.envelope()"),
         (lambda: mk, "ExponentialLw", "ExponentialLaw"),
         (lambda: DATA, "identify", "mk.identify"),
@@ -101,12 +101,6 @@ def test_an_unknown_name_has_a_suggestion(of, name, meant):
     with pytest.raises(AttributeError, match=re.escape(meant)):
         getattr(asked, name)
     assert not hasattr(SCENARIO, "nothing_like_it") and not hasattr(mk, "nothing_like_it")
-
-
-@pytest.mark.parametrize(("key", "meant"), [(0, "table.isel(point=0)"), ("force", "table['force']")])
-def test_an_item_of_a_dataset_is_in_its_table(key, meant):
-    with pytest.raises(TypeError, match=re.escape(meant)):
-        DATA[key]
 
 
 @pytest.mark.parametrize("function", [mk.identify, mk.rank, mk.identify_with_friction])

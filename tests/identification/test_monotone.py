@@ -29,7 +29,8 @@ def test_the_closest_force_that_does_not_rise_with_contraction_is_constant():
     assert "rises with contraction" in unphysical(solution.problem.law(solution.values), domain)
     assert unphysical(law, domain) == ""
     expected = 20 * PRESSURE / bar + 100 * CONTRACTION.mean()
-    np.testing.assert_allclose(forces(law, CONTRACTION, PRESSURE), expected, atol=0.02)
+    # The terms are nearly dependent: by LAPACK, the force is constant to 0.02 or 0.12 N of its 20 N.
+    np.testing.assert_allclose(forces(law, CONTRACTION, PRESSURE), expected, atol=0.2)
     assert found.cost == pytest.approx(np.sum((100 * (CONTRACTION - CONTRACTION.mean())) ** 2), rel=0.01)
 
 

@@ -62,7 +62,7 @@ class LeaveOnePressureOut:
         squares = np.array([self.by_level[level] ** 2 for level in sorted(self.by_level)])
         inner = squares[1:-1].mean() if len(squares) > 2 else squares.mean()
         rate = np.array([max(self.rates), *reversed(self.rates)])[np.asarray(side)]
-        beyond = (rate * distance) ** 2
+        beyond = (rate * np.asarray(distance)) ** 2
         return np.maximum(inner, beyond), np.where(beyond > inner, edge_freedom, np.inf)
 
 

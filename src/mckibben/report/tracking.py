@@ -172,7 +172,7 @@ def _same_reference(results: Mapping[str, SimulationResult]) -> None:
     first = next(iter(results.values()))
     for name, result in results.items():
         for column in ("time", "desired_angle", "desired_stiffness"):
-            if not np.array_equal(first[column], result[column]):
+            if first[column].shape != result[column].shape or not np.allclose(first[column], result[column], rtol=1e-9):
                 raise RangeError(
                     f"{name} and {next(iter(results))} differ in {column.replace('_', ' ')}",
                     remedy="draw runs with different references in separate figures",
