@@ -15,9 +15,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml
 PACKAGE = '''
     """A law, a valve and a rig of another package."""
 
-    from contextlib import contextmanager
     from dataclasses import dataclass
-    from pathlib import Path
     from typing import Annotated
 
     import jax.numpy as jnp
@@ -60,7 +58,7 @@ PACKAGE = '''
 
     @dataclass
     class AcmeRig(SimulatedRig):
-        """Stands for hardware: it is physical, and has a watchdog on the host."""
+        """Stands for hardware: it is physical, and has a port."""
 
         port: Annotated[int, BoundedInt(0, 9)] = 0
         physical = True
@@ -72,10 +70,6 @@ PACKAGE = '''
         @property
         def description(self):
             return {"kind": "acme", "port": str(self.port)}
-
-        @contextmanager
-        def host_watchdog(self):
-            yield Path("watched").touch()
 '''
 
 PROTOCOL = """name: a test on a rig of others
@@ -191,12 +185,10 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_rig_of_a_package_runs_a_test_under_its_own_watchdog(run, tmp_path):
+def test_a_rig_of_a_package_runs_a_test(run, tmp_path):
     (tmp_path / "protocol.yaml").write_text(PROTOCOL)
     assert "acme" in run("rig", "check", "protocol.yaml")[0]
-    assert not (tmp_path / "watched").exists()
     run("rig", "run", "protocol.yaml", "--out", "test")
-    assert (tmp_path / "watched").exists()
     assert (tmp_path / "test" / "isobaric.nc").exists()
     assert "acme_parts:AcmeRig" in (tmp_path / "test" / "protocol.yaml").read_text()
 

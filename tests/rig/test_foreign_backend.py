@@ -1,14 +1,12 @@
 """A rig backend of one's own: a dataclass that a protocol names."""
 
-import warnings
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated
 
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import McKibbenWarning, ScenarioError
+from mckibben.errors import ScenarioError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.document import RigTest
@@ -47,29 +45,14 @@ class BorrowedRig(Borrowed, MovingBackend):
         self.other.stop()
 
 
-def test_a_backend_of_ones_own_runs_a_test_and_warns_that_no_process_watches(tmp_path):
+def test_a_backend_of_ones_own_runs_a_test(tmp_path):
     checked = check(RigTest.parse(TEXT))
     assert checked.setup.backend.port == 3
-    with pytest.warns(McKibbenWarning, match="borrowed"):
-        data = run_test(checked, tmp_path)
+    data = run_test(checked, tmp_path)
     assert sorted({round(float(one) / 1e5) for one in data.pressures}) == [3, 4]
     assert checked.rig == "borrowed"
     assert RigTest.read(tmp_path / "protocol.yaml") == checked.test
     assert [not one.problem for one in checked.setup.backend.status()] == [True] * 4
-
-
-def test_its_own_watchdog_on_the_host_is_used(tmp_path, monkeypatch):
-    entered = []
-
-    @contextmanager
-    def watched(backend):
-        yield entered.append(backend)
-
-    monkeypatch.setattr(BorrowedRig, "host_watchdog", watched)
-    checked = check(RigTest.parse(TEXT))
-    with warnings.catch_warnings(action="error"):
-        run_test(checked, tmp_path)
-    assert entered == [checked.setup.backend]
 
 
 def test_a_rig_that_cannot_vent_is_none():

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import abc
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from contextlib import contextmanager
+from typing import ClassVar, NamedTuple
 
 from numpy import float64, int64
 from numpy.typing import NDArray
 
+from mckibben.component.base import check_fields
 from mckibben.component.classes import Keyed
-from mckibben.errors import McKibbenWarning, RigError
-
-if TYPE_CHECKING:  # the watchdog's process needs little
-    from mckibben.rig.bench import Drive
+from mckibben.errors import RigError
+from mckibben.rig.bench import Drive
 
 
 class Channel(NamedTuple):
@@ -168,13 +166,6 @@ class Backend(abc.ABC):
             finally:  # even if another signal arrives in between
                 self.close()
 
-    def host_watchdog(self) -> AbstractContextManager[None]:
-        """Context in which the rig is vented if this process dies. Default: none, and a warning."""
-        if self.physical:
-            message = f"the {self.description['kind']} rig is vented only by its own watchdog if this process dies"
-            warnings.warn(message, McKibbenWarning, stacklevel=2)
-        return nullcontext()
-
     @property
     def losses(self) -> str:
         """Losses on the way to the hardware so far, none of them fatal; empty if there are none."""
@@ -218,20 +209,14 @@ class MovingBackend(Backend, MuscleRig):
     shuts: bool = False
     """Whether it has a valve that shuts the muscle off from the regulator, but not from its vent valve: see `shut`."""
 
-    def __post_init__(self) -> None:
-        from mckibben.component.base import check_fields
+    drive: Drive = Drive()
+    """The motor, its reducer and its lead screw. Default: the paper's."""
 
+    def __post_init__(self) -> None:
         check_fields(self)
 
     def backend(self, session: int = 0) -> MovingBackend:
         return self
-
-    @property
-    def drive(self) -> Drive:
-        """The motor, its reducer and its lead screw. Default: the paper's."""
-        from mckibben.rig.bench import Drive
-
-        return Drive()
 
     @abc.abstractmethod
     def move(self, pulses: int, rate: float) -> None:

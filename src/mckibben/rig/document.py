@@ -22,8 +22,7 @@ from mckibben.rig.backend import MovingBackend, MuscleRig
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.by_hand import HandBench
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
-from mckibben.rig.ni import NiRig
-from mckibben.rig.ni.settings import CardSettings
+from mckibben.rig.ni import CardSettings, NiRig
 from mckibben.rig.protocol import Protocol
 from mckibben.rig.simulated.parts import Regulator
 from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
@@ -134,14 +133,8 @@ class MuscleCardSettings(CardSettings, MuscleRig):
 
     def backend(self, session: int = 0) -> MovingBackend:
         """Return the card."""
-        return NiRig(
-            self.terminals(counter=self.counter, direction=self.direction),
-            rate=self.rate,
-            patience=self.patience,
-            server=self.server,
-            calibrations=self.calibrations(),
-            drive=self.drive,
-        )
+        motor: dict[str, Any] = {"drive": self.drive, **self.at("counter", "direction")}
+        return NiRig(rate=self.rate, patience=self.patience, **motor, **self.wiring())
 
 
 Moved = Literal["screw", "weights"]

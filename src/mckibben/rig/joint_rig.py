@@ -19,8 +19,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
-from mckibben.rig.ni import NiBackend
-from mckibben.rig.ni.settings import CardSettings
+from mckibben.rig.ni import CardSettings, NiBackend
 from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
 from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
 
@@ -126,13 +125,7 @@ class JointCardSettings(CardSettings, JointHardware):
     valve2: str = "ao1"
 
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
-        return NiBackend(
-            self.terminals(),
-            rate=1 / run.period,
-            patience=run.patience,
-            server=self.server,
-            calibrations=self.calibrations(),
-        )
+        return NiBackend(rate=1 / run.period, patience=run.patience, **self.wiring())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,7 +104,6 @@ class JointSession:
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
-            self.backend.host_watchdog(),
             realtime_process_settings() if self.backend.paced else nullcontext("ordinary") as priority,
         ):
             header = {**self.header, "priority": priority}

@@ -289,7 +289,6 @@ def _run_session(
     begin = Recorder.resume if segments(folder) else Recorder.create
     with (
         begin(folder, _header(checked, protocol), columns, {PROTOCOL: protocol.encode()}) as recorder,
-        backend.host_watchdog(),
         stop_on_signals() as stop_flag,
     ):
         settings = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}

@@ -5,7 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
-from mckibben.rig.ni import NiBackend, Terminals
+from mckibben.rig.ni import NiBackend
 from mckibben.rig.simulated.faults import SamplesStopped
 from mckibben.units import bar, ms
 
@@ -26,13 +26,10 @@ def on_card():
     def make(joint):
         server, address = device.serve(device.Card(joint, SENSORS, VALVES, device.KNEE))
         servers.append(server)
-        terminals = Terminals(
-            inputs=dict(zip(("angle", "pressure1", "pressure2"), SENSORS, strict=True)),
-            outputs=dict(zip(("valve1", "valve2"), VALVES, strict=True)),
-            counter="",
-        )
-        given = {"rate": 1 / PERIOD, "patience": 5.0, "server": address}
-        return NiBackend(terminals, calibrations=device.KNEE, **given)
+        inputs = dict(zip(("angle", "pressure1", "pressure2"), SENSORS, strict=True))
+        outputs = dict(zip(("valve1", "valve2"), VALVES, strict=True))
+        settings = {"rate": 1 / PERIOD, "patience": 5.0, "server": address}
+        return NiBackend(inputs, outputs, calibrations=device.KNEE, **settings)
 
     yield make
     for server in servers:

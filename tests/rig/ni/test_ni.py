@@ -12,8 +12,9 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
+from mckibben.rig import ni
 from mckibben.rig.backend import Backend, MovingBackend
-from mckibben.rig.ni import NiBackend, NiRig, Terminals, backend
+from mckibben.rig.ni import NiBackend, NiRig
 from mckibben.rig.simulated import HostDelayed, SamplesDropped, SamplesStopped, SensorDisconnected, SimulatedRig
 from mckibben.units import bar, mm
 
@@ -107,7 +108,7 @@ def test_it_reads_the_samples_of_the_card(bench):
 
 def test_order_of_the_inputs_is_that_of_the_wiring(bench):
     there = bench()
-    rig = there.rig(wiring=Terminals(inputs={"pressure": "Dev1/ai1", "force": "Dev1/ai0"}))
+    rig = there.rig(inputs={"pressure": "Dev1/ai1", "force": "Dev1/ai0"})
     press(rig, there.twin, 4 * bar)
     pressure, force = read(rig, 2.0)[-1].values.mean(axis=0)
     assert pressure == pytest.approx(4 * bar, abs=0.1 * bar) and force == pytest.approx(there.twin.truth.force, abs=1)
@@ -115,11 +116,11 @@ def test_order_of_the_inputs_is_that_of_the_wiring(bench):
 
 def test_backend_without_a_motor_needs_no_counter(bench):
     there = bench()
-    rig = there.rig(NiBackend, wiring=Terminals(inputs={"pressure": "Dev1/ai1"}, counter=""))
+    rig = there.rig(NiBackend, inputs={"pressure": "Dev1/ai1"})
     assert rig.read(50).values.shape == (50, 1) and (rig.read(50).pulses == 0).all()
     assert not {task.kind for task in there.card.tasks.values()} & {"co"}
     with pytest.raises(RangeError, match="counter"):
-        NiRig(Terminals(counter=""))
+        NiRig(counter="")
 
 
 def test_motor_makes_its_pulses_and_counts_them(bench):
@@ -190,8 +191,8 @@ def test_missed_beat_holds_until_it_is_opened_anew(bench, monkeypatch):
     press(rig, there.twin, 3 * bar)
     rig.move(4000, 80.0)
     read(rig, 1.0)
-    now = backend.time.monotonic()
-    monkeypatch.setattr(backend.time, "monotonic", lambda: now + 1.5)
+    now = ni.time.monotonic()
+    monkeypatch.setattr(ni.time, "monotonic", lambda: now + 1.5)
     beats = there.card.beats
     rig.heartbeat()
     assert there.card.beats == beats and not there.card.lines[device.HOLD] and not rig.moving
@@ -233,10 +234,10 @@ def test_card_that_is_gone_is_told_and_closes_without_an_error(bench):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"wiring": Terminals(inputs={"force": "Dev2/ai0"})}, "force at Dev2/ai0: .*connected are Dev1"),
-        ({"wiring": Terminals(inputs={"force": "Dev1/ai40"})}, "force at Dev1/ai40: Physical channel"),
-        ({"wiring": Terminals(heartbeat="Dev1/port7/line0")}, "heartbeat at Dev1/port7/line0"),
-        ({"wiring": Terminals(outputs={"valve": "Dev1/ao3"})}, "valve at Dev1/ao3"),
+        ({"inputs": {"force": "Dev2/ai0"}}, "force at Dev2/ai0: .*connected are: Dev1"),
+        ({"inputs": {"force": "Dev1/ai40"}}, "force at Dev1/ai40: Physical channel"),
+        ({"heartbeat": "Dev1/port7/line0"}, "heartbeat at Dev1/port7/line0"),
+        ({"outputs": {"valve": "Dev1/ao3"}}, "valve at Dev1/ao3"),
         ({"rate": 1003.0}, r"nearest is 1002\.99645 Hz"),
     ],
 )
@@ -251,7 +252,7 @@ def test_what_is_missing_is_told_and_the_card_let_go(bench, settings, text):
 def test_card_in_use_is_told(bench):
     there = bench()
     there.rig()
-    with pytest.raises(RigError, match="in use by another program"):
+    with pytest.raises(RigError, match="the other program"):
         there.rig()
 
 
@@ -282,7 +283,7 @@ def test_what_is_present_is_shown_with_readings(bench):
     assert "lost" in rows["pressure"].problem
     assert there.card.beats == 0 and there.twin.truth.vented  # nothing was touched
     assert not {task.kind for task in there.card.tasks.values()} - {"cleared"}
-    *_, last = NiRig(Terminals(inputs={"angle": "Dev1/ai7"}), server=there.address).status()
+    *_, last = NiRig({"angle": "Dev1/ai7"}, server=there.address).status()
     assert "Dev1/ai7" in last.problem
 
 
@@ -294,11 +295,11 @@ def test_description_tells_card_driver_and_wiring(bench):
 
 def test_wiring_that_cannot_be_safe_is_refused():
     with pytest.raises(RangeError) as caught:
-        Terminals(inputs={}, heartbeat="", direction="", rest=11.0)
-    for text in ("inputs", "heartbeat", "direction", "rest"):
+        NiRig({}, heartbeat="", hold="")
+    for text in ("inputs", "heartbeat", "hold"):
         assert f"\n  {text}: " in str(caught.value)
     with pytest.raises(RangeError, match="Dev1/ai0 is given twice"):
-        Terminals(inputs={"force": "Dev1/ai0", "pressure": "Dev1/ai0"})
+        NiRig({"force": "Dev1/ai0", "pressure": "Dev1/ai0"})
 
 
 @pytest.mark.parametrize("signals", [[9.1e5], [-1e4], [float("nan")], [], [1e5, 1e5]])

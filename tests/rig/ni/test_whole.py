@@ -1,6 +1,5 @@
 """A protocol file on a card, from the check to the dataset: stopped, and gone on with from where the motor stood."""
 
-import contextlib
 import importlib
 import signal
 
@@ -12,7 +11,6 @@ from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.calibration import to_json
 from mckibben.rig.document import read_test
-from mckibben.rig.ni import NiBackend
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.running import check, readings, run_test
 from mckibben.rig.simulated import SamplesStopped, SimulatedRig
@@ -35,21 +33,7 @@ protocol:
 
 
 @pytest.fixture
-def watched(monkeypatch):
-    """The backends that a second process watched; its own tests are in test_watchdog."""
-    backends = []
-
-    @contextlib.contextmanager
-    def watch(backend):
-        backends.append(backend)
-        yield
-
-    monkeypatch.setattr(NiBackend, "host_watchdog", watch)
-    return backends
-
-
-@pytest.fixture
-def on_card(tmp_path, watched):
+def on_card(tmp_path):
     """A protocol whose card has a muscle of this contraction in its clamps; the twin, and the test read and checked."""
     servers = []
 
@@ -82,13 +66,12 @@ def stopping(after, twin):
 
 
 @pytest.mark.slow
-def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands(on_card, tmp_path, watched):
+def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands(on_card, tmp_path):
     twin, checked = on_card()
     shown = list(readings(tmp_path / "p.yaml"))
     assert all(well for _, well in shown), shown
     with pytest.raises(SignalledError, match="the muscle is vented"):
         run_test(checked, tmp_path / "out", report=stopping(5, twin))
-    assert watched == [checked.setup.backend]
     twin.pass_time(1.0)
     assert twin.truth.pressure < 0.2 * bar and not twin.is_open
     left = read_record(tmp_path / "out").events[-1].data["pulses"]

@@ -15,7 +15,6 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Block, Channel, MovingBackend, Watchdog
-from mckibben.rig.bench import Drive
 from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
 from mckibben.rig.simulated.machine import INSTANT, Machine, Truth
 from mckibben.rig.simulated.parts import Regulator, Stretcher
@@ -99,6 +98,7 @@ class SimulatedRig(MovingBackend):
         self._regulator = regulator or Regulator()
         self.supply = min(self._regulator.supply, self._regulator.highest)
         self._stretcher = stretcher or Stretcher()
+        self.drive = self._stretcher.drive
         self._sensors = {"force": force_sensor, "pressure": pressure_sensor}
         for fault in self._faults:
             if isinstance(fault, SensorDisconnected):
@@ -122,10 +122,6 @@ class SimulatedRig(MovingBackend):
     @property
     def outputs(self) -> Sequence[Channel]:
         return (VALVE,)
-
-    @property
-    def drive(self) -> Drive:
-        return self._stretcher.drive
 
     @property
     def description(self) -> Mapping[str, str]:
