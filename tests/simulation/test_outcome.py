@@ -10,7 +10,8 @@ from mckibben.units import deg
 
 
 def outcome(angle_max=0.01, left_domain=False, saturated=False, **more) -> Outcome:
-    return OUTCOMES[int(outcomes(angle_max=angle_max, left_domain=left_domain, saturated=saturated, **more))]
+    metrics = {"angle_max": angle_max, "time_outside_domain": 0.1 * left_domain, "time_saturated": 0.1 * saturated}
+    return OUTCOMES[int(outcomes(metrics, **more))]
 
 
 def test_each_alone():
@@ -37,18 +38,12 @@ def test_the_worst_that_applies_wins():
 
 
 def test_arrays_broadcast_and_give_codes():
-    code = outcomes(
-        angle_max=np.array([0.0, np.nan, 2.0, 0.0, 0.0, np.nan]),
-        left_domain=np.array([0, 0, 0, 1, 0, 0]),
-        saturated=True,
-        started=np.array([True, True, True, True, True, False]),
-    )
+    metrics = {
+        "angle_max": np.array([0.0, np.nan, 2.0, 0.0, 0.0, np.nan]),
+        "time_overloaded": np.array([0, 0, 0, 1, 0, 0]),
+        "time_saturated": 0.1,
+    }
+    code = outcomes(metrics, started=np.array([True, True, True, True, True, False]))
     assert code.dtype == np.int8
-    assert [OUTCOMES[c].name for c in code] == [
-        "SATURATED",
-        "DIVERGED",
-        "SWUNG_OVER",
-        "LEFT_DOMAIN",
-        "SATURATED",
-        "NO_START",
-    ]
+    names = "SATURATED", "DIVERGED", "SWUNG_OVER", "LEFT_DOMAIN", "SATURATED", "NO_START"
+    assert tuple(OUTCOMES[c].name for c in code) == names

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.raw import Budget, RawColumn, RawTable, is_understood, not_installed, readable
+from mckibben.dataset.table import question
 from mckibben.errors import DatasetError, Problem
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -81,7 +82,8 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
                 numbers = {name: float(x) for name, x in content.items() if type(x) in (int, float)}
                 yield channel.topic, record.log_time / 1e9, numbers, schemas.get(channel.schema_id, {})
     except (McapError, CRCValidationError, struct.error) as error:
-        table.corrupt.append(Problem(f"is damaged, or was cut: {error or type(error).__name__}; the rest is not read"))
+        text = f"is damaged, or was cut: {error or type(error).__name__}; the rest is not read"
+        table.questions.append(question(text, "corrupt"))
 
 
 def _ros_messages(path: Path) -> Iterator[Message]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from mckibben.dataset.raw import (
     readable,
     several,
 )
+from mckibben.dataset.table import question
 from mckibben.dataset.text import decode, read_text
 from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
@@ -32,10 +33,7 @@ if TYPE_CHECKING:
     import h5py
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_TABLE = Problem(
-    "is an object of MATLAB (a table?), which only MATLAB can open",
-    remedy="save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')",
-)
+_SAVE_COLUMNS = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 _UNITS = ("units", "unit", "unit_string")
 _LARGEST_ATTRIBUTE = 8  # numbers or texts
 _FRAME = re.compile(r"(?i)(?:class|name|wf_|ni_|_?nc|_?netcdf|dimension|reference|pandas|field_|encoding|date|title)")
@@ -83,28 +81,28 @@ def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
     table = RawTable()
     matlab = data.startswith(b"MATLAB 7.3")
     with readable(path, "an HDF5 file"), h5py.File(io.BytesIO(data), "r") as file:
-        table.words += _attributes(file)
+        table.words += _words("", _attributes(file))
         for place, node in hdf5_nodes(file, budget).items():
             if node is None:
                 continue
             name = place.replace("/", ".") if matlab else place
-            table.words += [(None, f"{name}: {text}") for _, text in _attributes(node)]
+            table.words += _words(name, _attributes(node))
             if isinstance(node, h5py.Dataset):
                 _add_node(table, name, node, matlab, budget)
     return _one_group(path, table, part, mapping)
 
 
-def _attributes(node: h5py.Group | h5py.Dataset) -> list[tuple[None, str]]:
-    """Attributes that may say something of the numbers."""
-    keys = [key for key in list(node.attrs)[:200] if key.lower() not in (*_UNITS, *_PACKING) and not _FRAME.match(key)]
-    values = {key: value for key in keys if (value := _attribute(node, key)) is not None}
-    return [(None, f"{key}: {_decoded(value)}") for key, value in values.items()]
+def _attributes(node: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+    """Attributes of at most 8 numbers or texts; larger ones are not read."""
+    shapes = {key: node.attrs.get_id(key).shape for key in list(node.attrs)[:200]}
+    small = [key for key, shape in shapes.items() if shape is not None and math.prod(shape) <= _LARGEST_ATTRIBUTE]
+    return {key: node.attrs[key] for key in small}
 
 
-def _attribute(node: h5py.Group | h5py.Dataset, key: str) -> object:
-    """Value of an attribute of at most 8 numbers or texts; None for a larger one, which is not read."""
-    shape = node.attrs.get_id(key).shape
-    return node.attrs[key] if shape is not None and np.prod(shape, dtype=np.float64) <= _LARGEST_ATTRIBUTE else None
+def _words(name: str, attributes: Mapping[str, object]) -> list[tuple[None, str]]:
+    """Attributes or properties that may say something of the numbers, of a channel with a name."""
+    said = [key for key in attributes if key.lower() not in (*_UNITS, *_PACKING) and not _FRAME.match(key)]
+    return [(None, f"{name} {key}: {_decoded(attributes[key])}".lstrip()) for key in said]
 
 
 def _decoded(value: object) -> str:
@@ -115,7 +113,8 @@ def _decoded(value: object) -> str:
 
 def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
     """Add the columns of a dataset, or its single number or text as words."""
-    kind = _decoded(_attribute(node, "MATLAB_class")) if "MATLAB_class" in node.attrs else ""
+    attributes = _attributes(node)
+    kind = _decoded(attributes.get("MATLAB_class", ""))
     if node.shape is None or node.ndim > 2 or (node.dtype.kind in "OS" and kind not in ("", *_OBJECTS)):
         return
     budget.spend(size=node.nbytes)
@@ -123,9 +122,16 @@ def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budg
     if kind == "char":
         value = "".join(map(chr, np.ravel(node[()]).tolist()))[:1000]
     elif kind not in _OBJECTS:
-        value = _texts_or_records(node[()]) if node.dtype.kind in "OSV" else node[()].T if matlab else _unpacked(node)
-    unit = next((_decoded(_attribute(node, key) or "") for key in node.attrs if key.lower() in _UNITS), "")
-    _add_variable(table, name, value, unit)
+        content = np.asarray(node[()])
+        if node.dtype.kind in "OSV":
+            value = _texts_or_records(content)
+        else:
+            value = content.T if matlab else _unpacked(content, attributes)
+    _add_variable(table, name, value, _unit(attributes))
+
+
+def _unit(attributes: Mapping[str, object]) -> str:
+    return next((_decoded(attributes[key]) for key in attributes if key.lower() in _UNITS), "")
 
 
 def _texts_or_records(cells: np.ndarray) -> Value:
@@ -137,11 +143,9 @@ def _texts_or_records(cells: np.ndarray) -> Value:
     return texts[0] if len(texts) == 1 else texts
 
 
-def _unpacked(node: h5py.Dataset) -> np.ndarray:
+def _unpacked(raw: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
     """Values by the conventions of NetCDF: scale and offset applied; missing and invalid ones, and overflows, NaN."""
-    packing = {key.lower(): _attribute(node, key) for key in node.attrs if key.lower() in _PACKING}
-    attributes = {key: np.ravel(np.asarray(value)) for key, value in packing.items() if value is not None}
-    raw = np.asarray(node[()])
+    attributes = {key.lower(): np.ravel(value) for key, value in attributes.items()}
     values = raw.astype(np.float64)
     if raw.dtype.kind in "iu":
         values[raw == np.iinfo(raw.dtype).max] = np.nan  # at the end of the range of its type
@@ -170,7 +174,8 @@ def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str])
 def _add_variable(table: RawTable, name: str, value: Value, unit: str = "") -> None:
     """Add the columns of a variable: vectors, matrices as numbered in MATLAB; single numbers and texts as words."""
     if value is None:
-        table.problems.append(replace(_TABLE, field=name))
+        text = "is an object of MATLAB (a table?), which only MATLAB can open"
+        table.questions.append(question(text, field=name, remedy=_SAVE_COLUMNS))
     elif isinstance(value, str):
         table.words.append((None, f"{name}: {value}"))
     elif isinstance(value, dict):
@@ -217,16 +222,16 @@ def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
     table = RawTable()
     intervals, starts = set(), set()
     with readable(path, "a TDMS file"), TdmsFile.open(io.BytesIO(data)) as file:
-        table.words += _properties("", file.properties)
+        table.words += _words("", file.properties)
         for group in file.groups():
-            table.words += _properties(group.name, group.properties)
+            table.words += _words(group.name, group.properties)
             for channel in group.channels():
                 budget.spend(size=8 * len(channel), rows=len(channel), columns=len(table.columns))
                 name, said = f"{group.name}/{channel.name}", channel.properties
-                table.words += _properties(name, said)
+                table.words += _words(name, said)
                 if channel.dtype is not None and channel.dtype.kind in "iuf":
-                    unit = next((str(said[key]) for key in said if key.lower() in _UNITS), "")
-                    table.columns.append(RawColumn(name, np.asarray(channel[:], np.float64), channel.name, unit))
+                    values = np.asarray(channel[:], np.float64)
+                    table.columns.append(RawColumn(name, values, channel.name, _unit(said)))
                 elif channel.dtype is not None and len(channel):
                     table.columns.append(RawColumn(name, [str(cell) for cell in channel[:]], channel.name))
                 intervals.add(said.get("wf_increment"))
@@ -235,15 +240,8 @@ def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
         table.interval = step
     if len(starts) > 1:
         text = "channels begin at different times: their rows do not belong together"
-        table.problems.append(
-            Problem(text, field="layout", remedy="accept=['layout'] (command line: --read accept=layout)")
-        )
+        table.questions.append(question(text, "layout", field="layout"))
     return _one_group(path, table, part, mapping)
-
-
-def _properties(name: str, properties: Mapping[str, object]) -> list[tuple[None, str]]:
-    said = [key for key in properties if key.lower() not in _UNITS and not _FRAME.match(key)]
-    return [(None, f"{name} {key}: {properties[key]}") for key in said]
 
 
 def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str]) -> RawTable:
@@ -253,7 +251,7 @@ def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str
         table.columns = [column for column in table.columns if chosen.match(column.name)]
     if not table.columns:
         none = Problem(f"has no column in {part!r}" if part else "has no column of numbers", remedy="give another file")
-        raise DatasetError(str(path), table.problems or [none])
+        raise DatasetError(str(path), [asked.problem for asked in table.questions] or [none])
     length = _common_length(path, table.columns, mapping)
     table.words += [
         (None, f"{column.name}: {column.cells[:8]}") for column in table.columns if len(column.cells) != length

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.dataset.table import Question
 from mckibben.dataset.vocabulary import parse_header
 from mckibben.errors import DatasetError, FileError, Problem
 from mckibben.storage.files import similar_file
@@ -70,6 +71,8 @@ class RawTable:
         Texts beside the table: comments, cells outside, attributes, with their line, or None.
     comments
         Values of the keys that this program writes: specimen, source, initial_length, slack_force, preprocessing.
+    questions
+        Rows of another width, hidden cells, a decimal sign that is not plain, and objects that cannot be read.
     decimal
         Decimal sign of texts; empty if no cell determines it.
     interval
@@ -81,9 +84,7 @@ class RawTable:
     place: str = "row"
     words: list[tuple[int | None, str]] = field(default_factory=list)
     comments: dict[str, str] = field(default_factory=dict)
-    corrupt: list[Problem] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
-    ambiguous: str = ""
+    questions: list[Question] = field(default_factory=list)
     decimal: str = "."
     interval: float | None = None
 

@@ -182,18 +182,17 @@ class Recording(MeasuredTable):
             remedy = f"give a shorter dwell (--dwell) or larger tolerances (--tolerance); {_CONTINUOUS}"
             raise RangeError("\n  ".join([text, *account.notes]), value=dwell, unit="s", remedy=remedy)
         samples = ends - begins
-        owner = np.repeat(np.arange(len(first)), samples)
-        at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
-        account.assign_reason(at, "used")
-        for a, b in zip(first, last, strict=True):
-            account.assign_reason(slice(a, b), "settling")
+        used = list(map(slice, begins, ends))
+        for part, whole in zip(used, map(slice, first, last), strict=True):
+            account.assign_reason(part, "used")
+            account.assign_reason(whole, "settling")
 
         def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            middle = values[begins]  # subtracted to preserve precision in sums of many samples
-            return middle + np.bincount(owner, values[at] - middle[owner]) / samples
+            origin = values[begins]  # subtracted to preserve precision in sums of many samples
+            return origin + [(values[part] - values[part.start]).mean() for part in used]
 
         p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
-        spread = np.sqrt(np.bincount(owner, (force[at] - f[owner]) ** 2) / samples)
+        spread = np.array([force[part].std() for part in used])
         levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
         direction, phase = approaches(self.table, account.broken, first, last, levels)
         if "set_pressure" in self.table:

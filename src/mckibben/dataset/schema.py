@@ -371,15 +371,13 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
     if "initial_length" in attrs:
         comments.append(f"# initial_length: {attrs['initial_length']!r} m")
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
-    present = [name for name in CSV_COLUMNS if name in table]
-    rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
     comments.append(f"# preprocessing: {quote(attrs.get('preprocessing', 'none'))}")  # not to be repeated
     if "repairs" in attrs:
         comments.append(f"# repairs: {quote(attrs['repairs'])}")
-    header = ",".join(CSV_COLUMNS[name] for name in present)
-    text = "\n".join([*comments, header, *map(",".join, rows)])
+    rows = table[[name for name in CSV_COLUMNS if name in table]].to_dataframe().rename(columns=CSV_COLUMNS)
+    text = rows.replace("", "unknown").to_csv(index=False, lineterminator="\n")  # directions and phases
     with atomic_write(path, overwrite=True) as sibling:
-        sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+        sibling.write_text("\n".join([*comments, text]), encoding="utf-8", newline="\n")
 
 
 OF_FILE = ("repairs", "ignored_columns", "columns_read")
@@ -402,9 +400,3 @@ def unquote(text: str) -> str:
     except ValueError:
         return text
     return value if isinstance(value, str) else text
-
-
-def _cells(values: np.ndarray) -> list[str]:
-    if values.dtype.kind == "f":
-        return ["" if value != value else repr(value) for value in values.tolist()]
-    return [str(value) or "unknown" for value in values.tolist()]  # directions and phases

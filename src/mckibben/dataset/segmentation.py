@@ -84,28 +84,16 @@ def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
 def _trimmed(
     means: Sequence[tuple[NDArray[np.float64], float]], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Segments of blocks trimmed to the tolerance around their middle half."""
-    if not len(first):
-        return first, last
-    lengths = last - first
-    offsets = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    blocks = np.arange(lengths.sum()) - np.repeat(offsets - first, lengths)
-    within = np.ones(len(blocks), bool)
-    quarter = lengths // 4
-    for values, tolerance in means:
-        total = np.concatenate([[0.0], np.cumsum(values - values.mean())])
-        middle = (total[last - quarter] - total[first + quarter]) / (lengths - 2 * quarter) + values.mean()
-        within &= np.abs(values[blocks] - np.repeat(middle, lengths)) <= tolerance
-    # the longest stretch within tolerance of each segment
-    apart = np.ones(len(blocks), bool)
-    apart[1:] = (within[1:] != within[:-1]) | (blocks[1:] != blocks[:-1] + 1)
-    apart[offsets] = True
-    begins = np.flatnonzero(apart)
-    spans = np.diff(begins, append=len(blocks)) * within[begins]
-    owner = np.repeat(np.arange(len(first)), lengths)[begins]
-    order = np.lexsort((spans, owner))
-    best = order[np.searchsorted(owner[order], np.arange(len(first)), side="right") - 1]
-    return blocks[begins[best]], blocks[begins[best]] + spans[best]
+    """Segments of blocks trimmed to their longest part within the tolerance around their middle half."""
+    spans = []
+    for begin, end in zip(first, last, strict=True):
+        quarter, within = (end - begin) // 4, np.ones(end - begin, bool)
+        for values, tolerance in means:
+            middle = values[begin + quarter : end - quarter].mean()
+            within &= np.abs(values[begin:end] - middle) <= tolerance
+        ends = begin + np.flatnonzero(np.diff(within, prepend=False, append=False)).reshape(-1, 2)
+        spans.append(max(ends.tolist(), key=lambda span: span[1] - span[0], default=(begin, begin)))
+    return tuple(np.array(spans, np.int64).reshape(-1, 2).T)
 
 
 _OVERSHOOT = 1.0  # of a step, that of an undamped second-order system: a larger excursion is a deliberate move

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.dataset.raw import Budget, Floats, RawColumn, RawTable
+from mckibben.dataset.table import question
 from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
 
@@ -30,6 +31,7 @@ _BEGINS = re.compile(r"[+-]?[.,]?\d")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
 _LAST_DECIMALS = re.compile(r'(?:[.,](\d*))?"?\s*$')
+_DECIMAL_REMEDY = "give the decimal sign: decimal=',' or decimal='.' (command line: --read decimal=. or decimal=,)"
 KEYS = ("specimen", "source", "initial_length", "slack_force", "preprocessing", "repairs")
 
 
@@ -104,13 +106,15 @@ def read_lines(
     rows = _rows(table, lines, first, separator, names)
     if not rows:
         none = Problem("has a header, and no rows of numbers", line=layout.row + 1)
-        raise DatasetError(str(path), table.corrupt or [none])
+        raise DatasetError(str(path), [asked.problem for asked in table.questions] or [none])
     budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
     table.decimal = decimal or settled
     if not table.decimal:
         sample = rows[:: 1 + len(rows) // _SAMPLED]
         cells = [cell for line in sample for cell in _split(line, separator)]
-        table.decimal, table.ambiguous = decimal_sign(cells, separator)
+        table.decimal, unclear = decimal_sign(cells, separator)
+        if unclear:
+            table.questions.append(question(unclear, remedy=_DECIMAL_REMEDY))
     for at, column in enumerate(_cells(rows, separator, table.decimal, len(names), path)):
         repeats = f" ({at + 1})" if names[at] in names[:at] else ""
         numbers, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
@@ -118,7 +122,7 @@ def read_lines(
         table.columns.append(RawColumn(name, numbers, label=names[at], unit=units[at] or beside))
     if table.lines[-1] == len(lines) and _is_cut(rows[-50:]):
         text = "its last number has fewer digits than all others: was the file truncated?"
-        table.corrupt.append(Problem(text, line=len(lines)))
+        table.questions.append(question(text, "corrupt", line=len(lines)))
     return table
 
 
@@ -246,9 +250,9 @@ def _rows(table: RawTable, lines: Sequence[str], first: int, separator: str, nam
                 numbers.append(number)
         elif not any(map(_BEGINS.match, _split(line, separator))):
             _take_words(table, [(number, line)])
-        elif len(table.corrupt) < _LISTED:
+        elif len(table.questions) < _LISTED:
             text = f"has {count} cell{'s' if count != 1 else ''}, the header {len(names)}"
-            table.corrupt.append(Problem(text, line=number))
+            table.questions.append(question(text, "corrupt", line=number))
     return rows
 
 
@@ -312,10 +316,10 @@ def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> 
 
 
 def decimal_sign(cells: Iterable[str], separator: str) -> tuple[str, str]:
-    """Decimal sign of the numbers of a text, and a number that may be read with either sign, if no other settles it.
+    """Decimal sign of the numbers of a text, and what is not plain: a number of either sign, if no other settles it.
 
     >>> decimal_sign(["1,234", "0,5"], ";"), decimal_sign(["1,234", "2"], ";")
-    ((',', ''), ('.', '1,234'))
+    ((',', ''), ('.', "'1,234' may be a decimal or a thousand"))
     """
     settled, ambiguous = set(), ""
     for cell in cells:
@@ -323,12 +327,10 @@ def decimal_sign(cells: Iterable[str], separator: str) -> tuple[str, str]:
             sign = _sign_of(cell)
             settled |= {sign} - {""}
             ambiguous = ambiguous or ("" if sign else cell)
-    if len(settled) > 1:
-        return ".", ambiguous or "numbers with decimal points and with commas"
-    sign = next(iter(settled), ".")
-    if separator == "," and not settled:
-        return ".", ambiguous if "," in ambiguous else ""
-    return sign, ambiguous if not settled or sign not in ambiguous else ""
+    sign = next(iter(settled)) if len(settled) == 1 else "." if separator == "," and not settled else ""
+    if ambiguous and (not sign or sign not in ambiguous):
+        return sign or ".", f"{ambiguous!r} may be a decimal or a thousand"
+    return sign or ".", "has numbers with decimal points and with commas" if len(settled) > 1 else ""
 
 
 def _sign_of(cell: str) -> str:

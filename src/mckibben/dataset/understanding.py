@@ -105,7 +105,8 @@ class _Reader:
     def __init__(self, path: Path, raw: RawTable, recipe: Recipe) -> None:
         self.raw, self.recipe = raw, recipe
         self.mapping = {str(key).strip(): name for key, name in (recipe.columns or {}).items()}
-        self.table = Table(path, place=raw.place, lines=np.asarray(raw.lines, np.int64), interval=raw.interval)
+        lines = np.asarray(raw.lines, np.int64)
+        self.table = Table(path, place=raw.place, lines=lines, interval=raw.interval, questions=raw.questions)
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
         self.asked_about: set[str] = set()
@@ -115,16 +116,8 @@ class _Reader:
         self._attributes()
         chosen = self._choose(self._headers())
         self._check_mapping()
-        self.asked += [Question(problem, "layout" if problem.field == "layout" else "") for problem in raw.problems]
-        if raw.ambiguous and not self.recipe.decimal:
-            text = f"{raw.ambiguous!r} may be a decimal or a thousand" if raw.ambiguous[0].isdigit() else raw.ambiguous
-            remedy = "give the decimal sign: decimal=',' or decimal='.' (command line: --read decimal=. or decimal=,)"
-            self.ask(text, remedy=remedy)
         for entry in chosen:
             self._convert(entry)
-        for problem in raw.corrupt:
-            self.ask(problem.message, "corrupt", line=problem.line)
-            table.repairs.append(str(problem))
         if self.recipe.joint is not None:
             needed = needed_at_joint(table.columns, self.recipe.lever)
             self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
@@ -135,6 +128,8 @@ class _Reader:
             remedy = "name them: " + " ".join(self._meant(name) for name in missing if QUANTITIES[name])
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
         self._ask_about_words(chosen)
+        left_out = [asked.problem for asked in self.asked if asked.topic == "corrupt"]
+        table.repairs += [str(replace(problem, remedy="")) for problem in left_out]
         self._leave_out()
         return table
 
@@ -308,7 +303,6 @@ class _Reader:
         for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
-            self.table.repairs.append(f"{self.table.place} {line}, {column.name}: {text}")
         self.bad |= wrong
         marks = np.isin(np.abs(values), _MARKS)
         if 0 < np.count_nonzero(marks) < len(values) / 2:

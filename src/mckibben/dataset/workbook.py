@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mckibben.dataset.raw import Budget, RawTable, not_installed, readable, several
+from mckibben.dataset.table import question
 from mckibben.dataset.text import find_layout, read_lines
 from mckibben.errors import DatasetError, Problem
 
@@ -57,10 +58,7 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     table.place = "row"
     others = chain.from_iterable(lines.values())
     table.words += [(None, " ".join(line.split())) for line in others if line.strip()]
-    table.problems += [
-        Problem(text, field="layout", remedy="accept=['layout'] (command line: --read accept=layout)")
-        for text in _hidden(sheet, table.lines[0])
-    ]
+    table.questions += [question(text, "layout", field="layout") for text in _hidden(sheet, table.lines[0])]
     return table
 
 

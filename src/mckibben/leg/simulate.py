@@ -281,9 +281,8 @@ def simulate_legs(
         progress=progress,
     )
     finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
-    codes = outcomes(
-        angle_max=np.where(finite, 0.0, np.inf), left_domain=joined.time_outside_domain > 0, saturated=False
-    )
+    left = joined.time_outside_domain
+    codes = outcomes({"angle_max": np.where(finite, 0.0, np.inf), "time_outside_domain": left})
     columns: dict[str, Any] = {"joint": [joint.name for joint in plant.leg.joints]}
     for name, column in (joined._asdict() | steps.columns()).items():
         dims = ("joint", "run") if isinstance(column, tuple) else ("run",)

@@ -412,13 +412,9 @@ def _table(
     columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked, steps: StepCounts
 ) -> xr.Dataset:
     code = outcomes(
-        angle_max=columns["_angle_max"],
+        {name: columns[f"_{name}"] for name in _DECIDING},
         angle_at_end=columns["_angle_at_end"],
         span=columns["_span"],
-        left_domain=(columns["_time_outside_domain"] > 0) | (columns["_time_overloaded"] > 0),
-        saturated=columns["_time_saturated"] > 0,
-        oscillates=columns["_oscillation_amplitude"] > 0,
-        chatters=(columns["_stiffness_oscillation"] > 0) | (columns["_command_oscillation"] > 0),
         started=columns["_started"],
     )
     table: dict[str, Any] = {name: ("run", columns[name], attributes(name)) for name in asked.metrics}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -62,12 +63,8 @@ OUTCOMES = tuple(Outcome)
 
 
 def outcomes(
+    metrics: Mapping[str, ArrayLike],
     *,
-    angle_max: ArrayLike,
-    left_domain: ArrayLike,
-    saturated: ArrayLike,
-    oscillates: ArrayLike = False,
-    chatters: ArrayLike = False,
     angle_at_end: ArrayLike = 0.0,
     span: ArrayLike = 0.0,
     started: ArrayLike = True,
@@ -78,11 +75,9 @@ def outcomes(
 
     Parameters
     ----------
-    angle_max
-        Largest error of the angle [rad]; not finite for a run that is not.
-    left_domain, saturated, oscillates, chatters
-        Whether a muscle left its domain or rating, a command was at a limit, the angle is in a limit cycle, stiffness
-        or a command is.
+    metrics
+        Fields of `Metrics` by name: ``angle_max`` [rad], not finite for a run that is not, and, where known, times
+        outside the domain, above the rating and with saturated commands [s], and amplitudes of oscillations.
     angle_at_end, span
         RMS error of the angle over the last tenth of the run, and range of the reference [rad].
     started
@@ -90,20 +85,24 @@ def outcomes(
 
     Examples
     --------
-    >>> code = outcomes(angle_max=[0.01, 2.0], left_domain=False, saturated=True)
+    >>> code = outcomes({"angle_max": [0.01, 2.0], "time_saturated": 0.1})
     >>> [OUTCOMES[index].name for index in code]
     ['SATURATED', 'SWUNG_OVER']
     """
-    angle_max = np.asarray(angle_max)
+    angle_max = np.asarray(metrics["angle_max"])
+
+    def positive(*names: str) -> NDArray[np.bool_]:
+        return np.any(np.broadcast_arrays(*(np.asarray(metrics.get(name, 0.0)) > 0 for name in names)), axis=0)
+
     worst_first = [
         (~np.asarray(started, bool), Outcome.NO_START),
         (~np.isfinite(angle_max), Outcome.DIVERGED),
         (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
         (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
-        (np.asarray(oscillates, bool), Outcome.LIMIT_CYCLE),
-        (np.asarray(chatters, bool), Outcome.CHATTER),
-        (np.asarray(left_domain, bool), Outcome.LEFT_DOMAIN),
-        (np.asarray(saturated, bool), Outcome.SATURATED),
+        (positive("oscillation_amplitude"), Outcome.LIMIT_CYCLE),
+        (positive("stiffness_oscillation", "command_oscillation"), Outcome.CHATTER),
+        (positive("time_outside_domain", "time_overloaded"), Outcome.LEFT_DOMAIN),
+        (positive("time_saturated"), Outcome.SATURATED),
     ]
     conditions = np.broadcast_arrays(*(condition for condition, _ in worst_first))
     codes = [OUTCOMES.index(outcome) for _, outcome in worst_first]

@@ -244,18 +244,10 @@ class SimulationResult(RunResult):
         """Outcome of the run."""
         if self.known_outcome is not None:
             return self.known_outcome
-        ended = np.isfinite(self["velocity"][-1])
-        error = self["angle"] - self["desired_angle"]
-        code = outcomes(
-            angle_max=np.abs(error).max() if ended else np.inf,
-            angle_at_end=np.sqrt(np.mean(error[first_of_end(error.size) :] ** 2)),
-            span=np.ptp(self["desired_angle"]),
-            left_domain=self["outside_domain"].any() or self["overloaded"].any(),
-            saturated=self["saturated"].any(),
-            oscillates=ended and self.metrics["oscillation_amplitude"] > 0,
-            chatters=ended and max(self.metrics[f"{name}_oscillation"] for name in ("stiffness", "command")) > 0,
-        )
-        return OUTCOMES[int(code)]
+        desired = self["desired_angle"]
+        end = slice(first_of_end(desired.size), None)
+        at_end = np.sqrt(np.mean((self["angle"] - desired)[end] ** 2))
+        return OUTCOMES[int(outcomes(self.metrics, angle_at_end=at_end, span=np.ptp(desired)))]
 
     def _measure(self) -> Metrics:
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
