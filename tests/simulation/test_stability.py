@@ -14,7 +14,7 @@ from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.result import Severity
 from mckibben.scenario import with_values
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of, _without_noise
+from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of, _problem
 from mckibben.units import bar, deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -86,7 +86,7 @@ def test_delays_of_sensors_and_commands_add_up(loop, of_sensors, of_commands, ex
     """In milliseconds, the control period."""
     delay = None if of_commands is None else of_commands * ms
     plant = dataclasses.replace(loop[0], sensors=SampledSensors(delay=of_sensors), command_delay=delay)
-    found = _without_noise(plant, 1 * ms)
+    found = _problem(plant, loop[1], REFERENCE, None, 1 * ms).plant
     assert found.sensors == PerfectSensors()
     assert found.command_delay == (None if expected is None else pytest.approx(expected * ms))
 

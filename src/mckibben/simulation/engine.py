@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -154,33 +154,33 @@ def run_alone(parts: PyTree, _: None) -> tuple[PyTree, Record]:
         return episode(*parts)
 
 
-def compute_chunks(
-    compute: Callable[[PyTree], tuple[R, str]],
+def compute_groups(
+    compute: Callable[[PyTree, int], tuple[R, str]],
     lanes: PyTree,
-    count: int,
+    substeps: NDArray[np.int64],
     *,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
-    numbers: int = 1,  # size of the arguments and results of a run
     progress: Progress | None = None,
 ) -> tuple[R, str]:
     """Return the results of many runs in their order, and the engine that computed them.
 
+    Runs with the same number of integration steps share chunks.
+
     Parameters
     ----------
     compute
-        Function of a chunk of `lanes`, whose runs are along the last axis: its results, likewise, and the engine.
+        Function of a chunk of `lanes`, whose runs are along the last axis, and of its integration steps per control
+        period: its results, likewise, and the engine.
     lanes
         Tree of arrays with the runs along the first axis.
-    count
-        Number of runs.
+    substeps
+        Integration steps per control period, shape (runs,).
     chunk, workers
         Runs per chunk, and threads; None for the best (`chunk_size`).
     engine
         One of `ENGINES`, for the size of a chunk.
-    numbers
-        Numbers per run of arguments and results, which limit a chunk on a GPU.
     progress
         Called with a text and the finished fraction, 0 to 1.
 
@@ -189,68 +189,25 @@ def compute_chunks(
     SimulationError
         If `chunk` or `workers` is not an integer from 1 up.
     """
-    size = chunk_size(chunk, count, workers, engine, numbers)
-
-    def piece_of(piece: slice) -> tuple[PyTree, str]:
-        part = jax.tree.map(lambda x: np.moveaxis(x, 0, -1), pad_chunk(lanes, piece, size))
-        answer, used = compute(part)
-        kept = piece.stop - piece.start
-        return jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, 0)[:kept], answer), used
-
     progress = progress or notebook_progress()
-    answers = []
-    for piece, answer in map_chunks(piece_of, count, size, workers):
-        answers.append(answer)
-        if progress:
-            progress(f"{piece.stop} of {count} runs", piece.stop / count)
-    parts, used = zip(*answers, strict=True)
-    return jax.tree.map(lambda *each: np.concatenate(each), *parts), used[0]  # one program, so the same for all
+    order, answers, done = np.argsort(substeps, kind="stable"), [], 0
+    for rows in np.split(order, np.flatnonzero(np.diff(substeps[order])) + 1):
+        size = chunk_size(chunk, rows.size, workers, engine)
 
+        def piece_of(piece: slice, rows: NDArray[np.int64] = rows, size: int = size) -> tuple[PyTree, str]:
+            runs = pad_chunk(rows, piece, size)
+            part = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes)
+            answer, used = compute(part, int(substeps[runs[0]]))
+            return jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, 0)[: piece.stop - piece.start], answer), used
 
-def compute_groups(
-    compute: Callable[[PyTree, int], tuple[R, str]],
-    lanes: PyTree,
-    substeps: NDArray[np.int64],
-    *,
-    progress: Progress | None = None,
-    **options: Any,
-) -> tuple[R, str]:
-    """Return the results of many runs, of which those with the same number of integration steps share chunks.
-
-    Parameters
-    ----------
-    compute
-        Function of a chunk and of its integration steps per control period, otherwise as for `compute_chunks`.
-    lanes
-        Tree of arrays with the runs along the first axis.
-    substeps
-        Integration steps per control period, shape (runs,).
-    progress
-        Called with a text and the finished fraction of all runs, 0 to 1.
-    **options
-        Other arguments of `compute_chunks`.
-    """
-    progress = progress or notebook_progress()
-    count, done, parts, order = substeps.size, 0, [], []
-    for number in np.unique(substeps).tolist():
-        rows = np.flatnonzero(substeps == number)
-
-        def report(_: str, part: float, done: int = done, size: int = rows.size) -> None:
+        for piece, answer in map_chunks(piece_of, rows.size, size, workers):
+            answers.append(answer)
+            done += piece.stop - piece.start
             if progress:
-                now = done + round(part * size)
-                progress(f"{now} of {count} runs", now / count)
-
-        some = lanes if rows.size == count else jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes)
-        parts.append(
-            compute_chunks(lambda lane, n=number: compute(lane, n), some, rows.size, progress=report, **options)
-        )
-        order.append(rows)
-        done += rows.size
-    results, used = zip(*parts, strict=True)
-    if len(results) == 1:
-        return results[0], used[0]
-    back = np.argsort(np.concatenate(order))
-    return jax.tree.map(lambda *each: np.concatenate(each)[back], *results), used[0]
+                progress(f"{done} of {order.size} runs", done / order.size)
+    parts, used = zip(*answers, strict=True)
+    back = np.argsort(order)
+    return jax.tree.map(lambda *each: np.concatenate(each)[back], *parts), used[0]  # one engine, so the same for all
 
 
 def dynamic_steps(substeps: int) -> int | NDArray:

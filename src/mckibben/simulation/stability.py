@@ -33,6 +33,7 @@ from mckibben.simulation.problem import (
     sampled_reference,
     sampled_runs,
     sampling_times,
+    single_run,
     split_runs,
     starts_of,
 )
@@ -194,36 +195,18 @@ def margins(
     check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
     chosen = evenly_spaced(times.size, int(points))
-    loops, oscillation = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
-    rows = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
+    problem = _problem(plant, controller, reference, initial, control_period)
+    problem, setpoints = single_run(problem, control_period, "disk_margins"), sampled_reference(reference, times)
+    start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start(setpoints)[0]))
+    loops, oscillations = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
+    if not all(np.isfinite(leaf).all() for leaf in loops):
+        raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
+    rows = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*(leaf[0] for leaf in loops), strict=True)]
     names = "radius", "gain", "phase", "delay", "disk", "peak", "loop", "sensitivity", "loci"
     columns: dict[str, Any] = {name: np.array(values) for name, *values in zip(names, *rows, strict=True)}
     friction, frequency = plant.friction is not None or plant.joint.has_friction, _frequencies(control_period)
-    return Margins(time=times[chosen], frequency=frequency, oscillation=oscillation, friction=friction, **columns)
-
-
-def _linearised_at(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    initial: PlantState,
-    times: NDArray[np.float64],
-    control_period: float,
-    chosen: NDArray[np.int64],
-    substeps: int,
-) -> tuple[LinearLoop, float]:
-    """Linearisations at control periods of a run, and the amplitude of its limit cycle [rad]."""
-    initial = _without_modulation(plant, initial)
-    plant = _without_noise(plant, control_period).with_period(control_period)
-    controller = controller.with_period(control_period)
-    plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
-    setpoints = sampled_reference(reference, times)
-    problem: Any = SimulationProblem(plant, controller, None, None)  # type: ignore[arg-type]
-    start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], initial)  # a batch of one run
-    loops, oscillation = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
-    if not all(np.isfinite(leaf).all() for leaf in loops):
-        raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    return jax.tree.map(lambda leaf: leaf[0], loops), float(oscillation[0])
+    columns |= {"oscillation": float(oscillations[0]), "friction": friction}
+    return Margins(time=times[chosen], frequency=frequency, **columns)
 
 
 def disk_margins(
@@ -247,8 +230,7 @@ def disk_margins(
     Raises `ParameterError` if all runs are the same; `SimulationError` if the times do not fit together.
     """
     times = sampling_times(duration, control_period)
-    initial = _without_modulation(plant, initial)
-    problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
+    problem = _problem(plant, controller, reference, initial, control_period)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
     chosen = evenly_spaced(times.size, points)
 
@@ -266,17 +248,21 @@ def disk_margins(
     return np.concatenate([margins_of_chunk for _, margins_of_chunk in map_chunks(of_chunk, count, _LANES)])
 
 
-def _without_noise(plant: JointPlant, period: float) -> JointPlant:
-    """The plant with the mean flow of its valves, and perfect sensors whose delay counts as one of the commands."""
+def _problem(
+    plant: JointPlant, controller: Controller, reference: Reference, initial: AtRest | PlantState | None, period: float
+) -> SimulationProblem:
+    """The problem without noise.
+
+    Valves have their mean flow, which lacks the state of a pulse width modulation, and sensors are perfect; their delay
+    counts as one of the commands.
+    """
+    if plant.valve.switches and isinstance(initial, PlantState):
+        initial = initial._replace(air=())
     own = 0.0 if plant.command_delay is None else plant.command_delay
     delay = getattr(plant.sensors, "delay", 0.0) * period + own
     ideal = dataclasses.replace(plant.with_ideal_io(), valve=plant.valve.averaged())
-    return dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
-
-
-def _without_modulation(plant: JointPlant, initial: PyTree) -> PyTree:
-    """The initial state without that of a pulse width modulation, which the mean flow lacks."""
-    return initial._replace(air=()) if plant.valve.switches and isinstance(initial, PlantState) else initial
+    plant = dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
+    return SimulationProblem.of(plant, controller, reference, initial)
 
 
 def _linearised(
