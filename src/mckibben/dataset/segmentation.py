@@ -93,7 +93,8 @@ def _trimmed(
             within &= np.abs(values[begin:end] - middle) <= tolerance
         ends = begin + np.flatnonzero(np.diff(within, prepend=False, append=False)).reshape(-1, 2)
         spans.append(max(ends.tolist(), key=lambda span: span[1] - span[0], default=(begin, begin)))
-    return tuple(np.array(spans, np.int64).reshape(-1, 2).T)
+    longest = np.array(spans, np.int64).reshape(-1, 2)
+    return longest[:, 0], longest[:, 1]
 
 
 _OVERSHOOT = 1.0  # of a step, that of an undamped second-order system: a larger excursion is a deliberate move
