@@ -108,7 +108,7 @@ def broken(fault: Fault, seed: int, folder: Path) -> str:
     twin = SimulatedRig(MUSCLE, seed=seed, faults=[fault])
     rig, reason = Spied(twin), ""
     bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(twin.inputs)) as recorder:
+    with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
         try:
             Runner(RigSession(rig, bench, recorder)).run(STEPS)  # type: ignore[arg-type]
         except StoppedError as error:

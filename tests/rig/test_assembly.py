@@ -51,11 +51,10 @@ def test_a_bench_whose_numbers_make_no_sense_is_refused(wrong):
 
 def write(folder, size, kept=POINTS):
     """A hundred rows in chunks of a size, whose values are their number."""
-    with Recorder.create(folder, {}, columns_of([FORCE_SENSOR.channel, PRESSURE_SENSOR.channel])) as recorder:
+    with Recorder(folder, {}, columns_of([FORCE_SENSOR.channel, PRESSURE_SENSOR.channel])) as recorder:
         for first in range(0, 100, size):
             number = np.arange(first, min(first + size, 100))
-            table = {"time": number / 1e3, "force": number / 100, "pressure": number * 1e3, "pulses": number}
-            recorder.append({**table, "plateau": np.zeros(len(number))})
+            recorder.append(np.stack([number / 1e3, number / 100, number * 1e3, number, 0 * number], axis=1).tolist())
             recorder.flush()
         for point in kept:
             recorder.event(POINT if point.keep else PLACE, **asdict(point))

@@ -46,7 +46,7 @@ def run(folder, inner, steps, answers, *, weights):
 
     rig = HandBench(inner, weights=weights, ask=ask)
     bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(rig.inputs)) as recorder:
+    with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
         Runner(RigSession(rig, bench, recorder)).run(steps)
     return asked, assemble(folder, bench)
 

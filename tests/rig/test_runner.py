@@ -44,7 +44,7 @@ QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
 def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
     twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
     bench = Bench(of=of, drive=twin.drive, limits=limits, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(twin.inputs)) as recorder:
+    with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
         Runner(RigSession(twin, bench, recorder, **given)).run(steps)
     twin.pass_time(1.5)
     assert twin.truth.pressure < 0.2 * bar
@@ -158,7 +158,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         folder = tmp_path / str(after)
         twin = SimulatedRig(slow, seed=3, regulator=EXACT)
         bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
-        with Recorder.create(folder, {}, columns_of(twin.inputs)) as recorder:
+        with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
             interrupting = Interrupting(after)
             flag = interrupting.stop_flag
             runner = Runner(RigSession(twin, bench, recorder, report=interrupting, stop_flag=flag))
@@ -171,7 +171,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         done = read_record(folder).points
         stop = len(done)
         partly += bool((record.columns["plateau"] == stop).any())
-        with Recorder.resume(folder, {}, columns_of(twin.inputs)) as recorder:
+        with Recorder(folder, {}, columns_of(twin.inputs), resume=True) as recorder:
             again = SimulatedRig(slow, seed=4, regulator=EXACT)
             since = float(record.columns["time"][-1]) + 1e-3
             Runner(RigSession(again, bench, recorder, since=since), done=done).run(steps)
@@ -227,7 +227,7 @@ def go_on(folder, told=None):
     twin = SimulatedRig(MUSCLE, seed=session, regulator=EXACT)
     bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.2)
     since = read_record(folder).columns["time"].max(initial=-1e-3) + 1e-3 if session else 0.0
-    with (Recorder.resume if session else Recorder.create)(folder, {}, columns_of(twin.inputs)) as record:
+    with Recorder(folder, {}, columns_of(twin.inputs), resume=bool(session)) as record:
 
         def report(_):
             record.flush()

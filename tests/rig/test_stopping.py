@@ -51,7 +51,7 @@ class Around:
 
 def start(folder, rig, steps, **given):
     bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
-    with Recorder.create(folder, {}, columns_of(rig.inputs)) as recorder:
+    with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
         stop_flag = getattr(given.get("report"), "stop_flag", None)
         Runner(RigSession(rig, bench, recorder, stop_flag=stop_flag, **given)).run(steps)
 
@@ -200,7 +200,7 @@ def resumed(folder, steps, stop_at, *, again=None, origin=0):
     done = read_record(folder).points
     again = again or twin()
     bench = Bench(of=MUSCLE, drive=again.drive, limits=LIMITS, steady=0.3)
-    with Recorder.resume(folder, {}, columns_of(again.inputs)) as recorder:
+    with Recorder(folder, {}, columns_of(again.inputs), resume=True) as recorder:
         since = read_record(folder).columns["time"][-1]
         Runner(RigSession(again, bench, recorder, origin=origin, since=since), done=done).run(steps)
     return read_record(folder).points

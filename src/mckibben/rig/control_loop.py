@@ -18,7 +18,7 @@ from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.compiled import ControlProgram, LimitCycleDetection
-from mckibben.rig.joint_record import JointReading, Phase, RowBuffer
+from mckibben.rig.joint_record import COMMANDED_AT, COMMANDS, READING, REFERENCE, JointReading, Phase, columns
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor, StopFlag
 from mckibben.simulation.oscillation import Oscillations
@@ -219,24 +219,24 @@ def control(
         If the backend does not match, before anything moves.
     """
     loop = ControlLoop(backend, program, plan, limits, recorder, stop_flag or StopFlag(), progress)
-    monitor, rows = loop.monitor, loop.rows
+    monitor = loop.monitor
     error: McKibbenError | None = None
     with backend.opened():
         try:
             with monitor.guard():
-                rows.event("opened", "", backend=dict(backend.description))
+                recorder.event("opened", "", backend=dict(backend.description))
                 loop.run()
         except McKibbenError as stopped:
             error = stopped
         except BaseException as failed:
-            _note(rows, "failed", f"{type(failed).__name__}: {failed}")
+            _note(recorder, "failed", f"{type(failed).__name__}: {failed}")
             raise
         monitor.stop()
         if backend.losses:
-            _note(rows, "losses", backend.losses)
+            _note(recorder, "losses", backend.losses)
         kind = "completed" if error is None else _KINDS.get(type(error).__name__, "failed")
         text = f"completed {len(plan.references) * plan.period:g} s" if error is None else str(error)
-        _note(rows, kind, text)
+        _note(recorder, kind, text)
 
         def record(block: Block) -> None:
             with contextlib.suppress(McKibbenError):
@@ -244,7 +244,7 @@ def control(
 
         found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1, timeout=limits.silence)
         outcome = RunOutcome(kind, text, error, found.duration, found.pressure)
-        _note(rows, "vented" if found.duration is not None else "not vented", outcome.venting)
+        _note(recorder, "vented" if found.duration is not None else "not vented", outcome.venting)
         return outcome
 
 
@@ -284,12 +284,10 @@ def _channels(backend: Backend, plan: RunPlan) -> tuple[list[int], list[int]]:
     return [inputs.index(name) for name in JointReading._fields], [VALVES.index(name) for name in outputs]
 
 
-def _note(rows: RowBuffer, kind: str, text: str) -> None:
+def _note(recorder: Recorder, kind: str, text: str) -> None:
     """Record an event; a recorder that fails now does not matter, everything is vented."""
     with contextlib.suppress(McKibbenError):
-        rows.flush()
-    with contextlib.suppress(McKibbenError):
-        rows.event(kind, text)
+        recorder.event(kind, text)
 
 
 class ControlLoop:
@@ -307,7 +305,8 @@ class ControlLoop:
     ) -> None:
         self._columns, self._valves = _channels(backend, plan)
         self.monitor = JointMonitor(backend, limits, plan.period)
-        self.rows = RowBuffer(recorder, program.telemetry)
+        self.recorder = recorder
+        self._no_command = [math.nan] * (len(columns(program.telemetry)) - REFERENCE.start)
         self._backend, self._program, self._plan = backend, program, plan
         self._stop_flag, self._progress = stop_flag, progress
         self._next = 0  # number of the next sample
@@ -329,14 +328,21 @@ class ControlLoop:
         while self._next < total:
             self._stop_flag.check()
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
-            self._step(block.first, block.time.tolist(), block.values.tolist(), backend.clock())
+            clock = backend.clock()
+            rows = self._rows(block, clock)
+            try:
+                self._step(block, rows, clock)
+            finally:  # also of a sample that stops the run
+                self.recorder.append(rows)
         end = self._next * plan.period
         while backend.clock() < end and not self._stop_flag.signal:  # the last command lasts for its period
-            self.record_venting(backend.read(self._waiting(), timeout=silence))
+            block = backend.read(self._waiting(), timeout=silence)
+            self._next += len(block.time)
+            self.record_venting(block)
 
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""
-        self._record(block.first, block.time.tolist(), block.values.tolist(), self._backend.clock(), venting=True)
+        self.recorder.append(self._rows(block, self._backend.clock(), venting=True))
 
     def _waiting(self) -> int:
         """Number of samples that can be read now; at least the next one, for which to wait."""
@@ -345,24 +351,23 @@ class ControlLoop:
         due = math.floor((self._backend.clock() - self._delay) / self._plan.period + 1e-6) + 1
         return min(max(due - self._next, 1), _MOST)
 
-    def _step(self, first: int, times: Sequence[float], values: Sequence[Sequence[float]], clock: float) -> None:
-        """Record and check samples, act on the newest, send the heartbeat."""
-        plan, monitor, rows = self._plan, self.monitor, self.rows
-        lost = first - self._next
+    def _step(self, block: Block, rows: list[list[float]], clock: float) -> None:
+        """Check samples, act on the newest, send the heartbeat."""
+        plan, monitor, times = self._plan, self.monitor, block.time.tolist()
+        lost, last = block.first - self._next, len(times) - 1
         if lost < 0:
-            raise RigError(f"sample {first} came when {self._next} was due", remedy="check the device")
-        last = len(times) - 1
-        row, readings = self._record(first, times, values, clock)
+            raise RigError(f"sample {block.first} came when {self._next} was due", remedy="check the device")
+        self._next = block.first + len(times)
         self._delay = min(self._delay, clock - times[last])
-        for i, (time, signals) in enumerate(zip(times, values, strict=True)):
+        for i, (time, signals) in enumerate(zip(times, block.values.tolist(), strict=True)):
             monitor.check_sample(time, signals, self._commands, clock if i == last else None)
-        number, reading = self._next - 1, readings[-1]
+        number = self._next - 1
         if number >= plan.periods:  # the last samples were dropped
             return
-        reference = self._act(number, row, reading)
+        reading = JointReading(*rows[-1][READING])
+        reference = self._act(number, rows[-1], reading)
         monitor.heartbeat()
-        commanded = self._backend.clock()
-        rows.commanded_at(row, commanded)
+        commanded = rows[-1][COMMANDED_AT] = self._backend.clock()
         self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
         self._report(times[last], number, reading, reference)
 
@@ -372,25 +377,18 @@ class ControlLoop:
             duration, phase = self._plan.periods * self._plan.period, self._plan.phase(number)
             self._progress(RunProgress(time, duration, phase, reading, reference, self._missed, self._limit_cycle))
 
-    def _record(
-        self,
-        first: int,
-        times: Sequence[float],
-        values: Sequence[Sequence[float]],
-        clock: float,
-        *,
-        venting: bool = False,
-    ) -> tuple[int, list[JointReading]]:
-        """Record samples; return the row of the last one, and all readings."""
-        rows, row, readings = self.rows, -1, []
-        for number, (time, signals) in enumerate(zip(times, values, strict=True), start=first):
+    def _rows(self, block: Block, clock: float, *, venting: bool = False) -> list[list[float]]:
+        """Rows of samples, without commands."""
+        rows = []
+        for number, (time, signals) in enumerate(
+            zip(block.time.tolist(), block.values.tolist(), strict=True), start=block.first
+        ):
             phase = Phase.VENTING if venting else self._plan.phase(number)
-            readings.append(JointReading(*(signals[column] for column in self._columns)))
-            row = rows.begin(number, phase, time, readings[-1], clock)
-        self._next = first + len(times)
-        return row, readings
+            reading = [signals[column] for column in self._columns]
+            rows.append([time, number, phase, clock, math.nan, *reading, *self._no_command])
+        return rows
 
-    def _act(self, number: int, row: int, reading: JointReading) -> float:
+    def _act(self, number: int, row: list[float], reading: JointReading) -> float:
         """Set the valves; return the reference angle [rad]."""
         plan = self._plan
         angle, pressure1, pressure2 = reading
@@ -400,7 +398,7 @@ class ControlLoop:
             part = (number + 1) / plan.raising
             ramp = [start + part * (end - start) for start, end in zip(self._ramp_start, plan.pressures, strict=True)]
             commands, _ = self._command(ramp)
-            self.rows.commanded(row, (math.nan, math.nan), commands, False)
+            row[COMMANDS] = [*commands, 0.0]
             return math.nan
         reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
@@ -413,7 +411,7 @@ class ControlLoop:
         self._stepped = number
         self._state, values = self._program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
-        self.rows.commanded(row, reference, commands, limited, values[2:])
+        row[REFERENCE.start :] = [*reference.tolist(), *commands, float(limited), *values[2:].tolist()]
         self._note(self._detection.after(angle, float(reference[0]), commands, number - self._first))
         return float(reference[0])
 
@@ -426,7 +424,7 @@ class ControlLoop:
                 size = f"{found.command / bar:.3g} bar either way"
                 text = f"a command oscillates by {size} and reverses {found.reversals:.3g} times per second"
             sizes = {"amplitude": amplitude, "period": period, "command": float(found.command)}
-            self.rows.event("limit cycle", text, **{name: x for name, x in sizes.items() if math.isfinite(x)})
+            self.recorder.event("limit cycle", text, **{name: x for name, x in sizes.items() if math.isfinite(x)})
         self._limit_cycle = found
 
     def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:

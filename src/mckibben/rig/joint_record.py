@@ -15,12 +15,8 @@ from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.record import Column
-from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
 from mckibben.simulation.loop import Record
-
-_TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
-_LONGEST = 0.1  # s that a row waits for others, if they are fewer
 
 
 class JointReading(NamedTuple):
@@ -49,9 +45,9 @@ class Phase(enum.IntEnum):
 
 
 _OWN = (
+    ("time", "s", "float64"),
     ("sample", "1", "int64"),
     ("phase", "1", "int8"),
-    ("time", "s", "float64"),
     ("read_at", "s", "float64"),
     ("commanded_at", "s", "float64"),
     ("angle", "rad", "float64"),
@@ -63,97 +59,17 @@ _OWN = (
     ("command2", "Pa", "float64"),
     ("limited", "1", "float64"),
 )
-_TIME, _COMMANDED, _READING, _REFERENCE, _COMMAND = 2, 4, 5, 8, 10
-_TELEMETRY = len(_OWN)
+COMMANDED_AT, READING, REFERENCE, COMMANDS = 4, slice(5, 8), slice(8, 10), slice(10, 13)
+"""Places in a row."""
 
 
 def columns(telemetry: Sequence[str]) -> list[Column]:
-    """Columns of a record; the telemetry of the controller has the prefix ``controller_``."""
-    reported = [Column(f"controller_{name}", attributes(name).get("units", "")) for name in telemetry]
-    return [*(Column(*one) for one in _OWN), *reported]
+    """Columns of a record; the telemetry of the controller has the prefix ``controller_``.
 
-
-class RowBuffer:
-    """Buffer of rows before a recorder; missing values are NaN.
-
-    Parameters
-    ----------
-    recorder
-        Recorder with the columns of `columns`.
-    telemetry
-        Names of the controller's telemetry.
+    Without a command, those from `commanded_at` on are NaN, but for the reading.
     """
-
-    def __init__(self, recorder: Recorder, telemetry: Sequence[str]) -> None:
-        self._recorder = recorder
-        self._names = [column.name for column in columns(telemetry)]
-        self._table: NDArray[np.float64] = np.full((_TOGETHER, len(self._names)), np.nan)
-        self._filled = 0
-
-    def begin(self, sample: int, phase: int, time: float, reading: JointReading, read_at: float) -> int:
-        """Begin the row of a sample; return its index.
-
-        Parameters
-        ----------
-        sample, phase
-            Number of the sample, and phase of the run.
-        time, read_at
-            Times of the sample and of its reading [s].
-        reading
-            Angle and pressures.
-        """
-        if self._filled == _TOGETHER or (self._filled and time - self._table[0, _TIME] > _LONGEST):
-            self.flush()
-        row = self._filled
-        self._table[row, :_COMMANDED] = (sample, phase, time, read_at)
-        self._table[row, _READING : _READING + 3] = reading
-        self._filled = row + 1
-        return row
-
-    def commanded(
-        self,
-        row: int,
-        reference: Sequence[float] | NDArray[np.float64],
-        commands: tuple[float, float],
-        limited: bool,
-        telemetry: NDArray[np.float64] | None = None,
-    ) -> None:
-        """Set reference, commands and telemetry of a row.
-
-        Parameters
-        ----------
-        row
-            Index of the row.
-        reference
-            Angle [rad] and stiffness [N*m/rad].
-        commands, limited
-            Commands of both muscles [Pa], and whether they were limited.
-        telemetry
-            Telemetry of the controller, shape (values,); None without a step of it.
-        """
-        table = self._table
-        table[row, _REFERENCE], table[row, _REFERENCE + 1] = reference
-        table[row, _COMMAND], table[row, _COMMAND + 1] = commands
-        table[row, _COMMAND + 2] = limited
-        if telemetry is not None:
-            table[row, _TELEMETRY:] = telemetry
-
-    def commanded_at(self, row: int, time: float) -> None:
-        """Set the time at which the valves were set [s]."""
-        self._table[row, _COMMANDED] = time
-
-    def flush(self) -> None:
-        """Pass all rows to the recorder."""
-        if not self._filled:
-            return
-        full, self._filled = self._table[: self._filled], 0
-        table: dict[str, Any] = {name: full[:, i] for i, name in enumerate(self._names)}
-        self._recorder.append(table)
-        self._table[:] = np.nan
-
-    def event(self, kind: str, text: str, **data: Any) -> None:
-        """Record an event."""
-        self._recorder.event(kind, text, **data)
+    reported = [Column(f"controller_{name}", attributes(name).get("units", "")) for name in telemetry]
+    return [*(Column(*column) for column in _OWN), *reported]
 
 
 _PREFIX = "controller_"

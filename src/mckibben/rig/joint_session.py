@@ -109,7 +109,7 @@ class JointSession:
             header = {**self.header, "priority": priority}
             attached = {"scenario.yaml": self.scenario.dumps().encode()}
             try:
-                with Recorder.create(folder, header, columns(self.program.telemetry), attached) as recorder:
+                with Recorder(folder, header, columns(self.program.telemetry), attached) as recorder:
                     outcome = control(
                         self.backend,
                         self.program,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import itertools
 import json
 import math
@@ -15,17 +17,25 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from pydantic_core import from_json
 
-from mckibben.errors import DatasetError, McKibbenWarning, Problem
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, RigError
 from mckibben.rig.bench import Bench
-from mckibben.rig.mcap_file import McapMessage, McapReader
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording
 
-SAMPLES, EVENTS = 0, 1
-"""Numbers of the topics of a record."""
+SAMPLES, EVENTS = "samples", "events"
+"""Topics of a record; their channels are numbered from 1."""
 HEADER = "header.json"
 """Attachment that describes the record."""
+
+
+def library(name: str) -> Any:
+    """Module of the package mcap, or zstandard; `RigError` if it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        message = f"the package {name.split('.')[0]} is missing, which records are written and read with"
+        raise RigError(message, remedy="pip install 'mckibben[rig]'") from error
 
 
 class Column(NamedTuple):
@@ -44,56 +54,78 @@ class Column(NamedTuple):
     dtype: str = "float64"
 
 
-def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray], first: int) -> list[McapMessage]:
-    """Return samples as messages; numbers that are missing (NaN) are left out.
+def pack_rows(columns: Sequence[Column], rows: Iterable[Sequence[float]]) -> Iterator[bytes]:
+    """Return rows as objects of JSON; numbers that are missing (NaN) are left out.
 
     Parameters
     ----------
-    columns, arrays
-        Columns, and an array of shape (rows,) for each.
-    first
-        Number of the first row.
+    columns, rows
+        Columns, and a number for each of them in each row.
 
     Examples
     --------
     >>> columns = [Column("time", "s"), Column("force", "N", "float32")]
-    >>> messages = pack_rows(columns, [np.array([0.0, 0.1]), np.array([np.nan, 2.0])], first=5)
-    >>> [message.data for message in messages], unpack_rows(columns, messages)["force"].tolist()
+    >>> packed = [*pack_rows(columns, [(0.0, math.nan), (0.1, 2.0)])]
+    >>> packed, unpack_rows(columns, packed)["force"].tolist()
     ([b'{"time":0.0}', b'{"time":0.1,"force":2}'], [nan, 2.0])
     """
-    places = [_PLACES.get(column.dtype, "%d") for column in columns]
-    whole = "{" + ",".join(f'"{column.name}":{place}' for column, place in zip(columns, places, strict=True)) + "}"
-    names = [column.name for column in columns]
-    at = names.index("time") if "time" in names else None
-    messages = []
-    for number, row in enumerate(zip(*(array.tolist() for array in arrays), strict=True), start=first):
+    forms = [f'"{column.name}":{_FORMATS.get(column.dtype, "%d")}' for column in columns]
+    whole = "{" + ",".join(forms) + "}"
+    for row in rows:
         if all(map(math.isfinite, row)):
-            text = whole % row
+            yield (whole % tuple(row)).encode()
         else:
-            known = [cell for cell in zip(names, places, row, strict=True) if math.isfinite(cell[2])]
-            parts = [f'"{name}":{place % value}' for name, place, value in known]
-            text = "{" + ",".join(parts) + "}"
-        time = number * 1e-9 if at is None else max(row[at], 0.0)
-        messages.append(McapMessage(SAMPLES, number & _SEQUENCE, time, text.encode()))
-    return messages
+            known = [form % value for form, value in zip(forms, row, strict=True) if math.isfinite(value)]
+            yield ("{" + ",".join(known) + "}").encode()
 
 
-_PLACES = {"float64": "%r", "float32": "%.9g"}
-_SEQUENCE = 0xFFFFFFFF
+_FORMATS = {"float64": "%r", "float32": "%.9g"}
 
 
-def unpack_rows(columns: Sequence[Column], messages: Sequence[McapMessage]) -> dict[str, np.ndarray]:
-    """Columns of messages with samples."""
-    rows = from_json(b"[" + b",".join(message.data for message in messages) + b"]")
+def unpack_rows(columns: Sequence[Column], packed: Iterable[bytes]) -> dict[str, np.ndarray]:
+    """Columns of packed rows."""
+    rows = from_json(b"[" + b",".join(packed) + b"]")
     return {column.name: np.array([row.get(column.name, math.nan) for row in rows], column.dtype) for column in columns}
+
+
+def _parts(path: Path) -> Iterator[Any]:
+    """Attachments and chunks (lists of messages) of a file, up to an incomplete end.
+
+    Warns of damaged chunks, which are left out. Raises `DatasetError` if the file cannot be read to its end, although
+    it was closed.
+    """
+    records, stream_reader = library("mcap.records"), library("mcap.stream_reader")
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        try:
+            for record in stream_reader.StreamReader(file, emit_chunks=True, record_size_limit=size).records:
+                if isinstance(record, records.Attachment):
+                    yield record
+                elif isinstance(record, records.Chunk):
+                    try:
+                        parts = stream_reader.breakup_chunk(record, validate_crc=True)
+                    except Exception:  # whatever damaged bytes lead to
+                        warnings.warn(f"{path} is damaged: rows or events are lost", McKibbenWarning, stacklevel=3)
+                        continue
+                    yield [part for part in parts if isinstance(part, records.Message)]
+        except Exception as error:
+            file.seek(max(size - len(MAGIC), 0))
+            if file.read() == MAGIC:  # it was closed; otherwise a kill has cut its end
+                problem = Problem("is damaged", remedy="`mcap recover` saves the rest of it")
+                raise DatasetError(str(path), [problem]) from error
+
+
+MAGIC = b"\x89MCAP0\r\n"
+"""First and last bytes of a whole file."""
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
     """Content of a segment's header and its columns; `DatasetError` if the file is not a record of a rig."""
-    for part in McapReader(path):
-        if isinstance(part, tuple) and part[0] == HEADER:
-            content = json.loads(part[1])
-            return content, [Column(**column) for column in content["columns"]]
+    for part in _parts(path):
+        if getattr(part, "name", "") == HEADER:
+            with contextlib.suppress(ValueError):
+                content = json.loads(part.data)
+                return content, [Column(**column) for column in content["columns"]]
     message = "is not a rig record, or its header is lost"
     raise DatasetError(str(path), [Problem(message, remedy="give the folder of `rig run --out`, or restore the file")])
 
@@ -117,24 +149,6 @@ class Event(NamedTuple):
     data: dict[str, Any]
 
 
-class Rows(NamedTuple):
-    """Rows of a record that were written together.
-
-    Attributes
-    ----------
-    first
-        Number of the first of them.
-    columns
-        Columns by name, shape (rows,).
-    """
-
-    first: int
-    columns: dict[str, np.ndarray]
-
-    def __len__(self) -> int:
-        return len(next(iter(self.columns.values())))
-
-
 @dataclass(frozen=True, eq=False)
 class RigRecord:
     """A record in memory.
@@ -151,7 +165,7 @@ class RigRecord:
         Number of each row; some are missing if the record is damaged.
     """
 
-    header: dict[str, Any]  # of the first segment
+    header: dict[str, Any]
     units: dict[str, str]
     columns: dict[str, np.ndarray]
     events: tuple[Event, ...]
@@ -184,18 +198,26 @@ def read_record(folder: str | os.PathLike[str]) -> RigRecord:
     Raises
     ------
     DatasetError
-        If there is no record, or rows are missing that no damage explains; damaged parts are a warning.
+        If there is no record, or rows repeat; rows that are missing are a warning.
     """
     header, columns = header_of(folder)
-    rows, events = [Rows(0, {column.name: np.empty(0, column.dtype) for column in columns})], list[Event]()
-    for entry in entries(folder):
-        (events if isinstance(entry, Event) else rows).append(entry)  # type: ignore[arg-type]
-    found = {
-        column.name: np.concatenate([part.columns[column.name] for part in rows]).astype(column.dtype, copy=False)
-        for column in columns
-    }
-    numbers = np.concatenate([part.first + np.arange(len(part)) for part in rows])
-    return RigRecord(header, {column.name: column.unit for column in columns}, found, tuple(events), numbers)
+    tables, numbers, events = [unpack_rows(columns, ())], list[int](), list[Event]()
+    for path in segments(Path(folder)):
+        for part in _parts(path):
+            messages = part if isinstance(part, list) else []
+            rows = [message for message in messages if message.channel_id == 1]
+            numbers += [message.sequence for message in rows]
+            tables.append(unpack_rows(columns, (message.data for message in rows)))
+            events += [Event(**from_json(message.data)) for message in messages if message.channel_id != 1]
+    missing = np.diff(np.array(numbers, np.int64), prepend=-1) - 1
+    if (missing < 0).any():
+        raise DatasetError(str(folder), [Problem("rows repeat", remedy="a file was changed, or copied")])
+    if missing.any():
+        message = f"{folder}: {missing.sum()} rows are missing: a file is damaged, was changed, or is missing"
+        warnings.warn(message, McKibbenWarning, stacklevel=2)
+    table = {column.name: np.concatenate([part[column.name] for part in tables]) for column in columns}
+    units = {column.name: column.unit for column in columns}
+    return RigRecord(header, units, table, tuple(events), np.array(numbers, np.int64))
 
 
 def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Column]]:
@@ -207,62 +229,6 @@ def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Colu
         )
     content, columns = read_header(there[0])
     return content["header"], columns
-
-
-def entries(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
-    """Iterate over rows and events of a record in order, a chunk at a time.
-
-    Warns of rows that are lost in damaged parts.
-
-    Raises
-    ------
-    DatasetError
-        If rows are missing or repeated without damage: a file was changed, or is missing.
-    """
-    expected, damaged = 0, False
-    for path in segments(Path(folder)):
-        _, columns = read_header(path)
-        reader, known = McapReader(path), 0
-        for part in reader:
-            if isinstance(part, tuple):
-                continue
-            lost, known = reader.damaged - known, reader.damaged
-            damaged |= lost > 0
-            for topic, group in itertools.groupby(part, key=lambda message: message.topic):
-                messages = list(group)
-                if topic == EVENTS:
-                    yield from (_event(message) for message in messages)
-                    continue
-                first = messages[0].sequence
-                if first != expected and not (damaged and first > expected):
-                    gap = first - expected
-                    message = f"{gap} rows are missing before row {first}" if gap > 0 else f"{-gap} rows repeat"
-                    raise DatasetError(str(path), [Problem(message, remedy="a file was changed, or is missing")])
-                if first > expected:
-                    _warn_of_damage(path, f"rows {expected} to {first - 1} are lost")
-                    lost = 0
-                expected = first + len(messages)
-                yield Rows(first, unpack_rows(columns, messages))
-            if lost:
-                _warn_of_damage(path, f"{lost} part(s) before row {expected} are lost")
-        if reader.damaged > known:
-            damaged = True
-            _warn_of_damage(path, "its end is lost")
-        damaged |= reader.is_cut
-
-
-def _event(message: McapMessage) -> Event:
-    content = from_json(message.data)
-    return Event(content["kind"], content["text"], content["row"], content["data"])
-
-
-def _warn_of_damage(path: Path, lost: str) -> None:
-    warnings.warn(f"{path} is damaged: {lost}", McKibbenWarning, stacklevel=3)
-
-
-def rows_in(folder: str | os.PathLike[str]) -> int:
-    """Number of rows of a record."""
-    return max((part.first + len(part) for part in entries(folder) if isinstance(part, Rows)), default=0)
 
 
 def segments(folder: Path) -> list[Path]:
@@ -353,38 +319,31 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     kept = [point for point in record.points if point.keep]
     if not kept:
         raise DatasetError(str(folder), [Problem("contains no point yet", remedy="resume it")])
-    counts = {point.samples for point in kept}
-    force, pressure = (np.full((len(kept), max(counts)), np.nan, np.float32) for _ in range(2))
-    for row, point in enumerate(kept):
-        force[row, : point.samples], pressure[row, : point.samples] = (
-            record.samples(name, point) for name in ("force", "pressure")
-        )
-    complete = np.isfinite(force).sum(axis=1) == [point.samples for point in kept]
-    if not complete.any():
+    samples = {name: [record.samples(name, point) for point in kept] for name in ("force", "pressure")}
+    complete = [bool(np.isfinite(force).all()) for force in samples["force"]]
+    if not any(complete):
         raise DatasetError(str(folder), [Problem("contains no complete point", remedy="record again")])
-    if not complete.all():
-        lost = ", ".join(str(kept[row].number) for row in np.flatnonzero(~complete))
+    if not all(complete):
+        lost = ", ".join(str(point.number) for point, whole in zip(kept, complete, strict=True) if not whole)
         message = f"{folder}: samples of the points {lost} are missing; they are left out"
         warnings.warn(message, McKibbenWarning, stacklevel=2)
-        kept = [kept[row] for row in np.flatnonzero(complete)]
-        force, pressure = force[complete], pressure[complete]
-    same = len(counts) == 1
-    means = [np.nanmean(samples, axis=1, dtype=np.float64) for samples in (force, pressure)]
-    names = ("contraction", "repeat", "time", "set_pressure", "set_force")
-    columns = {name: [getattr(point, name) for point in kept] for name in names}
-    return IsobaricDataset.of(
-        pressure=means[1],
-        force=means[0],
-        direction=_words([point.direction for point in kept]),
-        phase=_words([point.phase for point in kept]),
-        **{name: None if None in values else values for name, values in columns.items()},  # type: ignore[arg-type]
-        force_samples=force if same else None,
-        pressure_samples=pressure if same else None,
-        specimen=bench.specimen.name,
-        initial_length=float(bench.specimen.initial_length),
-        source=source,
-        slack_force=bench.slack_force,
-    )
+        kept = [*itertools.compress(kept, complete)]
+        samples = {name: [*itertools.compress(arrays, complete)] for name, arrays in samples.items()}
+    same = len({point.samples for point in kept}) == 1
+    means = {name: [array.mean(dtype=np.float64) for array in arrays] for name, arrays in samples.items()}
+    whole = {f"{name}_samples": np.stack(arrays).astype(np.float32) for name, arrays in samples.items()} if same else {}
+    names = ("contraction", "repeat", "time", "set_pressure", "set_force", "direction", "phase")
+    columns: dict[str, Any] = {name: [getattr(point, name) for point in kept] for name in names}
+    columns = {name: values for name, values in columns.items() if None not in values and {*values} != {""}}
+    columns.update(means | whole | _origin_of(bench, source))
+    return IsobaricDataset.of(**columns)
+
+
+def _origin_of(bench: Bench, source: str) -> dict[str, Any]:
+    """What a dataset and a recording tell of where they come from."""
+    specimen = bench.specimen
+    length = float(specimen.initial_length)
+    return {"specimen": specimen.name, "initial_length": length, "source": source, "slack_force": bench.slack_force}
 
 
 def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> Recording:
@@ -397,12 +356,5 @@ def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = 
         pressure=columns["pressure"].astype(float),
         force=columns["force"].astype(float),
         contraction=[bench.contraction_at(pulses) for pulses in columns["pulses"].tolist()],
-        specimen=bench.specimen.name,
-        initial_length=float(bench.specimen.initial_length),
-        source=source,
-        slack_force=bench.slack_force,
+        **_origin_of(bench, source),
     )
-
-
-def _words(words: list[str]) -> list[str] | None:
-    return words if any(words) else None

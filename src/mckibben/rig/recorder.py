@@ -6,46 +6,173 @@ import errno
 import json
 import os
 import platform
+import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 import mckibben
-from mckibben.errors import FileError, Problem, RangeError, RigError
-from mckibben.rig.mcap_file import McapMessage, McapWriter, Topic
-from mckibben.rig.record import EVENTS, HEADER, Column, pack_rows, read_header, rows_in, segments
-from mckibben.storage.files import make_folder
+from mckibben.errors import FileError, Problem, RigError
+from mckibben.rig.record import (
+    EVENTS,
+    HEADER,
+    MAGIC,
+    SAMPLES,
+    Column,
+    library,
+    pack_rows,
+    read_header,
+    read_record,
+    segments,
+)
+from mckibben.storage.files import atomic_write, is_same_file, make_folder
 
 PERIOD = 0.25
 """Interval [s] at which appended rows are written and synced to the disk."""
 
-_MOST_PENDING = 1 << 17  # numbers: an append waits while more than that is pending
-_RESERVE = 1 << 22  # bytes kept free for pending rows, and for the reason, when the disk is full
-_RESERVE_NAME = "reserve"
-_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+
+class McapWriter:
+    """Appends chunks of messages to a new MCAP file, https://mcap.dev/spec; each is on the disk when `append` returns.
+
+    A file that was closed has a summary, by which other tools seek in it.
+
+    Parameters
+    ----------
+    path
+        New file.
+    columns
+        Columns of the samples, whose messages have the channel 1; events have the channel 2.
+    attachments
+        Files that it carries, by name.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[Column], attachments: Mapping[str, bytes]) -> None:
+        self.path, self._records, self._zstd = path, library("mcap.records"), library("zstandard")
+        self._indexes: list[Any] = []
+        self._attached: list[Any] = []
+        self._counts = {1: 0, 2: 0}
+        self._channels: list[Any] = []
+        units = {column.name: {"type": "number", "unit": column.unit} for column in columns}
+        for number, (topic, numbers) in enumerate(((SAMPLES, units), (EVENTS, {})), start=1):
+            schema = json.dumps({"type": "object", "title": topic, "properties": numbers}).encode()
+            self._channels.append(self._records.Schema(number, schema, "jsonschema", topic))
+            self._channels.append(self._records.Channel(number, topic, "json", {}, number))
+        content = MAGIC + _packed(self._records.Header(profile="", library="mckibben"))
+        for name, data in attachments.items():
+            packed = _packed(self._records.Attachment(0, 0, name, "text/plain", data))
+            size = len(content), len(packed), 0, 0, len(data)
+            self._attached.append(self._records.AttachmentIndex(*size, name, "text/plain"))
+            content += packed
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(content)
+        self._file, self._end = path.open("r+b", buffering=0), len(content)
+
+    def append(self, chunks: Iterable[Sequence[tuple[int, int, float, bytes]]]) -> None:
+        """Append chunks of messages: channel, sequence, time [s] and data.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the file was removed or moved.
+        OSError
+            If they cannot be written; the file is then as before.
+        """
+        content, indexes = b"", []
+        for chunk in chunks:
+            packed, index = self._chunk(chunk, self._end + len(content))
+            content += packed
+            indexes.append(index)
+        self._write(content)
+        self._indexes += indexes
+        self._end += len(content)
+        if not is_same_file(self.path, self._file.fileno()):
+            raise FileNotFoundError(errno.ENOENT, "it was removed or moved during writing")
+
+    def _chunk(self, messages: Sequence[tuple[int, int, float, bytes]], position: int) -> tuple[bytes, Any]:
+        """Chunk of messages at a position of the file, and its index."""
+        records, times = [*self._channels], []
+        for channel, sequence, time_s, data in messages:
+            times.append(round(max(time_s, 0.0) * 1e9))
+            records.append(self._records.Message(channel, times[-1], data, times[-1], sequence & 0xFFFFFFFF))
+            self._counts[channel] += 1
+        content, first, last = _packed(*records), min(times), max(times)
+        packed = self._zstd.compress(content)
+        record = _packed(self._records.Chunk("zstd", packed, last, first, zlib.crc32(content), len(content)))
+        sizes = len(record), position, "zstd", len(packed)
+        return record, self._records.ChunkIndex(*sizes, last, 0, {}, first, len(content))
+
+    def close(self, *, summary: bool = True) -> None:
+        """Close the file with its summary; may be called again."""
+        with self._file:
+            if summary and not self._file.closed:
+                self._write(self._summary())
+
+    def _summary(self) -> bytes:
+        end = _packed(self._records.DataEnd(0))
+        times = [(index.message_start_time, index.message_end_time) for index in self._indexes] or [(0, 0)]
+        starts, ends = zip(*times, strict=True)
+        counts = len(self._attached), 2, self._counts, len(self._indexes), sum(self._counts.values())
+        statistics = self._records.Statistics(*counts, max(ends), min(starts), 0, 2)
+        summary = _packed(*self._channels, statistics, *self._indexes, *self._attached)
+        return end + summary + _packed(self._records.Footer(self._end + len(end), 0, 0)) + MAGIC
+
+    def _write(self, content: bytes) -> None:
+        """Write at the end, and sync."""
+        try:
+            self._file.seek(self._end)
+            view = memoryview(content)
+            while view:
+                view = view[self._file.write(view) :]
+            os.fsync(self._file.fileno())
+        except OSError:
+            self._file.truncate(self._end)
+            raise
+
+
+def _packed(*records: Any) -> bytes:
+    builder = library("mcap.data_stream").RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
 
 
 class Recorder:
     """Appends samples and events to a record; a thread writes and syncs them.
 
-    On a full disk, pending rows and the reason are written into a reserve; after any other error nothing more is
-    written, so that a record has no gaps. As a context it is closed at the end; after an error before the first sample
-    or event, its file is removed.
+    After an error nothing more is written, so that a record has no gaps. As a context it is closed at the end; after an
+    error before the first sample or event, its file is removed.
+
+    Parameters
+    ----------
+    folder
+        Folder of the record, made if need be.
+    header
+        Description of the test, an object of JSON.
+    columns
+        Columns of its rows, of unique names; the first is the time [s].
+    attachments
+        Files that it carries, by name.
+    resume
+        Whether to continue the record of the folder, in a new file.
+
+    Raises
+    ------
+    FileError
+        If the folder has a record and `resume` is not set, or the reverse; if that record has other columns; or if the
+        folder cannot be written.
 
     Examples
     --------
     >>> import tempfile
     >>> from mckibben.rig.record import read_record
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with Recorder.create(folder, {"specimen": "ours"}, [Column("time", "s")]) as recorder:
-    ...         recorder.append({"time": [0.0, 0.1]})
+    ...     with Recorder(folder, {"specimen": "ours"}, [Column("time", "s")]) as recorder:
+    ...         recorder.append([[0.0], [0.1]])
     ...         recorder.event("point", number=0)
     ...     record = read_record(folder)
     >>> record.columns["time"].tolist(), record.events[0].kind, record.events[0].row
@@ -54,137 +181,55 @@ class Recorder:
 
     def __init__(
         self,
-        path: Path,
+        folder: str | os.PathLike[str],
         header: Mapping[str, Any],
         columns: Sequence[Column],
-        first: int,
         attachments: Mapping[str, bytes] | None = None,
+        *,
+        resume: bool = False,
     ) -> None:
-        self.path = path
-        self.columns = tuple(columns)
-        self.rows = first  # of the record, those included that are still to be written
-        self._is_empty = True
-        self._written = first  # of those, in the file
-        self._pending: list[list[np.ndarray] | dict[str, Any]] = []
-        self._waiting = 0  # numbers in pending rows
-        self._time = 0.0  # of the latest row [s]
-        self._failure: Exception | None = None
-        self._closing = self._hurry = False
-        self._asked = self._done = 0  # flushes
-        self._change = threading.Condition()
+        folder = make_folder(folder)
+        there = segments(folder)
+        if bool(there) != resume:
+            message, remedy = ("contains a record", "resume it, or choose another folder")
+            if resume:
+                message, remedy = "contains no record to continue", "begin one"
+            raise FileError(str(folder), [Problem(message, remedy=remedy)])
+        if resume and read_header(there[-1])[1] != [*columns]:
+            problem = Problem("contains a record with other columns", remedy="choose another folder")
+            raise FileError(str(folder), [problem])
+        number = int(there[-1].stem.rpartition("-")[2]) + 1 if resume else 1
+        self.path, self.columns = folder / f"record-{number:04d}.mcap", tuple(columns)
+        self.rows = self._written = 1 + int(read_record(folder).rows.max(initial=-1)) if resume else 0
         content = {
             "format": "mckibben record",
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            "columns": [column._asdict() for column in self.columns],
+            "columns": [column._asdict() for column in columns],
             "header": dict(header),
         }
         files = {HEADER: json.dumps(content, ensure_ascii=False, allow_nan=False).encode(), **(attachments or {})}
-        topics = [Topic("samples", {column.name: column.unit for column in columns}), Topic("events", {})]
         try:
-            self._reserve = path.with_name(_RESERVE_NAME)
-            _keep_free(self._reserve)
-            self._file = McapWriter(path, topics, files)
+            self._file = McapWriter(self.path, columns, files)
         except OSError as error:
-            self._reserve.unlink(missing_ok=True)
-            raise FileError(str(path), [Problem(f"it cannot be written: {error.strerror}")]) from error
+            raise FileError(str(self.path), [Problem(f"it cannot be written: {error.strerror}")]) from error
+        self._pending: queue.Queue[Sequence[Sequence[float]] | bytes] = queue.Queue(1000)
+        self._is_empty, self._closing, self._time = True, False, 0.0
+        self._failure: Exception | None = None
+        self._hurry = threading.Event()
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
-    @classmethod
-    def create(
-        cls,
-        folder: str | os.PathLike[str],
-        header: Mapping[str, Any],
-        columns: Sequence[Column],
-        attachments: Mapping[str, bytes] | None = None,
-    ) -> Self:
-        """Begin a record.
-
-        Parameters
-        ----------
-        folder
-            Its folder, made if need be.
-        header
-            Description of the test, an object of JSON.
-        columns
-            Columns of its rows, of unique names.
-        attachments
-            Files that it carries, by name.
+    def append(self, rows: Sequence[Sequence[float]]) -> None:
+        """Append rows, a number for each column; they are on the disk within a second.
 
         Raises
         ------
-        FileError
-            If the folder has a record, or cannot be written.
-        RangeError
-            If columns have one name.
-        """
-        folder = make_folder(folder)
-        if segments(folder):
-            remedy = "resume it, or choose another folder"
-            raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
-        return cls(folder / _name(1), header, _checked(columns), 0, attachments)
-
-    @classmethod
-    def resume(
-        cls,
-        folder: str | os.PathLike[str],
-        header: Mapping[str, Any],
-        columns: Sequence[Column],
-        attachments: Mapping[str, bytes] | None = None,
-    ) -> Self:
-        """Continue a record in a new file of its folder; parameters as `create`.
-
-        Raises
-        ------
-        FileError
-            If there is no record, or one with other columns.
-        """
-        folder = Path(folder)
-        there = segments(folder)
-        if not there:
-            raise FileError(str(folder), [Problem("contains no record to continue", remedy="begin one")])
-        if read_header(there[-1])[1] != list(_checked(columns)):
-            raise FileError(
-                str(folder), [Problem("contains a record with other columns", remedy="choose another folder")]
-            )
-        number = int(there[-1].stem.rpartition("-")[2]) + 1
-        return cls(folder / _name(number), header, columns, rows_in(folder), attachments)
-
-    def append(self, table: Mapping[str, ArrayLike]) -> None:
-        """Append rows; they are copied, and on the disk within a second.
-
-        Parameters
-        ----------
-        table
-            For each column an array of shape (rows,), or a number for one row.
-
-        Raises
-        ------
-        RangeError
-            If columns are missing, unknown or of different lengths.
         RigError
             If the recorder is closed, or earlier rows could not be written.
         """
-        arrays = [np.array(table[column.name], column.dtype, ndmin=1) for column in self.columns]
-        count = len(arrays[0])
-        if len(table) != len(arrays) or any(array.shape != (count,) for array in arrays):
-            given = ", ".join(f"{name} {np.shape(values)}" for name, values in table.items())
-            names = ", ".join(column.name for column in self.columns)
-            raise RangeError(f"no rows of {names} can be made from {given}")
-        if not count:
-            return
-        with self._change:
-            self._raise_closed()
-            self._raise_failure()
-            while self._waiting > _MOST_PENDING and self._failure is None:
-                self._hurry = True
-                self._change.notify_all()
-                self._change.wait(PERIOD)
-            self._raise_failure()
-            self._pending.append(arrays)
-            self._is_empty = False
-            self._waiting += count * len(arrays)
-            self.rows += count
+        if len(rows):
+            self._put(rows)
+            self.rows += len(rows)
 
     def event(self, kind: str, text: str = "", /, **data: Any) -> None:
         """Record an event between the rows before and after it.
@@ -199,13 +244,19 @@ class Recorder:
         Raises
         ------
         RigError
-            As `append`, but not if the disk is full.
+            As `append`.
         """
-        with self._change:
-            self._raise_closed()
-            self._raise_failure(but_full=True)
-            self._pending.append({"kind": kind, "text": text, "row": self.rows, "data": data})
-            self._is_empty = False
+        content = {"kind": kind, "text": text, "row": self.rows, "data": data}
+        self._put(json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
+
+    def _put(self, entry: Sequence[Sequence[float]] | bytes) -> None:
+        if self._closing:
+            raise RigError(f"{self.path} is closed", remedy="record before that")
+        self._raise_failure()
+        if self._pending.full():
+            self._hurry.set()
+        self._pending.put(entry)
+        self._is_empty = False
 
     def flush(self) -> None:
         """Return when everything that was appended before is on the disk.
@@ -215,13 +266,9 @@ class Recorder:
         RigError
             If it could not be written.
         """
-        with self._change:
-            self._asked += 1
-            asked = self._asked
-            self._change.notify_all()
-            while self._done < asked and self._thread.is_alive():
-                self._change.wait(PERIOD)
-            self._raise_failure()
+        self._hurry.set()
+        self._pending.join()
+        self._raise_failure()
 
     def close(self) -> None:
         """Write pending rows, and release the file; may be called again.
@@ -231,14 +278,13 @@ class Recorder:
         RigError
             If they could not be written.
         """
-        with self._change:
-            self._closing = True
-            self._change.notify_all()
+        if self._closing:
+            return
+        self._closing = True
+        self._hurry.set()
         self._thread.join()
-        if not self._file.closed:
-            self._file.close(summary=self._failure is None)
-            self._reserve.unlink(missing_ok=True)
-            self._raise_failure()
+        self._file.close(summary=self._failure is None)
+        self._raise_failure()
 
     def __enter__(self) -> Self:
         return self
@@ -252,13 +298,8 @@ class Recorder:
         if error is not None and self._is_empty:
             self.path.unlink(missing_ok=True)
 
-    def _raise_closed(self) -> None:
-        if self._closing:
-            raise RigError(f"{self.path} is closed", remedy="record before that")
-
-    def _raise_failure(self, *, but_full: bool = False) -> None:
-        failure = self._failure
-        if failure is not None and not (but_full and getattr(failure, "errno", None) in _FULL):
+    def _raise_failure(self) -> None:
+        if (failure := self._failure) is not None:
             reason = getattr(failure, "strerror", None) or f"{type(failure).__name__}: {failure}".rstrip(": ")
             remedy = "what was recorded before is kept; make room and resume"
             if isinstance(failure, FileNotFoundError):
@@ -266,74 +307,37 @@ class Recorder:
             raise RigError(f"{self.path} cannot be written: {reason}", remedy=remedy) from failure
 
     def _work(self) -> None:
-        lost = False
-        while True:
-            with self._change:
-                if not (self._closing or self._hurry or self._asked > self._done):
-                    self._change.wait(PERIOD)
-                pending, self._pending = self._pending, []
-                asked, closing = self._asked, self._closing
-                self._waiting, self._hurry = 0, False
+        closing = False
+        while not closing:
+            self._hurry.wait(PERIOD)
+            self._hurry.clear()
+            closing = self._closing
+            entries = [self._pending.get() for _ in range(self._pending.qsize())]
             try:
-                if pending and not lost:
-                    self._write(self._packed(pending))
+                if entries and self._failure is None:  # later rows would follow a gap
+                    self._file.append(self._chunks(entries))
             except Exception as error:  # any exception: a thread that ends here would silently lose the rest
-                lost = True  # later rows would follow a gap
-                with self._change:
-                    self._failure = error
-            with self._change:
-                self._done = asked
-                self._change.notify_all()
-                if closing and not self._pending:
-                    return
+                self._failure = error
+            for _ in entries:
+                self._pending.task_done()
 
-    def _packed(self, pending: list[list[np.ndarray] | dict[str, Any]]) -> list[list[McapMessage]]:
+    def _chunks(
+        self, entries: Sequence[Sequence[Sequence[float]] | bytes]
+    ) -> list[list[tuple[int, int, float, bytes]]]:
         """Chunks of rows and events in their order, each of which ends with an event: damage costs one point."""
-        chunks: list[list[McapMessage]] = [[]]
-        for entry in pending:
-            if isinstance(entry, dict):
-                data = json.dumps(entry, ensure_ascii=False, allow_nan=False).encode()
-                chunks[-1].append(McapMessage(EVENTS, 0, self._time, data))
+        chunks: list[list[tuple[int, int, float, bytes]]] = [[]]
+        for entry in entries:
+            if isinstance(entry, bytes):
+                chunks[-1].append((2, 0, self._time, entry))
                 chunks.append([])
                 continue
-            rows = pack_rows(self.columns, entry, self._written)
-            self._written, self._time = self._written + len(rows), rows[-1].time
-            chunks[-1] += rows
+            for row, data in zip(entry, pack_rows(self.columns, entry), strict=True):
+                chunks[-1].append((1, self._written, row[0], data))
+                self._written, self._time = self._written + 1, row[0]
         return [chunk for chunk in chunks if chunk]
-
-    def _write(self, chunks: list[list[McapMessage]]) -> None:
-        """Append to the file; on a full disk, in the space of the reserve."""
-        try:
-            self._file.append(*chunks)
-        except OSError as error:
-            if error.errno not in _FULL:
-                raise
-            self._reserve.unlink(missing_ok=True)
-            self._file.append(*chunks)
-            with self._change:
-                self._failure = error  # it is kept, but nothing more should come
 
 
 def software_versions(*packages: str) -> dict[str, str]:
     """Versions of mckibben, other packages, Python and the system, for the header of a record."""
     others = {"python": platform.python_version(), "platform": platform.platform()}
     return {"mckibben": mckibben.__version__} | {name: version(name) for name in packages} | others
-
-
-def _keep_free(path: Path) -> None:
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o644)
-    try:
-        os.posix_fallocate(file, 0, _RESERVE) if hasattr(os, "posix_fallocate") else os.write(file, bytes(_RESERVE))
-    finally:
-        os.close(file)
-
-
-def _name(number: int) -> str:
-    return f"record-{number:04d}.mcap"
-
-
-def _checked(columns: Sequence[Column]) -> Sequence[Column]:
-    names = [column.name for column in columns]
-    if not names or len(set(names)) < len(names):
-        raise RangeError(f"columns {names} cannot be told apart", remedy="give each a unique name")
-    return columns

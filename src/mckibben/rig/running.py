@@ -286,9 +286,9 @@ def _run_session(
     bench, backend = checked.setup.bench, checked.setup.backend
     origin = _origin(checked, folder, past, standing_at)
     columns, protocol = columns_of(backend.inputs), checked.test.dumps(folder=folder)
-    begin = Recorder.resume if segments(folder) else Recorder.create
+    header, resume = _header(checked, protocol), bool(segments(folder))
     with (
-        begin(folder, _header(checked, protocol), columns, {PROTOCOL: protocol.encode()}) as recorder,
+        Recorder(folder, header, columns, {PROTOCOL: protocol.encode()}, resume=resume) as recorder,
         stop_on_signals() as stop_flag,
     ):
         settings = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}

@@ -355,15 +355,9 @@ class RigSession:
             self.recorder.event(DROPPED, text, samples=lost, time=self._since + float(block.time[0]))
         self._expected = block.first + len(block.time)
         kept = slice(-block.first % every, None, every)
-        values = block.values[kept]
-        if not len(values):
-            return
-        table = {
-            "time": block.time[kept] + self._since,
-            "pulses": block.pulses[kept] + self._origin,
-            "plateau": np.full(len(values), plateau, np.int32),
-        }
-        self.recorder.append(table | dict(zip(self._names, values.T, strict=True)))
+        times, pulses = (block.time[kept] + self._since).tolist(), (block.pulses[kept] + self._origin).tolist()
+        values = block.values[kept].astype(np.float32).tolist()
+        self.recorder.append([(time, *row, at, plateau) for time, row, at in zip(times, values, pulses, strict=True)])
 
     def record_stop(self, error: BaseException) -> StoppedError:
         """Record the reason of a stop, observe the venting, and return both as an error.

@@ -14,6 +14,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.rig import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
 from mckibben.rig.backend import Backend
 from mckibben.rig.compiled import PlantProgram, StepResult
+from mckibben.rig.joint_record import columns
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
@@ -25,10 +26,10 @@ class Kept:
     """A recorder that keeps its rows in memory."""
 
     def __init__(self):
-        self.tables, self.events = [], []
+        self.rows, self.events, self.telemetry = [], [], SteadyControl.telemetry
 
-    def append(self, table):
-        self.tables.append({name: np.array(values) for name, values in table.items()})
+    def append(self, rows):
+        self.rows += [list(row) for row in rows]
 
     def event(self, kind, text="", **data):
         json.dumps(data, allow_nan=False)  # as a recorder does
@@ -36,7 +37,8 @@ class Kept:
 
     @property
     def columns(self):
-        return {name: np.concatenate([table[name] for table in self.tables]) for name in self.tables[0]}
+        names = [column.name for column in columns(self.telemetry)]
+        return dict(zip(names, np.array(self.rows, float).T, strict=True))
 
 
 class StiffJoint:
@@ -87,7 +89,7 @@ class Knee(NamedTuple):
 
     def run(self, joint=None, *, plan=None, limits=None, recorder=None, **options):
         kept = Kept() if recorder is None else recorder
-        joint = joint or self.joint()
+        joint, kept.telemetry = joint or self.joint(), self.control.telemetry
         outcome = control(joint, self.control, plan or self.plan(), limits or LIMITS, kept, **options)
         return outcome, kept
 

@@ -199,10 +199,10 @@ def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, t
 
 def test_a_recorder_that_fails_stops_the_run(stiff, watched):
     class Full(Kept):
-        def append(self, table):
-            if len(self.tables) == 1:
+        def append(self, rows):
+            if len(self.rows) == 50:
                 raise RigError("no space left")
-            super().append(table)
+            super().append(rows)
 
     joint, kept = watched(), Full()
     outcome, _ = stiff.run(joint, plan=stiff.plan(300), recorder=kept)

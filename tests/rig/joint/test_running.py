@@ -14,7 +14,7 @@ from mckibben.rig import ControlProgram, JointLimits, Sensing, Timing, compiled
 from mckibben.rig.backend import Backend
 from mckibben.rig.compiled import LimitCycleDetection, StepResult, vented_angle
 from mckibben.rig.control_loop import realtime_process_settings
-from mckibben.rig.joint_record import JointReading, Phase, RowBuffer
+from mckibben.rig.joint_record import Phase
 from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
 from mckibben.units import bar, deg, kPa, ms
@@ -225,18 +225,6 @@ def test_sensors_have_the_noise_and_the_steps_that_they_are_said_to(stiff):
     assert len(set(values[:, 0])) == 1
     joint.open()
     assert np.array_equal(joint.read(4000).values, values)
-
-
-def test_rows_of_a_slow_loop_do_not_wait_for_others(stiff):
-    """Every sample is on the disk within a second; 50 of a loop of 20 Hz are 2.5 s."""
-    kept = Kept()
-    rows = RowBuffer(kept, ())
-    for number in range(40):
-        rows.begin(number, Phase.RUN, number * 50 * ms, JointReading(0.0, 0.0, 0.0), number * 50 * ms)
-        there = sum(len(table["sample"]) for table in kept.tables)
-        assert number - there < 4
-    rows.flush()
-    assert np.array_equal(kept.columns["sample"], np.arange(40))
 
 
 def test_an_exception_in_the_record_of_an_exception_still_closes(stiff):
