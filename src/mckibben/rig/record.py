@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import itertools
 import json
 import math
 import os
@@ -315,28 +314,30 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     """
     from mckibben.dataset import IsobaricDataset  # pandas and xarray take 0.5 s
 
+    kept, samples = _complete_points(Path(folder))
+    means = {name: [array.mean(dtype=np.float64) for array in arrays] for name, arrays in samples.items()}
+    names = ("contraction", "repeat", "time", "set_pressure", "set_force", "direction", "phase")
+    columns: dict[str, Any] = {name: [getattr(point, name) for point in kept] for name in names}
+    columns = {name: values for name, values in columns.items() if None not in values and {*values} != {""}}
+    if len({point.samples for point in kept}) == 1:
+        columns |= {f"{name}_samples": np.stack(arrays).astype(np.float32) for name, arrays in samples.items()}
+    columns.update(means | _origin_of(bench, source))
+    return IsobaricDataset.of(**columns)
+
+
+def _complete_points(folder: Path) -> tuple[list[Point], dict[str, list[np.ndarray]]]:
+    """Points of the dataset, and their samples of force and pressure."""
     record = read_record(folder)
     kept = [point for point in record.points if point.keep]
     if not kept:
         raise DatasetError(str(folder), [Problem("contains no point yet", remedy="resume it")])
-    samples = {name: [record.samples(name, point) for point in kept] for name in ("force", "pressure")}
-    complete = [bool(np.isfinite(force).all()) for force in samples["force"]]
-    if not any(complete):
+    complete = [point for point in kept if np.isfinite(record.samples("force", point)).all()]
+    if not complete:
         raise DatasetError(str(folder), [Problem("contains no complete point", remedy="record again")])
-    if not all(complete):
-        lost = ", ".join(str(point.number) for point, whole in zip(kept, complete, strict=True) if not whole)
+    if lost := ", ".join(str(point.number) for point in kept if point not in complete):
         message = f"{folder}: samples of the points {lost} are missing; they are left out"
-        warnings.warn(message, McKibbenWarning, stacklevel=2)
-        kept = [*itertools.compress(kept, complete)]
-        samples = {name: [*itertools.compress(arrays, complete)] for name, arrays in samples.items()}
-    same = len({point.samples for point in kept}) == 1
-    means = {name: [array.mean(dtype=np.float64) for array in arrays] for name, arrays in samples.items()}
-    whole = {f"{name}_samples": np.stack(arrays).astype(np.float32) for name, arrays in samples.items()} if same else {}
-    names = ("contraction", "repeat", "time", "set_pressure", "set_force", "direction", "phase")
-    columns: dict[str, Any] = {name: [getattr(point, name) for point in kept] for name in names}
-    columns = {name: values for name, values in columns.items() if None not in values and {*values} != {""}}
-    columns.update(means | whole | _origin_of(bench, source))
-    return IsobaricDataset.of(**columns)
+        warnings.warn(message, McKibbenWarning, stacklevel=3)
+    return complete, {name: [record.samples(name, point) for point in complete] for name in ("force", "pressure")}
 
 
 def _origin_of(bench: Bench, source: str) -> dict[str, Any]:
