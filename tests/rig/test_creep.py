@@ -38,7 +38,7 @@ def test_each_sample_is_that_of_small_steps_in_time():
         held *= math.exp(-4 / 3)
     np.testing.assert_allclose(added, expected, atol=2e-3)
     assert added.max() > 1.5 and added.min() < -1.5
-    assert "creep of 1.5 N/mm over 3 s" in data.table.attrs["source"]
+    assert repr(creeping.creep) in data.table.attrs["source"]
     np.testing.assert_allclose(data.force, data.table["force_samples"].to_numpy().mean(axis=1))
 
 

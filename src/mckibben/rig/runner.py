@@ -13,13 +13,11 @@ from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.session import RigSession
-from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
-from mckibben.units import bar, mm, percent
+from mckibben.rig.steps import TURNING, Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
+from mckibben.units import bar, percent
 
 DONE, RESUMED = "done", "resumed"
 """Kinds of event."""
-
-_TURNING = 5 * mm  # travel before a reversal that is repeated on resuming, so that the friction has its direction
 
 
 def columns_of(inputs: Sequence[Channel]) -> tuple[Column, ...]:
@@ -200,19 +198,18 @@ class Runner(StepInterpreter):
         every = max(1, round(bench.rate * acquire.duration / acquire.samples))
         rows = (acquire.samples - 1) * every + 1
         first, pulses = recorder.rows, self._rig.pulses
-        taken = self._rig.acquire(rows, number)
-        force, pressure = taken.means["force"], taken.means["pressure"]
+        begun, means = self._rig.acquire(rows, number)
         point = Point(
             number=number,
             first=first,
             rows=rows,
             every=every,
             samples=acquire.samples,
-            time=taken.begun,
+            time=begun,
             pulses=pulses,
             contraction=bench.contraction_at(pulses),
-            force=force,
-            pressure=pressure,
+            force=means["force"],
+            pressure=means["pressure"],
             set_pressure=self._target.pressure,
             set_force=self._target.hold.force if self._target.hold else None,
             direction=acquire.direction,
@@ -301,7 +298,7 @@ class Runner(StepInterpreter):
         if target.hold is not None:
             self._hold(target.hold)
         else:
-            most = round(_TURNING * self.bench.drive.pulses_per_metre)
+            most = round(TURNING * self.bench.drive.pulses_per_metre)
             self._rig.move_to(target.turn + max(-most, min(most, target.before - target.turn)), speed)
             self._rig.move_to(target.turn, speed)
             self._rig.move_to(self.position, speed)

@@ -120,7 +120,7 @@ def check(
     run = dry_run(steps, setup.bench, [*setup.backend.inputs, *setup.backend.outputs], patience=setup.backend.patience)
     if run.problems:
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
-    return CheckedTest(test, setup, steps, run, run.bytes(_ROW) + 2 * 4 * run.samples)
+    return CheckedTest(test, setup, steps, run, run.bytes() + 2 * 4 * run.samples)
 
 
 def check_disk_space(folder: Path, needed: int) -> None:
@@ -159,8 +159,6 @@ def _time(duration: float) -> str:
     seconds = round(duration)
     return f"{seconds // 3600} h {seconds // 60 % 60:02d} min {seconds % 60:02d} s"
 
-
-_ROW = 64  # bytes of a row of the record, compressed
 
 PROTOCOL = "protocol.yaml"
 """Protocol in the folder of a record."""

@@ -16,6 +16,7 @@ from mckibben.rig.bench import Bench
 from mckibben.rig.by_hand import GRAVITY, HandBench, length_of
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import BlockMeans, RigMonitor, StopFlag
+from mckibben.rig.steps import SPEED
 from mckibben.units import bar, mm, percent
 
 STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
@@ -24,7 +25,6 @@ STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
 _OBSERVED = 10.0  # s after a stop
 _PROBED = 0.5 * bar
 _COMPLIANCE = 0.005 * mm  # m/N: gain of the force control, per cycle
-_SPEED = 0.2 * mm  # m/s: its highest speed
 
 
 class Progress(NamedTuple):
@@ -51,21 +51,6 @@ class Progress(NamedTuple):
 
 ProgressCallback = Callable[[Progress], None]
 """Called once per cycle."""
-
-
-class PlateauSamples(NamedTuple):
-    """Samples of a plateau.
-
-    Attributes
-    ----------
-    begun
-        Time of the first one [s].
-    means
-        Mean values by input.
-    """
-
-    begun: float
-    means: Mapping[str, float]
 
 
 class RigSession:
@@ -119,8 +104,8 @@ class RigSession:
             self.set_pressure(0.0, _PROBED, None, None)
             self.vent_and_wait()
 
-    def acquire(self, count: int, plateau: int) -> PlateauSamples:
-        """Take and record the samples of a plateau.
+    def acquire(self, count: int, plateau: int) -> tuple[float, Mapping[str, float]]:
+        """Take and record the samples of a plateau; return the time of the first one [s], and the mean by input.
 
         Parameters
         ----------
@@ -138,7 +123,7 @@ class RigSession:
             left -= len(block.time)
         self._points = plateau + 1
         means = dict(zip(self._names, (sums / count).tolist(), strict=True))
-        return PlateauSamples(self._since + (begun or 0.0), means)
+        return self._since + (begun or 0.0), means
 
     @property
     def now(self) -> float:
@@ -257,7 +242,7 @@ class RigSession:
                 self._set_valve(ramp)
                 self._cycle()
                 if holding is not None:
-                    self.step_towards(holding, _SPEED)
+                    self.step_towards(holding, SPEED)
         self._set_valve(pressure)
         set_at = self.now
         self.monitor.expect(pressure, set_at)
@@ -265,7 +250,7 @@ class RigSession:
 
         def in_time(latest: BlockMeans) -> None:
             if holding is not None:
-                self.step_towards(holding, _SPEED)
+                self.step_towards(holding, SPEED)
             if latest.time > deadline:
                 raise StoppedError(
                     f"the pressure does not settle: it is {latest.pressure / bar:.3g} bar, and {pressure / bar:.3g} "

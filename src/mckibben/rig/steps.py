@@ -325,7 +325,8 @@ def count_steps(steps: Sequence[ProtocolStep]) -> int:
     return sum(step.times * count_steps(step.steps) if isinstance(step, Repeat) else 1 for step in steps)
 
 
-_ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop would be left, some 0.5 N
+TURNING = 5 * mm
+"""Travel after a reversal that changes the direction of the friction [m]: after 2 mm 2 % of a loop are left, 0.5 N."""
 
 
 def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
@@ -383,7 +384,7 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[P
 
 def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
     """Contraction before the stretched end, far enough for the friction to change its direction until there."""
-    return min(low + _ADJUSTED / float(of.specimen.initial_length), protocol.stroke(of)[1])
+    return min(low + TURNING / float(of.specimen.initial_length), protocol.stroke(of)[1])
 
 
 @dataclass(frozen=True, kw_only=True)

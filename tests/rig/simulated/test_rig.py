@@ -92,25 +92,14 @@ def test_sensors_tell_the_truth_of_the_law():
     np.testing.assert_allclose(force[middle], forces(PLAIN, contraction, pressure[middle]), atol=0.3)
 
 
-def test_noise_steps_and_zeros_are_those_of_the_sensors():
-    drifting = dataclasses.replace(FORCE_SENSOR, drift=3600.0)  # 1 N/s
-    rig = opened(force_sensor=drifting)
-    time, force, pressure, _ = columns(rig, blocks(rig, 20.0))
-    line = np.polyfit(time, force, 1)
-    assert line[0] == pytest.approx(1.0, abs=0.01)
-    assert np.std(force - np.polyval(line, time)) == pytest.approx(0.5, rel=0.03)
+def test_noise_and_steps_are_those_of_the_sensors():
+    rig = opened()
+    _, force, pressure, _ = columns(rig, blocks(rig, 20.0))
+    assert np.std(force) == pytest.approx(0.5, rel=0.03)
     assert np.std(pressure) == pytest.approx(0.5 * kPa, rel=0.03)
     steps = force / (4000 / 2**18)
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
     assert abs(np.mean(pressure)) < 25
-
-
-def test_zero_that_wanders_is_a_random_walk():
-    wander = dataclasses.replace(QUIET["force_sensor"], wander=5.0)
-    rig = opened(seed=3, **{**QUIET, "force_sensor": wander}, rate=1.0, patience=1e9)
-    force = rig.read(400_000).values[:, 0]
-    steps = np.diff(force[::10]) / math.sqrt(10 / 3600)
-    assert np.std(steps) == pytest.approx(5.0, rel=0.03) and abs(np.mean(steps)) < 0.1
 
 
 def test_reading_that_leaves_the_converter_sits_on_its_rail():
@@ -165,14 +154,6 @@ def test_slack_muscle_is_left_in_the_play_of_the_screw():
     press(rig, 6 * bar)  # taut: it takes the play up
     rig.read(3000)
     assert rig.truth.force > 50 and rig.truth.stretch == pytest.approx(0, abs=1e-12)
-
-
-def test_calibration_of_the_host_may_be_wrong():
-    """Gains that differ by 2 % show as 2 % of the reading."""
-    rig = opened(**{**QUIET, "force_sensor": dataclasses.replace(QUIET["force_sensor"], gain=1.02)})
-    press(rig, 3 * bar)
-    force = blocks(rig, 2.0)[-1].values[-1, 0]
-    assert force == pytest.approx(1.02 * rig.truth.force, rel=1e-6)
 
 
 # Vented
@@ -296,7 +277,7 @@ def test_silent_converter_is_told_after_the_timeout():
 
 
 def test_dropped_samples_are_missing_from_the_numbers():
-    rig = opened(faults=[SamplesDropped(0.45, 25, every=1.0)])
+    rig = opened(faults=[SamplesDropped(0.45, 25), SamplesDropped(1.45, 25)])
     kept = blocks(rig, 2.0)
     firsts = np.array([block.first for block in kept])
     assert [*np.flatnonzero(np.diff(firsts) != 100)] == [3, 12]

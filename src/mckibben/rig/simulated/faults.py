@@ -15,7 +15,8 @@ from mckibben.errors import RangeError
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.units import Conductance, Duration, PositiveTime, Quantity, Samples, WaitTime
 
-_MAINS = 50.0  # Hz
+RAIL = 1.02
+"""Reading of a lost sensor over the end of its range."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,14 @@ class SensorDisconnected(Fault):
     sensor: str = "force"
     value: float | None = math.inf
 
-    def values_at(self, time: NDArray[np.float64], span: float) -> NDArray[np.float64]:
-        """Return readings at times [s], of the same shape, of a sensor whose readings go up to a span.
+    def values_at(self, time: NDArray[np.float64], span: float, *, mains: float = 50.0) -> NDArray[np.float64]:
+        """Return readings at times [s], of the same shape, of a sensor whose readings go up to a span; hum in Hz.
 
         >>> SensorDisconnected(1.0, "force", value=0.7).values_at(np.array([1.0, 2.0]), 9.0).tolist()
         [0.7, 0.7]
         """
         if self.value is None:
-            return span * (0.1 + 0.2 * np.sin(2 * np.pi * _MAINS * time))
+            return span * (0.1 + 0.2 * np.sin(2 * np.pi * mains * time))
         return np.full(len(time), min(self.value, span))
 
     def check(self, sensors: Sequence[str]) -> None:
@@ -130,12 +131,9 @@ class SamplesDropped(Fault):
     ----------
     samples
         Number of them.
-    every
-        Period at which it happens again [s]; None for once.
     """
 
     samples: Samples = 10
-    every: Duration | None = None
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from mckibben.component.base import Checked
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
-from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
+from mckibben.muscle import Friction, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH, Presliding
 from mckibben.muscle.muscle import half_widths
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
@@ -144,8 +145,7 @@ class SimulatedIsobaricTest(Checked):
     ) -> NDArray[np.float64]:
         """Friction force [N] at each plateau; each pressure begins stretched."""
         length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
-        starts = np.flatnonzero(np.diff(rows.level)) + 1
-        travels = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
+        travels = _by_pressure(rows, length, tension, pressure)
         return np.concatenate([self.friction.path_response(*travel, side=1.0) for travel in travels])
 
     def _creep(
@@ -154,8 +154,7 @@ class SimulatedIsobaricTest(Checked):
         """Creep force [N] at times after each move [s], shape (plateaus, times); each pressure from rest."""
         length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
         moving, resting = np.abs(rows.travel) / protocol.speed, protocol.dwell + protocol.acquisition
-        starts = np.flatnonzero(np.diff(rows.level)) + 1
-        travels = zip(*(np.split(column, starts) for column in (length, tension, moving)), strict=True)
+        travels = _by_pressure(rows, length, tension, moving)
         creep = self.muscle.creep
         return np.concatenate(
             [creep.path_response(*travel, move_time=m, hold_time=resting, sample_times=read) for *travel, m in travels]
@@ -168,21 +167,9 @@ class SimulatedIsobaricTest(Checked):
         return self.force_drift * since + self.force_wander * np.cumsum(steps)
 
     def _description(self) -> str:
-        friction = self.friction
-        parts = [
-            f"hysteresis {friction.half_width:g} N over {friction.presliding_length / mm:g} mm"
-            if isinstance(friction, MaxwellSlip)
-            else f"hysteresis 0 N over {self.presliding_length / mm:g} mm",
-            f"noise {self.force_noise:g} N and {self.pressure_noise:g} Pa",
-            f"regulator offset {self.regulator_offset:g} Pa",
-        ]
-        creep = self.muscle.creep
-        if isinstance(creep, MaxwellCreep):
-            times = ", ".join(f"{tau:g}" for tau in creep.time_constants)
-            parts.append(f"creep of {creep.stiffness / (N / mm):g} N/mm over {times} s")
-        if self.force_drift or self.force_wander:
-            parts.append(f"drift {self.force_drift:g} N/h, wander {self.force_wander:g} N after an hour")
-        return ", ".join(parts)
+        numbers = ("force_noise", "pressure_noise", "regulator_offset", "force_drift", "force_wander")
+        settings = [f"{name.replace('_', ' ')} {getattr(self, name):g}" for name in numbers if getattr(self, name)]
+        return ", ".join([repr(self.friction), repr(self.muscle.creep), *settings])
 
     def _check_rating(self, protocol: IsobaricProtocol, rows: Plateaus) -> None:
         pressures = np.array(protocol.pressures)[rows.level]
@@ -198,6 +185,12 @@ class SimulatedIsobaricTest(Checked):
             )
             remedy = f"raise the protocol's force_reserve from {protocol.force_reserve / percent:g} %"
             raise RangeError(message, value=float(highest[at]), upper=rated, unit="N", remedy=remedy)
+
+
+def _by_pressure(rows: Plateaus, *columns: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], ...]]:
+    """Parts of columns, one of each pressure."""
+    starts = np.flatnonzero(np.diff(rows.level)) + 1
+    return zip(*(np.split(column, starts) for column in columns), strict=True)
 
 
 def _sampled(

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.backend import Backend, Block, Channel, Watchdog
 from mckibben.rig.compiled import PlantProgram, complete_state, vented_angle
 from mckibben.rig.simulated.faults import (
+    RAIL,
     Fault,
     HostDelayed,
     SamplesDelayed,
@@ -26,13 +28,14 @@ from mckibben.rig.simulated.faults import (
 )
 from mckibben.units import AngleStep, PressureNoise, bar, deg, kPa, ms
 
+F = TypeVar("F", bound=Fault)
+
 _SPIN = 80e-6  # s of spinning, as a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
 _INPUTS = (
     Channel("angle", "rad", -170 * deg, 170 * deg, "simulated"),
     *(Channel(name, "Pa", -0.5 * bar, 10.2 * bar, "simulated") for name in ("pressure1", "pressure2")),
 )
-_RAIL = 1.05  # reading of a lost sensor over the end of its range
 
 
 @dataclass(frozen=True)
@@ -198,11 +201,11 @@ class SimulatedJoint(Backend):
         self._check_open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
-        self._drop()
+        self._next += sum(fault.samples for fault in self._new(SamplesDropped, self._next * self._period))
         first, rows, times = self._next, [], []
         for _ in range(count):
             due = self._next * self._period
-            if self._silent(due):
+            if self._active(SamplesStopped, due):
                 self._wait((first + count - 1) * self._period + timeout)
                 raise SilentError(
                     f"no sample for {timeout:g} s after it was due", remedy="check the device and its cable"
@@ -256,8 +259,7 @@ class SimulatedJoint(Backend):
         little = 1e-9 * self._period
         while (stretch := until - self._at) > little:
             step = self._period if stretch > self._period - little else stretch
-            supplied = not any(isinstance(fault, SupplyLost) and fault.at <= self._at for fault in self._faults)
-            command1, command2 = self._commands if supplied else (0.0, 0.0)
+            command1, command2 = (0.0, 0.0) if self._active(SupplyLost, self._at) else self._commands
             self._state = self.program.advance(self._state, command1, command2, step)
             self._at = until if stretch - step <= little else self._at + step
 
@@ -273,36 +275,30 @@ class SimulatedJoint(Backend):
             noise1, noise2 = self._noise.pop()
             pressure1, pressure2 = pressure1 + noise1, pressure2 + noise2
         values = [angle, pressure1, pressure2]
-        for fault in self._faults:
-            if isinstance(fault, SensorDisconnected) and fault.at <= due:
-                column = [channel.name for channel in _INPUTS].index(fault.sensor)
-                values[column] = float(fault.values_at(np.array([due]), _RAIL * _INPUTS[column].high)[0])
+        for fault in self._active(SensorDisconnected, due):
+            column = [channel.name for channel in _INPUTS].index(fault.sensor)
+            values[column] = float(fault.values_at(np.array([due]), RAIL * _INPUTS[column].high)[0])
         return values
 
     def _drawn(self) -> list[list[float]]:
         """Noise of the pressures [Pa]."""
         return (self._random.standard_normal((_DRAWN, 2)) * self.sensing.pressure_noise).tolist()
 
-    def _silent(self, due: float) -> bool:
-        return any(isinstance(fault, SamplesStopped) and fault.at <= due for fault in self._faults)
+    def _active(self, kind: type[F], due: float) -> list[F]:
+        """Faults of a kind that have happened until a time [s]."""
+        return [fault for fault in self._faults if isinstance(fault, kind) and fault.at <= due]
 
-    def _drop(self) -> None:
-        """Drop the samples of a fault."""
-        for fault in self._faults:
-            due = self._next * self._period
-            if isinstance(fault, SamplesDropped) and fault.at <= due and fault not in self._happened:
-                self._happened.add(fault)
-                self._next += fault.samples
+    def _new(self, kind: type[F], due: float) -> list[F]:
+        """Faults of a kind that have happened until a time [s], since the last call."""
+        new = [fault for fault in self._active(kind, due) if fault not in self._happened]
+        self._happened |= {*new}
+        return new
 
     def _arriving(self, due: float) -> float:
         """Time at which the host reads a sample [s]."""
-        arriving = due
-        for fault in self._faults:
-            if isinstance(fault, SamplesDelayed) and fault.at <= due:
-                arriving = max(arriving, due + fault.delay)
-            if isinstance(fault, HostDelayed) and fault.at <= due and fault not in self._happened:
-                self._happened.add(fault)
-                arriving = max(arriving, due, self.clock()) + fault.duration
+        arriving = max([due, *(due + fault.delay for fault in self._active(SamplesDelayed, due))])
+        for fault in self._new(HostDelayed, due):
+            arriving = max(arriving, self.clock()) + fault.duration
         return arriving
 
     def _wait(self, until: float) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +13,7 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Block, Channel, MovingBackend, Watchdog
-from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
+from mckibben.rig.simulated.faults import Fault, HostDelayed, SensorDisconnected
 from mckibben.rig.simulated.machine import INSTANT, Machine, Truth
 from mckibben.rig.simulated.parts import Regulator, Stretcher
 from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Sampling, Sensor
@@ -38,7 +36,7 @@ class SimulatedRig(MovingBackend):
     Parameters
     ----------
     seed
-        Seed of noise, wander and the regulator's offsets, each with its own stream.
+        Seed of noise and the regulator's offsets, each with its own stream.
     mounted_at
         Contraction [-] at which the muscle is clamped, relaxed.
     regulator, stretcher, force_sensor, pressure_sensor
@@ -103,17 +101,14 @@ class SimulatedRig(MovingBackend):
         for fault in self._faults:
             if isinstance(fault, SensorDisconnected):
                 fault.check([*self._sensors])
-        noise, offsets, *wanders = np.random.default_rng(seed).spawn(4)
-        self._offsets = offsets
-        self._sampling = Sampling(self._sensors, self.rate, noise, wanders)
+        noise, self._offsets = np.random.default_rng(seed).spawn(2)
+        self._sampling = Sampling(self._sensors, self.rate, noise)
         self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
         self._opened = 0.0  # by the machine's time [s]
         self.is_open = False
         self._watchdog = Watchdog(self.patience)
         self._late = 0.0  # of the host [s]
-        self._turn = itertools.count()
-        self._schedule = [(fault.at, next(self._turn), fault) for fault in self._faults]
-        heapq.heapify(self._schedule)
+        self._schedule = sorted(self._faults, key=lambda fault: fault.at)
 
     @property
     def inputs(self) -> Sequence[Channel]:
@@ -273,7 +268,7 @@ class SimulatedRig(MovingBackend):
         while machine.now < to - INSTANT:
             armed = self.is_open and not self._watchdog.has_expired
             expiry = self._watchdog.deadline if armed else math.inf
-            fault = self._schedule[0][0] if self._schedule else math.inf
+            fault = self._schedule[0].at if self._schedule else math.inf
             event = min(expiry, fault, machine.next_event())
             if event > machine.now:
                 knots = machine.pass_until(min(to, event))
@@ -283,14 +278,12 @@ class SimulatedRig(MovingBackend):
                 machine.cut()
                 machine.motor.stop(machine.now)
             machine.settle()
-            while self._schedule and machine.now >= self._schedule[0][0] - INSTANT:
-                self._apply(heapq.heappop(self._schedule)[-1])
+            while self._schedule and machine.now >= self._schedule[0].at - INSTANT:
+                self._apply(self._schedule.pop(0))
 
     def _apply(self, fault: Fault) -> None:
         if isinstance(fault, HostDelayed):
             self._late += fault.duration
-        if isinstance(fault, SamplesDropped) and fault.every is not None:
-            heapq.heappush(self._schedule, (self._machine.now + fault.every, next(self._turn), fault))
         self._machine.apply(fault)
         self._sampling.apply(fault)
 

@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RigError
 from mckibben.rig.backend import Block, Channel
-from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected
+from mckibben.rig.simulated.faults import (
+    RAIL,
+    Fault,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+)
 from mckibben.rig.simulated.machine import Knots
 from mckibben.rig.simulated.parts import Motor
 from mckibben.units import N, bar, kPa
-
-_HOUR = 3600.0
-_WANDER = 10.0  # s between two points of the random walk of a zero
-_RAIL = 1.02  # reading of a lost sensor over the end of its range
-_BUFFER = 10.0  # s of samples that wait for the host at most (ours)
-_ROUNDING = 1e-6  # samples
 
 VALVE = Channel("valve", "Pa", 0.0, 9 * bar, "simulated regulator")
 """ITV0050-3, 0 to 9 bar; inferred from its designation, unverified."""
@@ -36,20 +37,20 @@ class Sensor:
         Its name, unit and range.
     noise
         Standard deviation of a sample, white, in its unit.
-    drift, wander
-        Drift of its zero, and standard deviation of the random walk of its zero, after an hour, in its unit.
     resolution
         Step of its readings, in its unit; 0 for none.
-    gain
-        Reading over the true value, of a wrong calibration.
     """
 
     channel: Channel
     noise: float = 0.0
-    drift: float = 0.0
-    wander: float = 0.0
     resolution: float = 0.0
-    gain: float = 1.0
+
+    def values(self, truth: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the readings of a true value; arguments in the unit, each of shape (samples,)."""
+        read = truth + noise
+        if self.resolution:
+            read = np.rint(read / self.resolution) * self.resolution
+        return np.clip(read, RAIL * self.channel.low, RAIL * self.channel.high)
 
 
 FORCE_SENSOR = Sensor(
@@ -65,57 +66,6 @@ PRESSURE_SENSOR = Sensor(
 """SDE1-D10, 10 bar, on 18 bits of 20 V; the noise is ours, 0.05 % of the sensor, as in `SimulatedIsobaricTest`."""
 
 
-class SensorReadings:
-    """Readings of a sensor over time.
-
-    Parameters
-    ----------
-    sensor
-        The sensor.
-    generator
-        Generator of its wander.
-    """
-
-    def __init__(self, sensor: Sensor, generator: np.random.Generator) -> None:
-        self._sensor, self._generator, self._walk = sensor, generator, [0.0]
-        self.disconnected: SensorDisconnected | None = None
-
-    def values(
-        self, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the readings of a true value.
-
-        Parameters
-        ----------
-        time, truth, noise
-            Times [s], true values and noise in the unit, each of shape (samples,).
-        """
-        sensor, channel = self._sensor, self._sensor.channel
-        if self.disconnected is not None:
-            read = self.disconnected.values_at(time, _RAIL * channel.high)
-            return read if self.disconnected.value is not None else read + noise
-        read = truth * sensor.gain + noise
-        if sensor.drift or sensor.wander:
-            read += self._zero_error(time)
-        if sensor.resolution:
-            read = np.rint(read / sensor.resolution) * sensor.resolution
-        return np.clip(read, _RAIL * channel.low, _RAIL * channel.high)
-
-    def _zero_error(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Drift and wander of its zero, in the unit."""
-        moved = time * (self._sensor.drift / _HOUR)
-        if self._sensor.wander:
-            last = int(time[-1] / _WANDER) + 2
-            if last > len(self._walk):
-                steps = self._generator.standard_normal(last - len(self._walk))
-                steps *= self._sensor.wander * math.sqrt(_WANDER / _HOUR)
-                self._walk.extend((self._walk[-1] + np.cumsum(steps)).tolist())
-            first = int(time[0] / _WANDER)
-            near = self._walk[first:last]
-            moved = moved + np.interp(time, (first + np.arange(len(near))) * _WANDER, near)
-        return moved
-
-
 class Sampling:
     """Sensors and the buffer of their samples.
 
@@ -125,25 +75,20 @@ class Sampling:
         Sensors of force and pressure, by input.
     rate
         Sampling rate of each input [Hz].
-    noise, wanders
-        Generator of noise, and of the wander of each sensor.
+    noise
+        Generator of noise.
+    buffer
+        Samples that wait for the host at most [s] (ours).
     """
 
     def __init__(
-        self,
-        sensors: Mapping[str, Sensor],
-        rate: float,
-        noise: np.random.Generator,
-        wanders: list[np.random.Generator],
+        self, sensors: Mapping[str, Sensor], rate: float, noise: np.random.Generator, *, buffer: float = 10.0
     ) -> None:
-        self.rate = rate
+        self.rate, self._buffer = rate, buffer
         self.next = 0  # number of the next sample to read
         self.delay = 0.0  # s
-        self._noise = noise
-        self._readings = {
-            name: SensorReadings(sensor, wander)
-            for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
-        }
+        self._noise, self._sensors = noise, sensors
+        self._disconnected: dict[str, SensorDisconnected] = {}
         self._sigma = np.array([sensor.noise for sensor in sensors.values()])
         self._began = 0.0
         self._zero = 0  # pulses then
@@ -174,22 +119,32 @@ class Sampling:
 
     def sample(self, knots: Knots, motor: Motor) -> None:
         """Take the samples between the first and the last knot."""
-        last = math.ceil((knots.time[-1] - self._began) * self.rate - _ROUNDING)
+        last = math.ceil((knots.time[-1] - self._began) * self.rate - 1e-6)
         if self._silent or last <= self._taken:
             return
         first, self._taken = max(self._taken, self.next), last
         if last <= first:
             return
-        if last - self.next > max(_BUFFER * self.rate, self._wanted):
+        if last - self.next > max(self._buffer * self.rate, self._wanted):
             self._overrun, self._waiting = True, []
             return
         since = np.arange(first, last) / self.rate
         time = since + self._began
         noise = self._noise.standard_normal((last - first, len(self._sigma))) * self._sigma
         truths = (np.interp(time, knots.time, truth) for truth in (knots.force, knots.pressure))
-        columns = zip(self._readings.values(), truths, noise.T, strict=True)
-        values = np.stack([readings.values(time, truth, column) for readings, truth, column in columns], axis=1)
+        columns = zip(self._sensors, truths, noise.T, strict=True)
+        values = np.stack([self._values(name, time, truth, column) for name, truth, column in columns], axis=1)
         self._waiting.append(Block(first, since, values, motor.counted(time) - self._zero))
+
+    def _values(
+        self, name: str, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Readings of a sensor, connected or not."""
+        sensor, fault = self._sensors[name], self._disconnected.get(name)
+        if fault is None:
+            return sensor.values(truth, noise)
+        read = fault.values_at(time, RAIL * sensor.channel.high)
+        return read if fault.value is not None else read + noise
 
     def take(self, count: int) -> Block:
         """Return the next samples of the buffer.
@@ -201,7 +156,7 @@ class Sampling:
         """
         if self._overrun:
             raise RigError(
-                f"samples were overwritten: the host did not read for more than {_BUFFER:g} s",
+                f"samples were overwritten: the host did not read for more than {self._buffer:g} s",
                 remedy="reopen the rig",
             )
         waiting, first = self._waiting, self.next
@@ -219,7 +174,7 @@ class Sampling:
         """Apply a fault of sensors or card."""
         match fault:
             case SensorDisconnected():
-                self._readings[fault.sensor].disconnected = fault
+                self._disconnected[fault.sensor] = fault
             case SamplesStopped():
                 self._silent = True
             case SamplesDelayed(delay=delay):
@@ -227,5 +182,3 @@ class Sampling:
             case SamplesDropped(samples=samples):
                 self.next = max(self.next, self._taken + samples)
                 self._waiting = []
-            case _:
-                pass
