@@ -51,7 +51,8 @@ def test_a_force_that_is_steep_at_full_length_raises_no_question():
 
 @pytest.mark.parametrize("name", catalog.names("datasets"))
 def test_published_points_raise_no_question(name):
-    assert len(catalog.dataset(name))  # read, and checked
+    data = catalog.dataset(name)  # read, and checked
+    assert len(data) and "preprocessing" not in data.table.attrs and data.table.attrs["slack_force"] == 0
 
 
 @pytest.mark.parametrize("seed", range(3))

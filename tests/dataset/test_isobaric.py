@@ -44,14 +44,7 @@ def test_a_dataset_keeps_what_it_was_given_with_units_and_attributes():
 
 def test_repr_says_what_is_in_it():
     text = repr(grid(specimen="X"))
-    for part in (
-        "'X'",
-        "12 points (1 slack)",
-        "1..4.5 bar",
-        "0..20 %",
-        "loading and unloading",
-        "repeats 1, 2",
-    ):
+    for part in ("'X'", "12 points (1 slack)", "1..4.5 bar", "0..20 %", "loading and unloading", "repeats 1, 2"):
         assert part in text
     assert "0 points" in repr(grid().select(np.zeros(12, bool)))
 
@@ -75,10 +68,7 @@ def test_slack_is_a_force_up_to_the_slack_force():
 
 def test_levels_are_the_set_pressures_where_known():
     data = IsobaricDataset.of(
-        pressure=[1.01e5, 2.02e5, 3e5],
-        contraction=[0, 0, 0],
-        force=[1, 2, 3],
-        set_pressure=[1e5, 2e5, np.nan],
+        pressure=[1.01e5, 2.02e5, 3e5], contraction=[0, 0, 0], force=[1, 2, 3], set_pressure=[1e5, 2e5, np.nan]
     )
     assert data.levels.tolist() == [1e5, 2e5, 3e5]
     assert data.at([2e5, 3e5]).force.tolist() == [2, 3]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
-from mckibben.dataset.preprocessing import half_sample_mode, passes, pressure_levels, slack_force
+from mckibben.dataset.preprocessing import passes, pressure_levels, slack_force
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.muscle import ChouLaw, forces
 from mckibben.units import bar, deg, mm
@@ -163,13 +163,6 @@ def test_arrays_keep_a_zero_error_of_the_load_cell_with_a_warning():
     assert small.slack.sum() > 120 and np.array_equal(small.force, force - 6.5)  # an error within the noise
 
 
-def test_published_data_are_not_changed():
-    for name in catalog.names("datasets"):
-        data = catalog.dataset(name)
-        assert "preprocessing" not in data.table.attrs
-        assert data.table.attrs["slack_force"] == 0
-
-
 def test_levels_and_their_nominal_pressures():
     rng = np.random.default_rng(1)
     bars = np.repeat([0.5, 1.0, 1.5, 3.0], [5, 9, 7, 12])
@@ -209,19 +202,6 @@ def test_points_without_levels_have_blocks_all_the_same(written):
 
 def test_an_empty_dataset_stays_empty():
     assert len(IsobaricDataset.of(pressure=[], contraction=[], force=[])) == 0
-
-
-@pytest.mark.parametrize(
-    ("values", "mode"),
-    [
-        ([0.0, 0.1, 5.0, 5.4, 5.8], 5.4),  # three of five within 0.8, though two of the others within 0.1
-        ([1.0, 4.0, 4.5, 9.0], 4.25),
-        ([2.0, 3.0, 7.0], 3.0),
-        ([2.0, 3.0], 2.5),
-    ],
-)
-def test_the_mode_is_in_the_densest_half(values, mode):
-    assert half_sample_mode(np.array(values)) == pytest.approx(mode)
 
 
 @pytest.mark.parametrize("zero", [0.0, -200.0])

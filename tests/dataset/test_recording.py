@@ -293,11 +293,8 @@ def test_files_of_samples(put):
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ({"force": np.full(len(RUN.time), np.inf)}, "force: inf at sample 0 is not finite .and"),
         ({"contraction": 5.0}, "contraction: 5 at sample 0 is not between -1 and 1 .*; .* percent"),
         ({"pressure": RUN.pressure[1:]}, "pressure: has 23099 values for 23100 samples"),
-        ({"pressure": RUN.pressure - 3e5}, "is below -101325 Pa"),
-        ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),
     ],
 )
 def test_what_cannot_have_been_recorded_is_refused(bad, message):
@@ -306,8 +303,7 @@ def test_what_cannot_have_been_recorded_is_refused(bad, message):
 
 
 @pytest.mark.parametrize(
-    "argument",
-    [{"dwell": 0.0}, {"settle": 2.0}, {"settle": -1.0}, {"pressure_tolerance": np.nan}],
+    "argument", [{"dwell": 0.0}, {"settle": 2.0}, {"settle": -1.0}, {"pressure_tolerance": np.nan}]
 )
 def test_arguments_without_a_meaning_are_refused(argument):
     with pytest.raises(RangeError) as error:

@@ -81,11 +81,7 @@ def test_csv_gives_the_same_dataset_back(data, tmp_path):
 
 def test_csv_has_the_plateau_means(tmp_path):
     data = IsobaricDataset.of(
-        pressure=[2e5],
-        contraction=[0.1],
-        force=[0],
-        force_samples=[[10.0, 20.0]],
-        pressure_samples=[[1e5, 3e5]],
+        pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[10.0, 20.0]], pressure_samples=[[1e5, 3e5]]
     )
     data.to_csv(tmp_path / "data.csv")
     again = read_dataset(tmp_path / "data.csv")

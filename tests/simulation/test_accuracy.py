@@ -28,15 +28,7 @@ from mckibben import (
 )
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.simulation import SimulationResult
-from mckibben.simulation.accuracy import (
-    BLOCK,
-    Refinement,
-    probed_runs,
-    refine,
-    refine_blocks,
-    resolution_of,
-    spacing,
-)
+from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, resolution_of, spacing
 from mckibben.units import bar, deg, mm
 
 PRINTED = catalog.joint("knee-table-2")
@@ -66,17 +58,6 @@ def test_a_smooth_run_needs_one_step_and_says_how_far_it_is_from_two():
     run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
     assert run.resolution.resolved and run.resolution.substeps == 1 and 0 < run.resolution.error < 1e-10
     assert angle_error(run, reference=SMOOTH, duration=0.5) == pytest.approx(run.resolution.error, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")
-def test_slack_muscles_get_the_steps_that_they_need():
-    reference = slack(20, 1.0, 6.0, 20.0)
-    run = simulate(PLANT, CONTROL, reference, initial=START)
-    assert run.resolution.substeps > 4 and run.resolution.error <= 1e-6
-    assert 0.5 < angle_error(run, reference=reference) / run.resolution.error < 2
-    four = simulate(PLANT, CONTROL, reference, initial=START, substeps=4)
-    assert angle_error(four, reference=reference) > 1e-4  # the former default
 
 
 @pytest.mark.slow

@@ -11,16 +11,7 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve, IdealValve
-from mckibben.control import (
-    PID,
-    BackpropPID,
-    Multisine,
-    PositionStiffnessControl,
-    Reference,
-    Samples,
-    Sine,
-    Step,
-)
+from mckibben.control import PID, BackpropPID, Multisine, PositionStiffnessControl, Reference, Samples, Sine, Step
 from mckibben.errors import ParameterError, RangeError, ReachabilityWarning, SimulationError, UnreachableError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle import ChouLaw, Muscle
@@ -275,13 +266,7 @@ KNOTS = np.array(  # constant; rises, then rests; changes to the end; falls; cha
 def learning(base: PID, scales, *, seed) -> BackpropPID:
     signal, error, output = scales
     return BackpropPID(
-        base,
-        signal_scale=signal,
-        error_scale=error,
-        output_scale=output,
-        gain_ratio=2.0,
-        learning_rate=3.0,
-        seed=seed,
+        base, signal_scale=signal, error_scale=error, output_scale=output, gain_ratio=2.0, learning_rate=3.0, seed=seed
     )
 
 
@@ -451,6 +436,3 @@ def test_a_single_run_says_what_to_use_for_many(parts):
         simulate(many, control, REFERENCE, **SHORT)
     with pytest.raises(ParameterError, match=r"initial\.stiffness: an array.*simulate_many"):
         simulate(plant, control, REFERENCE, initial=AtRest(0.0, np.array([13.0, 14.0])), **SHORT)
-
-
-# 32 bits

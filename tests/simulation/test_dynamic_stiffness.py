@@ -54,11 +54,7 @@ def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
 def test_damping_of_the_muscles_is_the_loss_over_the_rate(knee, load):
     """K'' = 2 pi f sum of c r^2 at small amplitudes, with a half width of almost nothing."""
     friction = MaxwellSlip(
-        *(1e-6, 0.5 * mm),
-        viscous=20.0,
-        viscous_growth=10 / bar,
-        viscous_length_growth=1e3,
-        reference_length=0.16,
+        *(1e-6, 0.5 * mm), viscous=20.0, viscous_growth=10 / bar, viscous_length_growth=1e3, reference_length=0.16
     )
     muscles = [dataclasses.replace(each, friction=friction) for each in (knee.muscle1, knee.muscle2)]
     plant = JointPlant(dataclasses.replace(knee, muscle1=muscles[0], muscle2=muscles[1]), load, IdealValve())

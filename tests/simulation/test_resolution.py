@@ -111,18 +111,8 @@ SINE = Reference(Sine(0.1, 1.0), 72.5)
     [
         ("load.gravity", eqx.tree_at(lambda plant: plant.load.gravity, PLANT, np.nan), None, None),
         ("controller.position.kp", None, eqx.tree_at(lambda control: control.position.kp, CONTROL, np.nan), None),
-        (
-            "reference.stiffness.value",
-            None,
-            None,
-            eqx.tree_at(lambda one: one.stiffness.value, SINE, np.nan),
-        ),
-        (
-            "reference.angle.amplitude",
-            None,
-            None,
-            eqx.tree_at(lambda one: one.angle.amplitude, SINE, np.nan),
-        ),
+        ("reference.stiffness.value", None, None, eqx.tree_at(lambda one: one.stiffness.value, SINE, np.nan)),
+        ("reference.angle.amplitude", None, None, eqx.tree_at(lambda one: one.angle.amplitude, SINE, np.nan)),
     ],
 )
 def test_a_number_that_is_none_is_named(field, plant, control, reference):

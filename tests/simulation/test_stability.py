@@ -10,11 +10,11 @@ import scipy.linalg
 import mckibben as mk
 from mckibben.actuator import FirstOrderValve, SwitchingValves, UnequalValves
 from mckibben.control import ExtendedStateObserver, PressureObserver
-from mckibben.plant import PerfectSensors, SampledSensors
+from mckibben.plant import SampledSensors
 from mckibben.result import Severity
 from mckibben.scenario import with_values
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of, _problem
+from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of
 from mckibben.units import bar, deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -72,23 +72,11 @@ def test_a_run_that_ends_in_a_limit_cycle_is_not_stable(loop, found):
 
 
 @pytest.mark.slow
-def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found):
+def test_delays_of_readings_and_commands_take_from_the_delay_margin(loop, found):
     plant, control = loop
-    late = dataclasses.replace(plant, sensors=SampledSensors(delay=1.0))
+    late = dataclasses.replace(plant, sensors=SampledSensors(delay=0.5), command_delay=1.5 * ms)
     again = margins(late, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
-    assert again.delay.min() == pytest.approx(found.delay.min() - 1 * ms, abs=0.05 * ms)
-
-
-@pytest.mark.parametrize(
-    ("of_sensors", "of_commands", "expected"), [(0.0, None, None), (0.5, None, 0.5), (0.0, 3.0, 3.0), (0.5, 3.0, 3.5)]
-)
-def test_delays_of_sensors_and_commands_add_up(loop, of_sensors, of_commands, expected):
-    """In milliseconds, the control period."""
-    delay = None if of_commands is None else of_commands * ms
-    plant = dataclasses.replace(loop[0], sensors=SampledSensors(delay=of_sensors), command_delay=delay)
-    found = _problem(plant, loop[1], REFERENCE, None, 1 * ms).plant
-    assert found.sensors == PerfectSensors()
-    assert found.command_delay == (None if expected is None else pytest.approx(expected * ms))
+    assert again.delay.min() == pytest.approx(found.delay.min() - 2 * ms, abs=0.05 * ms)
 
 
 @pytest.mark.slow
@@ -110,13 +98,6 @@ def test_switching_valves_have_the_margins_of_their_mean_flow(loop):
     for late, stable in ((9 * ms, True), (20 * ms, False)):
         result = mk.simulate(dataclasses.replace(pair, command_delay=late), control, KICKED, duration=1.5, substeps=6)
         assert (result.outcome is not Outcome.LIMIT_CYCLE) == stable
-
-
-@pytest.mark.slow
-def test_the_poles_are_those_that_were_placed(found):
-    """The slowest pole of the closed loop decays within the bandwidths: 60 rad/s with a damping of 2.5."""
-    slowest = -np.log(found.radius.max()) / 1e-3
-    assert 15.0 < slowest < 60.0
 
 
 def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
@@ -165,23 +146,9 @@ def test_an_unstable_loop_has_no_margins():
     assert radius == pytest.approx(1.1)
     assert margins_of_it[:4] == [0.0, 0.0, 0.0, 0.0]
     assert np.isfinite(largest).all()
-
-
-def test_a_counter_is_not_an_unstable_pole():
     counter = np.diag([1.0, 0.5, 0.4])
     radius = _margins_of(LinearLoop(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:]), 1e-3)[0]
     assert radius == pytest.approx(0.5)
-
-
-def test_a_narrow_resonance_between_two_frequencies_is_part_of_the_disk_margin():
-    """S = 1 + k / (z - r e^(jv)) + its conjugate: a peak of the width 1 - r, far below the distance of frequencies."""
-    radius, turn, k = 1 - 1e-5, 0.1234, 3e-5
-    a = np.kron(np.eye(2), radius * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]))
-    loop = LinearLoop(a, np.kron(np.eye(2), [[k], [0]]), np.kron(np.eye(2), [[2, 0]]))
-    z = np.exp(1j * (turn + np.linspace(-1e-4, 1e-4, 20_001)))
-    poles = radius * np.exp(1j * turn * np.array([[1], [-1]]))
-    exact = 1 / np.abs(0.5 + (k / (z - poles)).sum(axis=0)).max()
-    assert _margins_of(loop, 1e-3)[4] == pytest.approx(exact, rel=1e-3)
 
 
 def norm_exceeds(loop, size):

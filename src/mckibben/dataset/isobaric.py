@@ -11,13 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.preprocessing import with_slack_force
-from mckibben.dataset.schema import (
-    VARIABLES,
-    MeasuredTable,
-    assemble,
-    format_range,
-    write_csv,
-)
+from mckibben.dataset.schema import VARIABLES, MeasuredTable, assemble, format_range, write_csv
 from mckibben.errors import DatasetError, Problem, RangeError
 from mckibben.result import draw
 from mckibben.units import bar, percent

@@ -126,10 +126,7 @@ def read_columns(
 
 
 def check_points(
-    dataset: IsobaricDataset,
-    source: str,
-    accept: Sequence[str],
-    specimen: Specimen | None = None,
+    dataset: IsobaricDataset, source: str, accept: Sequence[str], specimen: Specimen | None = None
 ) -> None:
     """Check the points of a dataset by what holds for any muscle, or for one of the catalog.
 

@@ -19,14 +19,7 @@ from mckibben.component.schema import ComponentField, independent, inherit, writ
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
-from mckibben.errors import (
-    FileError,
-    McKibbenError,
-    ParameterError,
-    Problem,
-    ScenarioError,
-    no_attribute,
-)
+from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import Disturbance, JointFriction, JointPlant, NoDisturbance, PerfectSensors, PlantState, Sensors
 from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, simulate

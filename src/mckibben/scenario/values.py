@@ -338,11 +338,7 @@ def _with_indices(place: Place) -> tuple[str | int, ...]:
 
 
 def run_many(
-    scenario: Scenario,
-    table: Mapping[str, ArrayLike],
-    *,
-    model_follows: ModelFollows = (),
-    **options: Any,
+    scenario: Scenario, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = (), **options: Any
 ) -> Batch:
     """Simulate a scenario for each row of a table of values, with options of `simulate_many`.
 
@@ -350,10 +346,5 @@ def run_many(
     """
     many = batched(scenario, table, model_follows=model_follows)
     return simulate_many(
-        many.plant(),
-        many.control(),
-        many.reference(),
-        **scenario.timing,
-        initial=initial_state(many),
-        **options,
+        many.plant(), many.control(), many.reference(), **scenario.timing, initial=initial_state(many), **options
     )

@@ -11,13 +11,7 @@ from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import RunResult, SimulationResult, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import needed_substeps, run_episode, simulate, unknown_air
-from mckibben.simulation.stability import (
-    LEAST_DISK_MARGIN,
-    Margins,
-    disk_margins,
-    margin_remarks,
-    margins,
-)
+from mckibben.simulation.stability import LEAST_DISK_MARGIN, Margins, disk_margins, margin_remarks, margins
 from mckibben.simulation.trajectories import Trajectory, trajectory
 
 __all__ = [

@@ -285,13 +285,7 @@ def simulate_many(
         runs.warn_of(substeps)
         steps = StepCounts.given(substeps, count)
     columns, used = compute_groups(
-        runs.compute,
-        lanes,
-        steps.substeps,
-        chunk=size,
-        workers=workers,
-        engine=engine,
-        progress=progress,
+        runs.compute, lanes, steps.substeps, chunk=size, workers=workers, engine=engine, progress=progress
     )
     table = _table(columns, over or {}, times, asked, steps)
     return Batch(table.assign_attrs(engine=used))

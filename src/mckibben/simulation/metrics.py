@@ -254,8 +254,7 @@ class Metrics(NamedTuple):
         ),
     ]
     oscillation_amplitude: Annotated[
-        Array,
-        Tracked("rad", "amplitude of a limit cycle of the angle", of="angle", shown="deg", note="0 without one"),
+        Array, Tracked("rad", "amplitude of a limit cycle of the angle", of="angle", shown="deg", note="0 without one")
     ]
     oscillation_period: Annotated[
         Array, Tracked("s", "period of a limit cycle of the angle", of="period", note="NaN without one")
@@ -264,8 +263,7 @@ class Metrics(NamedTuple):
         Array, Tracked("N*m/rad", "amplitude of a limit cycle of the stiffness", of="stiffness", note="0 without one")
     ]
     command_oscillation: Annotated[
-        Array,
-        Tracked("Pa", "amplitude of a limit cycle of a command", of="command", shown="bar", note="0 without one"),
+        Array, Tracked("Pa", "amplitude of a limit cycle of a command", of="command", shown="bar", note="0 without one")
     ]
     command_reversals: Annotated[
         Array, Tracked("1/s", "reversals of a command per second", of="reversals", note="of 0.1 bar or more")

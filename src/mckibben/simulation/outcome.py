@@ -63,11 +63,7 @@ OUTCOMES = tuple(Outcome)
 
 
 def outcomes(
-    metrics: Mapping[str, ArrayLike],
-    *,
-    angle_at_end: ArrayLike = 0.0,
-    span: ArrayLike = 0.0,
-    started: ArrayLike = True,
+    metrics: Mapping[str, ArrayLike], *, angle_at_end: ArrayLike = 0.0, span: ArrayLike = 0.0, started: ArrayLike = True
 ) -> NDArray[np.int8]:
     """Return the index of each run's outcome in `OUTCOMES`: the worst that applies.
 
