@@ -214,7 +214,7 @@ def _saturated(points: Points) -> Iterator[Question]:
     """Readings at the end of a sensor's range.
 
     The largest force repeats, or forces within 3 % of it belong to points of which one has 15 % more pressure and is
-    shorter, or is shorter by a quarter of the stroke; or pressures of the highest level alone do not scatter.
+    shorter; or pressures of the highest level alone do not scatter.
     """
     level = pressure_levels(points.pressure)
     parts = [points.pressure[level == value] for value in np.unique(level[np.isfinite(level)])]
@@ -226,7 +226,6 @@ def _saturated(points: Points) -> Iterator[Question]:
     pressure, stroke = points.pressure[top], np.ptp(points.contraction)
     shorter = points.contraction[top, None] - points.contraction[top]
     apart = (pressure > 1.15 * pressure[:, None]) & (shorter > 0.1 * stroke)
-    apart |= (1.05 * pressure > pressure[:, None]) & (shorter > max(0.25 * stroke, 2.5 * percent))
     counts = np.unique(points.force[points.taut], return_counts=True)[1]
     if len(top) < len(points.force) and (
         apart.any() or (len(counts) > 2 and counts[-1] > max(2, 2 * max(counts[:-1])))

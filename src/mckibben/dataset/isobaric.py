@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,17 +151,17 @@ class IsobaricDataset(MeasuredTable):
     @property
     def repeats(self) -> NDArray[np.int64]:
         """Distinct repeats, ascending; empty if not recorded."""
-        return np.unique(self._column("repeat"))
+        return self._distinct("repeat")
 
     @property
     def directions(self) -> NDArray[np.str_]:
         """Distinct directions; empty if not recorded."""
-        return self._words("direction")
+        return self._distinct("direction")
 
     @property
     def phases(self) -> NDArray[np.str_]:
         """Distinct phases; empty if not recorded."""
-        return self._words("phase")
+        return self._distinct("phase")
 
     def __repr__(self) -> str:
         name = self.table.attrs["specimen"]
@@ -228,9 +228,7 @@ class IsobaricDataset(MeasuredTable):
         """
         write_csv(self.plateau_means().table, Path(path))
 
-    def _words(self, name: str) -> NDArray[np.str_]:
-        words = np.unique(self.table[name].to_numpy()) if name in self.table else np.empty(0, "<U9")
-        return words[words != ""]
-
-    def _column(self, name: str) -> np.ndarray:
-        return self.table[name].to_numpy() if name in self.table else np.empty(0, np.int64)
+    def _distinct(self, name: str) -> Any:
+        """Distinct values of a column but empty words, ascending; none without the column."""
+        values = np.unique(self.table[name].to_numpy()) if name in self.table else np.empty(0, np.int64)
+        return values[values != ""] if values.dtype.kind == "U" else values

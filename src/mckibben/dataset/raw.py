@@ -55,7 +55,7 @@ class RawColumn:
 def is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:
     """Whether a column is read by its header, or named by the recipe."""
     if column.name in mapping:
-        return mapping[column.name].lower() not in ("ignore", "ignored")
+        return mapping[column.name] != "ignore"
     return bool(parse_header(column.label or column.name, column.unit).quantity)
 
 

@@ -20,7 +20,7 @@ from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
-from mckibben.dataset.table import Table, question
+from mckibben.dataset.table import Table, open_problems, question
 from mckibben.dataset.understanding import understand
 from mckibben.errors import DatasetError, Problem, RangeError, described
 from mckibben.units import show
@@ -145,8 +145,7 @@ def check_points(
         With the questions that remain, each with the column of the file in its remedy.
     """
     lines = np.concatenate([part.lines for part in dataset.lines]) if dataset.lines else np.arange(1, len(dataset) + 1)
-    questions = questions_of(dataset, lines, specimen)
-    if problems := [asked.problem for asked in questions if asked.topic not in accept or not asked.topic]:
+    if problems := open_problems(questions_of(dataset, lines, specimen), accept):
         raise DatasetError(source, [_with_header(problem, dataset) for problem in problems])
 
 
@@ -278,12 +277,11 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     import xarray as xr
 
     joined = xr.concat(tables, next(iter(parts[0].schema.values())).dims[0])
-    rows = [
-        Table(Path(name), lines=np.arange(1, len(part) + 1), place="row")
+    lines = [
+        part.lines or (Table(Path(name), lines=np.arange(1, len(part) + 1), place="row"),)
         for name, part in zip(names, parts, strict=True)
     ]
-    lines = tuple(part.lines[0] if part.lines else table for part, table in zip(parts, rows, strict=True))
-    return type(parts[0])(joined.assign_attrs(attrs), lines), source
+    return type(parts[0])(joined.assign_attrs(attrs), sum(lines, ())), source
 
 
 def _joined_attributes(names: Sequence[str], tables: Sequence[xr.Dataset]) -> dict[Hashable, Any]:

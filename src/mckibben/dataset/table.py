@@ -51,6 +51,11 @@ def question(text: str, topic: str = "", *, line: int | None = None, field: str 
     return Question(Problem(text, line=line, field=field, remedy=remedy), topic)
 
 
+def open_problems(questions: Sequence[Question], accept: Sequence[str]) -> list[Problem]:
+    """Problems of the questions that no topic of `accept` answers."""
+    return [asked.problem for asked in questions if not asked.topic or asked.topic not in accept]
+
+
 @dataclass(frozen=True, eq=False)
 class Column:
     """Column as it was understood.
@@ -157,8 +162,5 @@ class Table:
 
     def ask(self, accept: Sequence[str]) -> None:
         """Raise a `DatasetError` with all questions that are not answered by a topic of `accept`."""
-        open_questions = [
-            question.problem for question in self.questions if question.topic not in accept or not question.topic
-        ]
-        if open_questions:
-            raise DatasetError(str(self.path), sorted(open_questions, key=lambda problem: problem.line or 0))
+        if problems := open_problems(self.questions, accept):
+            raise DatasetError(str(self.path), sorted(problems, key=lambda problem: problem.line or 0))

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -106,7 +107,7 @@ def read_lines(
     rows = _rows(table, lines, first, separator, names)
     if not rows:
         none = Problem("has a header, and no rows of numbers", line=layout.row + 1)
-        raise DatasetError(str(path), [asked.problem for asked in table.questions] or [none])
+        raise DatasetError(str(path), [replace(asked.problem, remedy="") for asked in table.questions] or [none])
     budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
     table.decimal = decimal or settled
     if not table.decimal:
