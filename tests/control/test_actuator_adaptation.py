@@ -86,9 +86,6 @@ def _followed(adaptation, model, joint, rows):
     ("valve", "speed", "delay"),
     [
         ("first order", 0.7, 6.5 * ms),
-        pytest.param("first order", 1.3, 2 * ms, marks=pytest.mark.slow),
-        pytest.param("first order", 1.0, 4 * ms, marks=pytest.mark.slow),
-        pytest.param("air", 0.7, 6.5 * ms, marks=pytest.mark.slow),
         pytest.param("air", 1.3, 2 * ms, marks=pytest.mark.slow),
         pytest.param("air", 1.0, 4 * ms, marks=pytest.mark.slow),
     ],

@@ -158,7 +158,8 @@ def remembering(compute):
 @pytest.fixture
 def remembered(monkeypatch):
     """Checks and wrong answers repeat most runs and fits of a solution."""
-    for module, name in ((mckibben, "identify"), (mckibben, "simulate_many"), (leg, "simulate_leg")):
+    names = "identify", "identify_hysteresis", "simulate", "simulate_many"
+    for module, name in (*((mckibben, name) for name in names), (leg, "simulate_leg")):
         monkeypatch.setattr(module, name, remembering(getattr(module, name)))
 
 

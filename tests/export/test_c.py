@@ -30,6 +30,8 @@ REPLAYED = {
     "predictive": Hardware(),
     "sliding mode": Hardware(single=True),
 }
+NO_FAULTS = "decoupling, valve lag adapted", "predictive"
+"""Their programs take longest to compile, and contain faults by the same functions."""
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,7 @@ INPUTS = (
 RUNNING, VENTED, FROZEN = FirmwareState.RUNNING, FirmwareState.VENTED, FaultCode.FROZEN
 
 
-def faulty(samples, faults=10_000, seed=1):
+def faulty(samples, faults=2_000, seed=1):
     """Rows of samples with random faults at their inputs: bad numbers, stuck ones, or no sample (last column is 1)."""
     draw = np.random.default_rng(seed)
     lengths, gaps = draw.geometric(1 / 15, faults), draw.geometric(1 / 10, faults) + 300 * (draw.random(faults) < 0.05)
@@ -126,7 +128,7 @@ def outputs_in_c(folder, period, options, rows, number):
     return np.frombuffer(done.stdout).reshape(-1, 4)
 
 
-def outputs_in_python(source, rows):
+def program_in_python(source):
     """The same by the functions from which the program was made."""
 
     def period(state, row):
@@ -140,8 +142,12 @@ def outputs_in_python(source, rows):
         told = done["telemetry"]
         return done["state"], jnp.stack([*done["commands"].values(), told["status"] * 1.0, told["fault"] * 1.0])
 
-    first = source.measurement._replace(angle=rows[0, 2], pressures=(rows[0, 3], rows[0, 4]))
-    return np.asarray(jax.jit(lambda rows: lax.scan(period, source.start(source.parameters, first), rows)[1])(rows))
+    @jax.jit
+    def outputs(rows):
+        first = source.measurement._replace(angle=rows[0, 2], pressures=(rows[0, 3], rows[0, 4]))
+        return lax.scan(period, source.start(source.parameters, first), rows)[1]
+
+    return outputs
 
 
 def check_faults(folder, scenario, options, hardware, compared=None):
@@ -159,7 +165,7 @@ def check_faults(folder, scenario, options, hardware, compared=None):
     assert np.all(found[lasting, :2] == 0)
     assert set(found[:, 2]) == {1, 2, 3, 4} and set(found[:, 3]) >= {0, 1, 2, 4}
     if not hardware.single:
-        expected = outputs_in_python(controller_functions(scenario, hardware.limits), rows)
+        expected = np.asarray(program_in_python(controller_functions(scenario, hardware.limits))(rows))
         assert np.array_equal(found[:, 2:], expected[:, 2:])
         assert np.max(np.abs(found - expected)[:compared]) < 1e-6 * highest
 
@@ -173,25 +179,26 @@ def test_it_repeats_the_recorded_run_and_contains_faults(board, scenarios, name,
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name].single else 1e-11)
     assert "not used" not in done.stdout
     learning = 300 if name == "BP" else None  # its weights diverge with these gains, which amplifies rounding
-    check_faults(tmp_path, scenarios[name], board.STRICT, REPLAYED[name], learning)
+    if name not in NO_FAULTS:
+        check_faults(tmp_path, scenarios[name], board.STRICT, REPLAYED[name], learning)
 
 
-@pytest.mark.parametrize("stuck", range(2, 5))
-def test_a_frozen_sensor_vents_until_it_moves_again(scenarios, stuck):
+def test_a_frozen_sensor_vents_until_it_moves_again(scenarios):
     """Each sensor, while the commands move; then a ramp, at whose end the controller is as one that began there."""
     scenario = scenarios["PID"]
-    source = controller_functions(scenario, Limits(moved=0.01, ramp=0.1))
+    outputs = program_in_python(controller_functions(scenario, Limits(moved=0.01, ramp=0.1)))
     draw, periods = np.random.default_rng(1), round(0.6 / scenario.control_period)
     rows = np.zeros((2 * periods, 6))
     rows[:, 0], rows[:, 1] = 0.1 * np.sin(np.arange(2 * periods) * scenario.control_period * 20), 15.0
     rows[:, 2:5] = [0.0, 2e5, 2e5] + draw.normal(size=(2 * periods, 3)) * [1e-4, 1e3, 1e3]
-    rows[:periods, stuck] = rows[0, stuck]
-    found = outputs_in_python(source, rows)
-    assert found[periods - 1].tolist() == [0, 0, VENTED, FROZEN]
-    assert found[periods + round(0.2 / scenario.control_period), 2] == RUNNING
-    healthy = rows.copy()
-    healthy[:periods, stuck] += draw.normal(size=periods) * 1e-6
-    assert not np.any(outputs_in_python(source, healthy)[:, 3])
+    for stuck in range(2, 5):
+        frozen = rows.copy()
+        frozen[:periods, stuck] = rows[0, stuck]
+        found = np.asarray(outputs(frozen))
+        assert found[periods - 1].tolist() == [0, 0, VENTED, FROZEN]
+        assert found[periods + round(0.2 / scenario.control_period), 2] == RUNNING
+        frozen[:periods, stuck] += draw.normal(size=periods) * 1e-6
+        assert not np.any(outputs(frozen)[:, 3])
 
 
 def test_a_run_outside_the_limits_is_not_exported(scenarios, tmp_path):
@@ -203,8 +210,8 @@ def test_a_run_outside_the_limits_is_not_exported(scenarios, tmp_path):
 
 @pytest.mark.slow
 def test_all_compile_without_warnings(board, scenarios, tmp_path):
-    for name, scenario in scenarios.items():
-        module, _ = controller_program(controller_functions(scenario), "knee")
+    for name in scenarios.keys() - (REPLAYED.keys() - NO_FAULTS) | {"PID"}:  # the others are compiled above
+        module, _ = controller_program(controller_functions(scenarios[name]), "knee")
         for file, text in zip(("knee.h", "knee.c"), write_c(module), strict=True):
             (tmp_path / file).write_text(text)
         command = [compiler(), *board.STRICT, "-O0", "-c", "-o", "knee.o", "knee.c"]
@@ -230,11 +237,17 @@ def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
 HOSTILE = ("a /* b", "a */ b", "/*/", "a \\", "a ??/", "???/", "a\\\nb", 'a" \\', "a // b", "%s $name `x`", "** /")
 
 
+@pytest.fixture(scope="module")
+def pid_program(scenarios):
+    return controller_program(controller_functions(scenarios["PID"]), "knee")[0]
+
+
 @pytest.mark.parametrize("title", HOSTILE)
-def test_no_name_changes_the_program(scenarios, title, tmp_path):
+def test_no_name_changes_the_program(pid_program, title, tmp_path):
     """With all warnings as errors; trigraphs are read in C99."""
-    module, _ = controller_program(controller_functions(scenarios["PID"]), "knee")
-    header, source = write_c(module, f"{title}\n{title!r}\n{title}", units={"setpoint.angle": title.split("\n")[0]})
+    header, source = write_c(
+        pid_program, f"{title}\n{title!r}\n{title}", units={"setpoint.angle": title.split("\n")[0]}
+    )
     (tmp_path / "knee.h").write_text(header)
     (tmp_path / "knee.c").write_text(source)
     text = comment_text(" ".join(title.split()))

@@ -178,7 +178,7 @@ def larger(plant, names):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_half_a_second_of_each_law_path_friction_creep_and_valve_agrees(case, runs):
+def test_each_law_path_friction_creep_and_valve_agrees(case, runs):
     one, found = runs[case]
     for world, names in enumerate(((), one.module.PARAMETERS)):
         plant = larger(one.plant, names)
@@ -187,37 +187,28 @@ def test_half_a_second_of_each_law_path_friction_creep_and_valve_agrees(case, ru
         np.testing.assert_allclose(found[:, world], wanted, atol=TOLERANCE)
 
 
-def check_torques(joint, angles, pressures, folder):
-    """The torque of the muscles of a joint is that in 64 bits, and none pushes; needs no MuJoCo Warp."""
+@pytest.mark.slow
+def test_every_law_and_geometry_gives_the_torque_and_none_pushes(known, tmp_path):
+    """The torque of the muscles of a joint is that in 64 bits; needs no MuJoCo Warp."""
     wp = pytest.importorskip("warp", reason="the extra warp is not installed")
-    one = made(mk.JointPlant(joint, LOAD, mk.IdealValve()), "torque", folder)
-    model, count = mujoco.MjModel.from_xml_string(one.xml), len(angles)
+    one = made(mk.JointPlant(known.joint, LOAD, mk.IdealValve()), "torque", tmp_path)
+    model, count = mujoco.MjModel.from_xml_string(one.xml), len(known.angles)
     data = mujoco.MjData(model)
     lengths, arms = np.empty((2, count, 2))
-    for row, angle in enumerate(angles):
+    for row, angle in enumerate(known.angles):
         data.qpos[0] = angle
         mujoco.mj_forward(model, data)
         lengths[row], arms[row] = data.actuator_length, data.actuator_moment.ravel()
     names = "ctrl", "actuator_length", "actuator_velocity", "actuator_force", "act", "act_dot"
-    arrays = (wp.array(each, dtype=float) for each in (pressures, lengths, *[np.zeros((count, 2))] * 4))
+    arrays = (wp.array(each, dtype=float) for each in (known.pressures, lengths, *[np.zeros((count, 2))] * 4))
     d = SimpleNamespace(time=wp.zeros(count, dtype=float), **dict(zip(names, arrays, strict=True)))
     muscles = one.module.Muscles(model, worlds=count)
     muscles.act_dyn(None, d)
     muscles.act_bias(None, d)
     force = d.actuator_force.numpy()
-    torque = np.asarray(jax.vmap(joint.torque)(np.asarray(angles), tuple(np.asarray(pressures).T)))
-    np.testing.assert_allclose(np.sum(force * arms, -1), torque, atol=2e-5 * np.abs(torque).max())
+    np.testing.assert_allclose(np.sum(force * arms, -1), known.torque, atol=2e-5 * np.abs(known.torque).max())
     signs = np.where(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, (1, -1), 1)  # there it is a torque
     assert np.all(force * signs <= 0)
-
-
-def test_torques_of_the_knee(joints, tmp_path):
-    check_torques(joints["knee"](), [-0.2, 0.1, 0.3], [[2e5, 4e5], [5e5, 0.0], [1e5, 3e5]], tmp_path)
-
-
-@pytest.mark.slow
-def test_every_law_and_geometry_gives_the_torque_and_none_pushes(known, tmp_path):
-    check_torques(known.joint, known.angles, known.pressures, tmp_path)
 
 
 @pytest.mark.slow

@@ -12,15 +12,6 @@ from mckibben.joint import KneeGeometry
 arms_of = jax.jit(lambda h, r, c, angle: KneeGeometry(h, r, c).moment_arms(angle))
 
 
-def test_equation_4_by_hand(as_printed):
-    angle = math.radians(10)
-    sine, cosine = math.sin(angle), math.cos(angle)
-    first = math.sqrt((0.37 + 0.03 * sine) ** 2 + (0.03 - 0.03 * cosine) ** 2) - 0.19
-    second = math.sqrt((0.37 - 0.03 * sine) ** 2 + (0.03 - 0.03 * cosine) ** 2) - 0.19
-    assert [float(x) for x in as_printed.geometry.path_lengths(angle)] == pytest.approx([first, second], rel=1e-14)
-    assert first > 0.18 > second  # muscle 1 lengthens as the angle grows
-
-
 @given(
     st.floats(0.1, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 0.5), st.floats(-1.5, 1.5)
 )  # joint length, radius as a part of it, connectors, angle

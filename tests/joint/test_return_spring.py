@@ -1,5 +1,8 @@
 """One muscle against a return spring: torque, stiffness, attainable set; a linear axis; files."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,7 +14,6 @@ from mckibben import (
     catalog,
     return_spring,
 )
-from mckibben.config.document import to_text
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.units import N, bar, mm
 
@@ -23,39 +25,7 @@ JOINTS = {
     1: AntagonisticJoint(PairedPaths(PATHS[1], PATHS[2]), SPRING, MUSCLE),
     2: AntagonisticJoint(PairedPaths(PATHS[2], PATHS[1]), MUSCLE, SPRING),
 }
-PID = {
-    "position": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"},
-    "stiffness": {"kp": "0 bar/(N*m/rad)", "ki": "0 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"},
-}
-
-
-def scenario(side=1, **joint):
-    muscle = {"specimen": "MAS-10-180N-AA-MC-O", "law": "lei-mas-10-180n"}
-    spring = {"class": "return_spring", "rate": "4 N/mm", "free_length": "130 mm"}
-    path = {"class": "Pulley", "radius": "30 mm", "rest_length": "155 mm"}
-    return {
-        "name": "return spring",
-        "joint": {
-            "geometry": {"class": "PairedPaths", "path1": path, "path2": path},
-            f"muscle{side}": spring,
-            f"muscle{3 - side}": muscle,
-            **joint,
-        },
-        "load": "knee-table-2",
-        "valve": {"time_constant": "20 ms"},
-        "controller": PID,
-        "reference": {
-            "angle": {"class": "sine", "amplitude": "5 deg", "frequency": "0.5 Hz"},
-            "stiffness": "10 N*m/rad",
-        },
-        "start": {"angle": "0 deg"},
-        "duration": "2 s",
-        "control_period": "1 ms",
-    }
-
-
-def read(**changes):
-    return Scenario.parse(to_text(scenario(**changes)))
+FILE = Path(__file__).parents[2] / "examples" / "linear-axis.yaml"
 
 
 @pytest.mark.parametrize("side", [1, 2])
@@ -93,7 +63,9 @@ def test_what_is_no_joint_is_refused():
         AntagonisticJoint(PairedPaths(PATHS[1], PATHS[2]), SPRING, SPRING)
     with pytest.raises(RangeError):
         return_spring(-1.0, 0.1)
-    spring, muscle = (scenario()["joint"][name] for name in ("muscle1", "muscle2"))
-    for joint in ({"muscle2": spring}, {"muscle2": None}, {"muscle": muscle}):
+    text = FILE.read_text(encoding="utf-8")
+    spring, muscle = (re.search(rf"  muscle{number}: (.*)", text)[1] for number in (1, 2))
+    for old, new in ((muscle, spring), (muscle, "null"), ("muscle2:", "muscle:")):
+        assert old in text
         with pytest.raises(ScenarioError):
-            read(**joint)
+            Scenario.parse(text.replace(old, new))

@@ -1,46 +1,42 @@
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 
-import mckibben as mk
 from mckibben import catalog
-from mckibben.leg import Leg, LegJoint, LegPlant, LegScenario, Link, Trunk, simulate_leg, simulate_legs
+from mckibben.leg import Leg, LegJoint, LegScenario, Link, Trunk, simulate_leg, simulate_legs
 from mckibben.units import deg
 
 FILE = "examples/leg/lei-leg.yaml"
 
 
 @pytest.fixture(scope="session")
-def scenario() -> LegScenario:
+def scenario():
     """The example, small."""
     read = LegScenario.read(FILE)
     few = read.uncertainty.model_copy(update={"draws": 20})
-    assert read.landing is not None and read.jump is not None
     landing = read.landing.model_copy(update={"levels": 4, "drop": (0.05,), "duration": 0.1})
     jump = read.jump.model_copy(update={"duration": 0.25, "latest": 0.05})
     return read.model_copy(update={"uncertainty": few, "landing": landing, "jump": jump})
 
 
 @pytest.fixture(scope="session")
-def plant(scenario: LegScenario) -> LegPlant:
+def plant(scenario):
     return scenario.plant()
 
 
 @pytest.fixture(scope="session")
-def pair() -> mk.AntagonisticJoint:
+def pair():
     """Two muscles of the paper, contracted by 10 % at the angle 0."""
     joint = catalog.joint("knee-table-2")
     return dataclasses.replace(joint, geometry=dataclasses.replace(joint.geometry, connector_length=0.208))
 
 
-def leg_of(pair: mk.AntagonisticJoint, freedom: str, names: tuple[str, ...] = ("hip", "knee", "ankle")) -> Leg:
+def leg_of(pair, freedom, names=("hip", "knee", "ankle")):
     """A leg of up to three joints, of which the knee bends backwards as its angle increases."""
     links = (Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.18, 0.005), Link(0.1, 0.1, 0.05, 0.001))
     joints = tuple(LegJoint(-5 * deg, 5 * deg, pair, name=name, forward=name != "knee") for name in names)
-    return Leg(Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom), links[: len(names)], joints)  # type: ignore
+    return Leg(Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom), links[: len(names)], joints)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """Control of all joints with the torques between them compensated by a model of the leg."""
 
-from __future__ import annotations
-
 import dataclasses
 import runpy
 
@@ -22,7 +20,7 @@ LOAD = mk.GeneralLoad(1.0, 0.0)
 ANGLES, RATES = (0.05, -0.03, -0.2), (1.0, -2.0, 3.0)
 
 
-def test_the_equations_of_the_joints_are_those_of_the_motion() -> None:
+def test_the_equations_of_the_joints_are_those_of_the_motion():
     leg = read_leg("lei-leg")
     leg = dataclasses.replace(leg, joints=(*leg.joints[:2], dataclasses.replace(leg.joints[2], forward=False)))
     made = joint_equations(leg, ANGLES, RATES, 9.81)
@@ -36,7 +34,7 @@ def test_the_equations_of_the_joints_are_those_of_the_motion() -> None:
     assert abs(matrix[1, 2]) > 0.01
 
 
-def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles() -> None:
+def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles():
     leg = read_leg("lei-leg")
     paths = mk.joint.Pulley(0.03, 0.08), mk.joint.Pulley(0.02, 0.08)
     rectus = BiarticularMuscle(leg.muscles[0], *paths, "hip", "knee", "shortens", "shortens", "rectus")
@@ -59,7 +57,7 @@ def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles
 
 
 @pytest.mark.slow
-def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
+def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg():
     plant, delay, period = EXAMPLE["plant"](), 8 * ms, 1 * ms
     each = tuple(
         mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0), valve=plant.valve, command_delay=delay)
@@ -77,7 +75,7 @@ def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
     for i, joint in enumerate(plant.leg.joints):
         found = []
         for load in (loads[i], at_rest_loads[i]):
-            one = dataclasses.replace(control.controllers[i], load=load)  # type: ignore[type-var]
+            one = dataclasses.replace(control.controllers[i], load=load)
             pair = slice(2 * i, 2 * i + 2)
             estimates = one.init_estimates(Measurement(ANGLES[i], state.pressures[pair]))
             estimates = estimates._replace(motion=estimates.motion._replace(velocity=RATES[i], disturbance=0.0))
@@ -88,7 +86,7 @@ def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
 
 
 @pytest.mark.slow
-def test_commands_that_arrive_late_are_predicted() -> None:
+def test_commands_that_arrive_late_are_predicted():
     plant = dataclasses.replace(EXAMPLE["plant"](), command_delay=16 * ms)
     prompt = EXAMPLE["controllers"](plant)["decoupling of the leg"]
     late = tuple(dataclasses.replace(one, command_delay=16 * ms) for one in prompt.controllers)
@@ -98,7 +96,7 @@ def test_commands_that_arrive_late_are_predicted() -> None:
         assert aware[joint][0] < unaware[joint][0]
 
 
-def test_controllers_without_a_model_of_the_load_are_refused() -> None:
+def test_controllers_without_a_model_of_the_load_are_refused():
     plant = EXAMPLE["plant"]()
     made = EXAMPLE["controllers"](plant)
     reference = TimedReference(EXAMPLE["references"]())
@@ -115,7 +113,7 @@ def test_controllers_without_a_model_of_the_load_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_with_the_whole_leg_each_joint_follows_better() -> None:
+def test_with_the_whole_leg_each_joint_follows_better():
     plant = EXAMPLE["plant"]()
     found = {name: EXAMPLE["errors"](plant, one) for name, one in EXAMPLE["controllers"](plant).items()}
     for joint in ("side", "hip", "knee"):

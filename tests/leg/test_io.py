@@ -1,7 +1,5 @@
 """Sensors, delays, joint friction and disturbances of a leg."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import equinox as eqx

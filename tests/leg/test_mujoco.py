@@ -76,7 +76,7 @@ PRESSURES = tuple(one * bar for one in (3.0, 2.5, 3.0, 3.2, 2.0, 2.0, 1.0))
 COMMANDS = tuple(one * bar for one in (2.6, 3.0, 3.4, 2.9, 2.1, 2.0, 1.5))
 SIDE = 2 * deg, (2.5 * bar, 3.0 * bar), (3.5 * bar, 2.0 * bar)
 """Angle, pressures and commands of the side swing."""
-IN_SPACE = [("vertical", False), ("free", False), ("vertical", True), ("spatial", True), ("floating", True)]
+IN_SPACE = [("planar", False), ("free", False), ("vertical", True), ("spatial", True), ("floating", True)]
 
 
 def start_of(plant, clearance, speed):

@@ -1,12 +1,8 @@
 """Runs of a leg: single and batches, both engines, controllers, and starts that are not possible."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 import runpy
-from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -37,48 +33,37 @@ STEP = {"duration": 0.1, "control_period": 0.25e-3}
 
 
 @pytest.fixture(scope="module")
-def start(plant: LegPlant) -> LegStart:
+def start(plant):
     angles = (0.0, 0.0)
     return LegStart(angles, plant.leg.pressures_for(angles, (0.0, 0.0), (None, 15.0)), upward_speed=-1.0)
 
 
 @pytest.mark.slow
-def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: LegStart) -> None:
-    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    given = {"substeps": 2, **STEP}
-    run = simulate_leg(plant, schedule, start, **given)
-    again = simulate_leg(plant, schedule, start, engine="xla", **given)
-    assert run.engine == "native" and again.engine == "xla"
-    assert float(abs(run["z"] - again["z"]).max()) < 1e-12
-    over = {"start.upward_speed": [-0.5, -1.0]}
-    tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **given) for engine in ("native", "xla")]
-    for name in tables[0].table:
-        assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
-    assert tables[0].engine == "native"
-    assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
-    falls = tables[0]["deflection"]
-    assert (np.diff(falls) > 0).all()
-
-
-@pytest.mark.slow
-def test_a_series_spring_is_computed_in_both_engines(plant: LegPlant, start: LegStart) -> None:
+def test_single_runs_and_batches_with_a_series_spring_agree_in_both_engines(plant, start):
     hip, knee = plant.leg.joints
     tendon = mk.SeriesSpring(stiffness=2e4, preload=60.0, travel=8e-3)
     knee = dataclasses.replace(knee, muscles=dataclasses.replace(knee.muscles, tendon=tendon))
     springy = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=(hip, knee)))
-    schedule, over = PressureSchedule(tuple((p,) for p in start.pressures)), {"start.upward_speed": [-0.5, -1.0]}
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    given = {"substeps": 2, **STEP}
+    run = simulate_leg(springy, schedule, start, **given)
+    again = simulate_leg(springy, schedule, start, engine="xla", **given)
+    assert run.engine == "native" and again.engine == "xla"
+    assert float(abs(run["z"] - again["z"]).max()) < 1e-12
+    over = {"start.upward_speed": [-0.5, -1.0]}
     native, xla = (
-        simulate_legs(springy, schedule, start, over=over, substeps=2, engine=engine, **STEP)
-        for engine in ("native", "xla")
+        simulate_legs(springy, schedule, start, over=over, engine=engine, **given) for engine in ("native", "xla")
     )
+    for name in native.table:
+        np.testing.assert_allclose(native[name], xla[name], rtol=1e-9, atol=1e-10, err_msg=name)
     assert native.engine == "native"
-    for name in ("peak_force", "deflection", "stop_torque"):
-        np.testing.assert_allclose(native[name], xla[name], rtol=1e-10, atol=1e-10)
+    assert float(native["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
+    assert (np.diff(native["deflection"]) > 0).all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("engine", "implicit"), [("native", False), ("xla", False), ("native", True)])
-def test_batches_with_32_bits_are_those_with_64(plant: LegPlant, start: LegStart, engine: str, implicit: bool) -> None:
+def test_batches_with_32_bits_are_those_with_64(plant, start, engine, implicit):
     if implicit:
         ground = dataclasses.replace(plant.ground, friction=0.8, implicit_friction=True)
         plant = dataclasses.replace(plant, ground=ground)
@@ -94,9 +79,7 @@ def test_batches_with_32_bits_are_those_with_64(plant: LegPlant, start: LegStart
 
 
 @pytest.mark.slow
-def test_legs_on_cuda_are_those_of_the_c_compiler(
-    plant: LegPlant, start: LegStart, cuda_device: Any, nvrtc: Any
-) -> None:
+def test_legs_on_cuda_are_those_of_the_c_compiler(plant, start, cuda_device, nvrtc):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     over = {"start.upward_speed": np.linspace(-1.4, -0.5, 5)}
     tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "cuda")]
@@ -108,7 +91,7 @@ def test_legs_on_cuda_are_those_of_the_c_compiler(
 
 
 @pytest.mark.slow
-def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: LegStart) -> None:
+def test_a_run_that_diverges_in_the_air_has_diverged(plant, start):
     joints = tuple(dataclasses.replace(one, damping=1000.0) for one in plant.leg.joints)
     stiff = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=joints))
     high = start._replace(clearance=0.3, angles=(0.02, 0.0))  # not at rest, where only rounding would grow
@@ -118,17 +101,7 @@ def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: Leg
 
 
 @pytest.mark.slow
-def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) -> None:
-    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    table = simulate_legs(plant, schedule, start, over={"valve.conductance": [5e-9, 5e-15]}, **STEP)
-    as_given, closed = table["deflection"]
-    assert closed < 0.9 * as_given
-
-
-@pytest.mark.slow
-def test_air_with_a_temperature_keeps_its_mass_in_a_landing_and_is_between_isothermal_and_adiabatic_air(
-    plant: LegPlant, start: LegStart
-) -> None:
+def test_air_with_a_temperature_keeps_its_mass_in_a_landing_and_is_between_isothermal_and_adiabatic_air(plant, start):
     closed, runs = mk.FlowValve(1e-30, 8e5), {}
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     for name, parts in {
@@ -147,7 +120,7 @@ def test_air_with_a_temperature_keeps_its_mass_in_a_landing_and_is_between_isoth
     assert lowest["isothermal"] < lowest["warm"] < lowest["adiabatic"]
 
 
-def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
+def test_energy_is_kept_without_damping_and_valves(plant):
     """On an elastic ground with constant pressures: bodies, muscles and ground exchange energy alone."""
     leg = dataclasses.replace(
         plant.leg, joints=tuple(dataclasses.replace(one, damping=0.0, stop_damping=0.0) for one in plant.leg.joints)
@@ -168,7 +141,7 @@ def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
     assert np.ptp(total) < 2e-3 * run["kinetic"].max()
 
 
-def test_schedule_is_the_mean_over_the_period() -> None:
+def test_schedule_is_the_mean_over_the_period():
     schedule = PressureSchedule(((1e5, 4e5, 2e5),), ((1.25e-3, 3e-3),))
     at = lambda t: float(schedule.step((), t, LegMeasurement((), (), jnp.zeros(())), 1e-3)[1][0])  # noqa: E731
     assert [at(t * 1e-3) for t in range(5)] == pytest.approx([1e5, 3.25e5, 4e5, 2e5, 2e5])
@@ -182,14 +155,14 @@ def test_schedule_is_the_mean_over_the_period() -> None:
         (((1e5,),) * 2, ((),), "switches"),
     ],
 )
-def test_schedules_that_do_not_fit(levels: object, switches: object, field: str) -> None:
+def test_schedules_that_do_not_fit(levels, switches, field):
     with pytest.raises(RangeError) as caught:
-        PressureSchedule(levels, switches)  # type: ignore[arg-type]
+        PressureSchedule(levels, switches)
     assert caught.value.field == field and caught.value.remedy
 
 
 @pytest.mark.slow
-def test_biarticular_muscle_turns_both_joints(plant: LegPlant) -> None:
+def test_biarticular_muscle_turns_both_joints(plant):
     muscle = plant.leg.joints[0].muscles.muscle1
     one = BiarticularMuscle(
         muscle, mk.Pulley(0.03, 0.08), mk.Pulley(0.02, 0.082), "hip", "knee", "lengthens", "shortens", name="rectus"
@@ -218,7 +191,7 @@ def test_biarticular_muscle_turns_both_joints(plant: LegPlant) -> None:
         ({"name": "knee2"}, "biarticular.0.name"),
     ],
 )
-def test_biarticular_muscles_that_do_not_fit(plant: LegPlant, change: dict[str, object], field: str) -> None:
+def test_biarticular_muscles_that_do_not_fit(plant, change, field):
     given = {
         "muscle": plant.leg.joints[0].muscles.muscle1,
         "path1": mk.Pulley(0.03, 0.08),
@@ -229,7 +202,7 @@ def test_biarticular_muscles_that_do_not_fit(plant: LegPlant, change: dict[str, 
         "action2": "shortens",
     }
     with pytest.raises(RangeError) as caught:
-        Leg(plant.leg.trunk, plant.leg.links, plant.leg.joints, (BiarticularMuscle(**given | change),))  # type: ignore
+        Leg(plant.leg.trunk, plant.leg.links, plant.leg.joints, (BiarticularMuscle(**given | change),))
     assert caught.value.field == field and caught.value.remedy
 
 
@@ -243,15 +216,15 @@ def test_biarticular_muscles_that_do_not_fit(plant: LegPlant, change: dict[str, 
         ({"clearance": -0.01}, "clearance"),
     ],
 )
-def test_starts_that_are_not_possible(plant: LegPlant, start: LegStart, change: dict[str, object], field: str) -> None:
+def test_starts_that_are_not_possible(plant, start, change, field):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     with pytest.raises(RangeError) as caught:
-        simulate_leg(plant, schedule, start._replace(**change), **STEP)  # type: ignore[arg-type]
+        simulate_leg(plant, schedule, start._replace(**change), **STEP)
     assert caught.value.field == field
 
 
 @pytest.mark.parametrize("change", [{"stiffness": 1e8}, {"friction": 1.0, "slip_speed": 0.01}])
-def test_steps_that_do_not_resolve_the_ground(plant: LegPlant, start: LegStart, change: dict[str, float]) -> None:
+def test_steps_that_do_not_resolve_the_ground(plant, start, change):
     hard = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, **change))
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     with pytest.raises(SimulationError) as caught:
@@ -261,7 +234,7 @@ def test_steps_that_do_not_resolve_the_ground(plant: LegPlant, start: LegStart, 
         simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, substeps=1, **STEP)
 
 
-def test_controllers_of_another_leg(plant: LegPlant, start: LegStart) -> None:
+def test_controllers_of_another_leg(plant, start):
     with pytest.raises(RangeError) as caught:
         simulate_leg(plant, PressureSchedule(((1e5,),) * 3), start, substeps=1, **STEP)
     assert caught.value.field == "commands" and caught.value.value == 3
@@ -270,14 +243,14 @@ def test_controllers_of_another_leg(plant: LegPlant, start: LegStart) -> None:
     assert caught.value.field == "controllers"
 
 
-def test_a_fixed_trunk_has_no_speed(plant: LegPlant, start: LegStart) -> None:
+def test_a_fixed_trunk_has_no_speed(plant, start):
     leg = dataclasses.replace(plant.leg, trunk=dataclasses.replace(plant.leg.trunk, freedom="fixed"))
     with pytest.raises(RangeError) as caught:
         dataclasses.replace(plant, leg=leg).init_state(start.angles, start.pressures, upward_speed=-1.0)
     assert caught.value.field == "upward_speed"
 
 
-def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) -> None:
+def test_batches_need_something_that_varies(plant, start):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     with pytest.raises(ParameterError):
         simulate_legs(plant, schedule, start, **STEP)
@@ -287,7 +260,7 @@ def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) ->
 
 
 @pytest.mark.slow
-def test_hopping_in_place_settles_to_equal_hops() -> None:
+def test_hopping_in_place_settles_to_equal_hops():
     example = runpy.run_path("examples/leg/hopping.py")
     run = example["hop"]()
     assert run.engine == "native"
@@ -298,7 +271,7 @@ def test_hopping_in_place_settles_to_equal_hops() -> None:
 
 
 @pytest.mark.slow
-def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStart) -> None:
+def test_the_air_of_a_run_is_that_which_flows_in(plant, start):
     """One muscle is filled, its antagonist emptied: what leaves is no consumption, nor does it count against it."""
     filled = tuple((p, p + (0.5e5 if number % 2 else -0.5e5)) for number, p in enumerate(start.pressures))
     schedule = PressureSchedule(filled, tuple((0.02,) for _ in filled))
@@ -310,20 +283,20 @@ def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStar
     assert float(table["air_mass"][0]) == pytest.approx(steps[steps > 0].sum(), rel=2e-3)
 
 
-def test_arguments_that_are_swapped_or_not_a_number_are_named(plant: LegPlant, start: LegStart) -> None:
+def test_arguments_that_are_swapped_or_not_a_number_are_named(plant, start):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     for arguments, kind, field in (
         ((plant, start, schedule), CallError, "controller"),
         ((plant, schedule, start._replace(upward_speed=float("nan"))), SimulationError, "start.upward_speed"),
     ):
         with pytest.raises(kind) as caught:
-            simulate_leg(*arguments, **STEP)  # type: ignore[arg-type]
+            simulate_leg(*arguments, **STEP)
         assert caught.value.field == field
     with pytest.raises(ParameterError):
         simulate_leg(plant, schedule, start._replace(upward_speed=np.array([-1.0, -0.5])), **STEP)
 
 
-def test_parts_of_a_controller_are_prepared_for_the_control_period() -> None:
+def test_parts_of_a_controller_are_prepared_for_the_control_period():
     class Prepared(Controller):
         periods: int = eqx.field(static=True, default=0)
 
@@ -340,11 +313,11 @@ def test_parts_of_a_controller_are_prepared_for_the_control_period() -> None:
             return {}
 
     control = JointwiseControl((Prepared(), Prepared()), TimedReference(())).with_period(1e-3)
-    assert [one.periods for one in control.controllers] == [10, 10]  # type: ignore[attr-defined]
+    assert [one.periods for one in control.controllers] == [10, 10]
 
 
 @pytest.mark.slow
-def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegStart, tmp_path: Path) -> None:
+def test_a_finished_run_has_the_metrics_of_a_batch(plant, start, tmp_path):
     """A jump: all metrics are finite, and equal whether they are accumulated or taken from the samples."""
     levels = tuple((p, 5.5e5 if number % 2 else 0.2e5) for number, p in enumerate(start.pressures))
     schedule = PressureSchedule(levels, tuple((5e-3,) for _ in levels))
@@ -366,7 +339,7 @@ def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegSt
 
 
 @pytest.mark.slow
-def test_steps_follow_from_the_accuracy_of_the_positions(plant: LegPlant, start: LegStart) -> None:
+def test_steps_follow_from_the_accuracy_of_the_positions(plant, start):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     low = start._replace(clearance=0.0, upward_speed=-0.3)
     found, fine = (

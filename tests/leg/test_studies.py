@@ -1,12 +1,8 @@
 """Files of a leg, landing and jump studies, and the commands."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +12,6 @@ from mckibben.actuator import IdealValve, Tube
 from mckibben.cli import app
 from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.leg import (
-    JumpStudy,
-    LandingStudy,
     LegScenario,
     LegStart,
     Link,
@@ -37,15 +31,15 @@ from tests.leg.conftest import FILE
 HEAD = "name: x\nleg:\n  from: lei-leg-planar\n"
 
 
-def test_text_reads_back(scenario: LegScenario) -> None:
+def test_text_reads_back(scenario):
     assert LegScenario.parse(scenario.dumps()) == scenario
 
 
-def file_of_the_docs() -> str:
+def file_of_the_docs():
     return Path("docs/leg.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
 
 
-def test_the_file_of_the_docs_is_a_leg() -> None:
+def test_the_file_of_the_docs_is_a_leg():
     assert LegScenario.parse(file_of_the_docs()).plant().leg.muscle_names[-1] == "rectus"
 
 
@@ -59,7 +53,7 @@ def test_the_file_of_the_docs_is_a_leg() -> None:
         ("radius: 20 mm, rest_length: 80", "radius: 20 mm, rest_length: 300", "joint1: hip", "leg.biarticular[0]"),
     ],
 )
-def test_a_mistake_in_a_part_of_a_leg_has_its_line(old: str, new: str, line_of: str, field: str) -> None:
+def test_a_mistake_in_a_part_of_a_leg_has_its_line(old, new, line_of, field):
     text = file_of_the_docs()
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(text.replace(old, new))
@@ -69,7 +63,7 @@ def test_a_mistake_in_a_part_of_a_leg_has_its_line(old: str, new: str, line_of: 
     assert problem.line is not None and abs(problem.line - near) <= (0 if line_of == "joint2:" else 3)
 
 
-def test_changes_of_the_catalog_name_the_joint() -> None:
+def test_changes_of_the_catalog_name_the_joint():
     read = LegScenario.parse(HEAD + "  trunk: {mass: 2 kg}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n")
     leg = read.leg
     assert leg.trunk.mass == 2.0 and leg.joints[1].damping == 0.1 and leg.joints[0].damping == 0.05
@@ -96,7 +90,7 @@ def test_changes_of_the_catalog_name_the_joint() -> None:
         (HEAD + "valve: {time_constant: 20 ms}\nlanding: {joint: knee}\n", None, "air"),
     ],
 )
-def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) -> None:
+def test_bad_files_name_line_and_remedy(text, line, word):
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(text)
     problem = caught.value.problems[0]
@@ -123,29 +117,27 @@ def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) 
         ),
     ],
 )
-def test_what_follows_from_another_mistake_is_not_said(text: str, fields: list[str]) -> None:
+def test_what_follows_from_another_mistake_is_not_said(text, fields):
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse("name: x\n" + text)
     assert [problem.field for problem in caught.value.problems] == fields
 
 
-def test_stiffness_that_is_not_attainable(scenario: LegScenario) -> None:
-    assert scenario.landing is not None
+def test_stiffness_that_is_not_attainable(scenario):
     beyond = scenario.landing.model_copy(update={"stiffness": (40.0,)})
     with pytest.raises(ScenarioError) as caught:
         study_landing(scenario.model_copy(update={"landing": beyond}))
     assert "knee" in str(caught.value) and "attainable" in str(caught.value)
 
 
-def test_step_that_is_too_long(scenario: LegScenario) -> None:
+def test_step_that_is_too_long(scenario):
     for study in (study_landing, jumping.study_jump):
         with pytest.raises(ScenarioError) as caught:
             study(scenario.model_copy(update={"step": 2e-3, "substeps": 1}))
         assert caught.value.problems[0].field == "step" and caught.value.problems[0].remedy
 
 
-def test_supply_that_is_too_low(scenario: LegScenario) -> None:
-    assert scenario.valve is not None
+def test_supply_that_is_too_low(scenario):
     weak = scenario.model_copy(update={"valve": dataclasses.replace(scenario.valve, supply=1e5)})
     with pytest.raises(ScenarioError) as caught:
         study_landing(weak)
@@ -153,12 +145,15 @@ def test_supply_that_is_too_low(scenario: LegScenario) -> None:
 
 
 @pytest.fixture(scope="module")
-def study(scenario: LegScenario) -> LandingStudy:
-    return study_landing(scenario)
+def study(scenario):
+    """In six blocks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(landing.Landings, "block_size", lambda self: 42)
+        return study_landing(scenario)
 
 
 @pytest.mark.slow
-def test_landing_study(scenario: LegScenario, study: LandingStudy) -> None:
+def test_landing_study(scenario, study):
     assert study.table["peak_force"].shape == (3, 1, 4, 21)
     forces = study.table["peak_trunk_force"].to_numpy()
     best = study.best()
@@ -174,7 +169,7 @@ def test_landing_study(scenario: LegScenario, study: LandingStudy) -> None:
     integration = study.records()["integration"]
     assert integration["substeps"] == study.table["substeps"].max() >= 1
     errors = study.table["error_estimate"].to_numpy()
-    assert integration["error_estimate_rad"] == np.nanmax(errors) > 0
+    assert scenario.accuracy >= integration["error_estimate_rad"] == np.nanmax(errors) > 0
     assert integration["runs_chaotic"] == study.table["chaotic"].sum()
     coarse = study_landing(scenario.model_copy(update={"substeps": 1}))
     finer = study_landing(scenario.model_copy(update={"substeps": 16}))
@@ -184,7 +179,7 @@ def test_landing_study(scenario: LegScenario, study: LandingStudy) -> None:
 
 
 @pytest.mark.slow
-def test_the_robust_stiffness_has_the_least_quantile_over_the_draws(study: LandingStudy) -> None:
+def test_the_robust_stiffness_has_the_least_quantile_over_the_draws(study):
     quantile = np.percentile(study.trunk_weights()[..., 1:], 95, axis=-1)
     for record, (v, d) in zip(study.records()["landings"], np.ndindex(quantile.shape[:2]), strict=True):
         at = quantile[v, d].argmin()
@@ -195,7 +190,7 @@ def test_the_robust_stiffness_has_the_least_quantile_over_the_draws(study: Landi
 
 
 @pytest.mark.slow
-def test_a_best_stiffness_that_bottoms_out_is_said(study: LandingStudy) -> None:
+def test_a_best_stiffness_that_bottoms_out_is_said(study):
     at = int(study.best()[0, 0, 0])
     torque = study.table["stop_torque"] * 0.0
     torque[0, 0, at], torque[1] = 1.0, 1.0
@@ -206,7 +201,7 @@ def test_a_best_stiffness_that_bottoms_out_is_said(study: LandingStudy) -> None:
     assert marked == [True, True, False]
 
 
-def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario: LegScenario) -> None:
+def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario):
     text = scenario.dumps().replace("draws: 20", "draws: 19")
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(text)
@@ -215,13 +210,11 @@ def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario: LegScenari
 
 
 @pytest.mark.slow
-def test_a_study_that_was_broken_off_goes_on(
-    scenario: LegScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypatch):
     monkeypatch.setattr(landing.Landings, "block_size", lambda self: 42)
-    whole, run, runs = study_landing(scenario), landing.Landings.compute, []
+    run, runs = landing.Landings.compute, []
 
-    def counted(self: landing.Landings, rows: Any) -> Any:
+    def counted(self, rows):
         runs.append(1)
         if len(runs) == 3:
             raise KeyboardInterrupt
@@ -240,51 +233,51 @@ def test_a_study_that_was_broken_off_goes_on(
     before = len(runs)
     again = study_landing(scenario, out=tmp_path, resume=True)
     assert 1 <= len(runs) - before < 6  # of six blocks, the finished ones are kept
-    assert again.table.equals(whole.table)
+    assert again.table.equals(study.table)
 
 
-def test_time_constant_of_the_valve(scenario: LegScenario) -> None:
+def test_time_constant_of_the_valve(scenario):
     plant = scenario.plant()
     muscle = plant.leg.muscles[0]
     volume = float(muscle.specimen.volume((muscle.domain.contraction_min + muscle.domain.contraction_max) / 2))
     middle = (muscle.domain.pressure_min + muscle.domain.pressure_max) / 2
     for wanted in (0.01, 0.05):
-        valve = valve_with(plant.valve, plant, wanted)  # type: ignore[arg-type]
+        valve = valve_with(plant.valve, plant, wanted)
         assert float(valve.time_constant_at(middle, volume)) == pytest.approx(wanted, rel=1e-12)
     with pytest.raises(RangeError):
-        valve_with(plant.valve, plant, 0.001)  # type: ignore[arg-type]
+        valve_with(plant.valve, plant, 0.001)
 
 
-def test_draws_scatter_about_the_nominal_leg(scenario: LegScenario) -> None:
+def test_draws_scatter_about_the_nominal_leg(scenario):
     many = scenario.model_copy(update={"uncertainty": scenario.uncertainty.model_copy(update={"draws": 2000})})
     plant = drawn_plant(many)
-    strength = np.asarray(plant.leg.joints[1].muscles.muscle2.strength)  # type: ignore[attr-defined]
+    strength = np.asarray(plant.leg.joints[1].muscles.muscle2.strength)
     assert strength[0] == 1.0 and strength[1:].std() == pytest.approx(0.05, rel=0.1)
     mass = np.asarray(plant.leg.trunk.mass)
     assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
-    assert np.ndim(plant.valve.polytropic_index) == 0  # type: ignore[attr-defined]
+    assert np.ndim(plant.valve.polytropic_index) == 0
 
 
-def test_draws_of_the_air(scenario: LegScenario) -> None:
+def test_draws_of_the_air(scenario):
     spec = DrawSettings(wall_conductance=0.3, polytropic_index=0.2, draws=2000)
-    warm = dataclasses.replace(scenario.valve, wall_conductance=0.5)  # type: ignore[type-var]
-    valve: Any = drawn_air(warm, spec)
+    warm = dataclasses.replace(scenario.valve, wall_conductance=0.5)
+    valve = drawn_air(warm, spec)
     wall, index = np.asarray(valve.wall_conductance), np.asarray(valve.polytropic_index)
     assert wall[0] == 0.5 and np.log(wall[1:]).std() == pytest.approx(0.3, rel=0.1) and np.ndim(valve.leak) == 0
     assert index[0] == 1.2 and (index.min(), index.max()) == (1.0, 1.4)
-    tube: Any = drawn_air(Tube(warm, volume=3e-6, conductance=2e-9), spec)  # type: ignore[arg-type]
+    tube = drawn_air(Tube(warm, volume=3e-6, conductance=2e-9), spec)
     np.testing.assert_array_equal(tube.wall_conductance, wall)
     assert drawn_air(IdealValve(), spec) == IdealValve()
-    alone: Any = drawn_air(warm, spec.model_copy(update={"wall_conductance": 0.0}))
+    alone = drawn_air(warm, spec.model_copy(update={"wall_conductance": 0.0}))
     np.testing.assert_array_equal(alone.polytropic_index, index)
     assert abs(np.corrcoef(np.log(wall), index)[0, 1]) < 0.1
 
 
-def test_draws_of_the_air_may_be_correlated(scenario: LegScenario) -> None:
-    valve = dataclasses.replace(scenario.valve, wall_conductance=0.5, leak=2e-12, dead_volume=3e-6)  # type: ignore[type-var]
+def test_draws_of_the_air_may_be_correlated(scenario):
+    valve = dataclasses.replace(scenario.valve, wall_conductance=0.5, leak=2e-12, dead_volume=3e-6)
     correlations = {"wall_conductance": {"leak": 0.9}, "leak": {"dead_volume": -0.3}}
     spec = DrawSettings(wall_conductance=0.1, leak=0.2, dead_volume=0.05, correlations=correlations, draws=4000)
-    drawn: Any = drawn_air(valve, spec)
+    drawn = drawn_air(valve, spec)
     logs = np.log([drawn.wall_conductance, drawn.leak, drawn.dead_volume])
     assert logs[:, 0] == pytest.approx(np.log([0.5, 2e-12, 3e-6]))
     np.testing.assert_allclose(logs[:, 1:].std(axis=1), [0.1, 0.2, 0.05], rtol=0.05)
@@ -300,7 +293,7 @@ def test_draws_of_the_air_may_be_correlated(scenario: LegScenario) -> None:
         "leak: 10 %, dead_volume: 5 %, correlations: {leak: {dead_volume: 1.5}}",
     ],
 )
-def test_correlations_that_cannot_be(given: str) -> None:
+def test_correlations_that_cannot_be(given):
     valve = "{from: smc-itv0050, supply: 7 bar, leak: 1e-5 L/(s*bar), dead_volume: 3 cm^3}"
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{given}}}\n")
@@ -324,7 +317,7 @@ WARM = "{from: smc-itv0050, supply: 7 bar, wall_conductance: 0.5 W/K}"
         ("polytropic_index", f"{{class: unequal, muscle: {REGULATOR}}}", "one valve"),
     ],
 )
-def test_scatter_of_air_that_the_valve_does_not_have(name: str, valve: str, remedy: str) -> None:
+def test_scatter_of_air_that_the_valve_does_not_have(name, valve, remedy):
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
     (problem,) = caught.value.problems
@@ -332,17 +325,13 @@ def test_scatter_of_air_that_the_valve_does_not_have(name: str, valve: str, reme
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["polytropic_index", "wall_conductance"])
-def test_a_landing_of_a_draw_is_that_with_its_air(scenario: LegScenario, name: str) -> None:
+def test_a_landing_of_a_draw_is_that_with_its_air(scenario):
     none = {"strength": 0.0, "mass": 0.0}
-    valve: Any = scenario.valve
-    if name == "wall_conductance":
-        valve = dataclasses.replace(valve, wall_conductance=0.5)
-    spec = scenario.uncertainty.model_copy(update=none | {name: 0.1})
-    drawn = study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": valve}))
+    spec = scenario.uncertainty.model_copy(update=none | {"polytropic_index": 0.1})
+    drawn = study_landing(scenario.model_copy(update={"uncertainty": spec}))
     draw = 7
-    value = float(np.asarray(getattr(drawn_air(valve, spec), name))[draw])
-    own = dataclasses.replace(valve, **{name: value})
+    index = float(np.asarray(drawn_air(scenario.valve, spec).polytropic_index)[draw])
+    own = dataclasses.replace(scenario.valve, polytropic_index=index)
     spec = scenario.uncertainty.model_copy(update=none)
     alone = study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": own}))
     found, expected = (one.table["peak_trunk_force"].sel(valve=landing.CLOSED) for one in (drawn, alone))
@@ -352,7 +341,7 @@ def test_a_landing_of_a_draw_is_that_with_its_air(scenario: LegScenario, name: s
     assert high > low
 
 
-def test_draws_of_the_mass_scale_every_inertia() -> None:
+def test_draws_of_the_mass_scale_every_inertia():
     factors = np.array([1.0, 1.2])
     trunk = with_mass(Trunk(2.0, 0.02, freedom="floating", roll_inertia=0.03, yaw_inertia=0.012), factors)
     link = with_mass(Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004), factors)
@@ -362,7 +351,7 @@ def test_draws_of_the_mass_scale_every_inertia() -> None:
 
 
 @pytest.mark.slow
-def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> None:
+def test_gradient_of_the_apex_is_that_of_differences(scenario):
     plant = scenario.plant()
     angles = (0.0, -0.35)
     pressures = plant.leg.pressures_for(angles, jumping.standing_torques(plant, angles).tolist(), (None, None))
@@ -378,7 +367,7 @@ def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> N
 
 
 @pytest.mark.slow
-def test_standing_is_the_highest_posture(scenario: LegScenario) -> None:
+def test_standing_is_the_highest_posture(scenario):
     plant, drawn = scenario.plant(), drawn_plant(scenario)
     standing, hip = jumping._standing_heights(plant, drawn)
     assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
@@ -386,7 +375,7 @@ def test_standing_is_the_highest_posture(scenario: LegScenario) -> None:
 
 
 @pytest.fixture(scope="module")
-def short_searches() -> Iterator[None]:
+def short_searches():
     with pytest.MonkeyPatch.context() as patch:
         for name in ("_GENERATIONS", "_POPULATION", "_POLISHING"):
             patch.setattr(jump_search, name, 2)
@@ -394,12 +383,12 @@ def short_searches() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def jumps(scenario: LegScenario, short_searches: None) -> JumpStudy:
+def jumps(scenario, short_searches):
     return study_jump(scenario)
 
 
 @pytest.mark.slow
-def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, jumps: JumpStudy) -> None:
+def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
     assert jumps.timed.heights[0] >= jumps.constant.heights[0] - 1e-9 > 0
     assert 0 < jumps.timed.work < jumps.timed.air_energy
     assert (jumps.timed.rises[0] > 0) and jumps.timed.work < 20
@@ -415,12 +404,10 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, jum
 
 
 @pytest.mark.slow
-def test_a_search_that_was_broken_off_goes_on(
-    scenario: LegScenario, jumps: JumpStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeypatch):
     computed, run = [], jump_search.JumpRuns.heights
 
-    def counted(self: jump_search.JumpRuns, variables: np.ndarray) -> np.ndarray:
+    def counted(self, variables):
         computed.append(1)
         if len(computed) == 3:
             raise KeyboardInterrupt
@@ -441,7 +428,7 @@ def test_a_search_that_was_broken_off_goes_on(
 
 
 @pytest.mark.slow
-def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> None:
+def test_commands_write_their_results(scenario, tmp_path):
     file = tmp_path / "leg.yaml"
     file.write_text(scenario.dumps(), encoding="utf-8")
     out = tmp_path / "out"
@@ -452,14 +439,6 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     assert any(path.suffix == ".png" for path in out.iterdir())
     assert LegScenario.read(out / "leg.yaml") == scenario
     resumed = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json", "--resume"])
-    finer = [str(tmp_path / "finer.yaml"), "--json"]
-    scenario.model_copy(update={"accuracy": 1e-7, "substeps": None}).to_yaml(tmp_path / "finer.yaml")
-    assert (
-        json.loads(CliRunner().invoke(app, ["leg", "land", *finer]).stdout)["integration"]["error_estimate_rad"]
-        < (numbers["integration"]["error_estimate_rad"])
-    )
-    other = CliRunner().invoke(app, ["leg", "land", *finer, "--out", str(out), "--resume"])
-    assert isinstance(other.exception, FileError)
     assert resumed.exit_code == 0
     assert json.loads(resumed.stdout) == numbers
     again = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out)])
@@ -467,7 +446,7 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("command", ["land", "jump"])
-def test_there_is_no_study_to_continue(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_there_is_no_study_to_continue(command, tmp_path, monkeypatch):
     monkeypatch.setattr(LegScenario, "plant", lambda self: pytest.fail("work before the check"))
     done = CliRunner().invoke(app, ["leg", command, FILE, "--out", str(tmp_path), "--resume"])
     assert isinstance(done.exception, FileError)
@@ -475,7 +454,7 @@ def test_there_is_no_study_to_continue(command: str, tmp_path: Path, monkeypatch
     assert "no study" in problem.message and "--resume" in problem.remedy
 
 
-def test_file_without_a_study(tmp_path: Path) -> None:
+def test_file_without_a_study(tmp_path):
     file = tmp_path / "leg.yaml"
     file.write_text(HEAD, encoding="utf-8")
     for command in ("land", "jump"):
@@ -492,7 +471,7 @@ def test_file_without_a_study(tmp_path: Path) -> None:
         ("joint: knee", "joint: ankle", 14),
     ],
 )
-def test_a_mistake_in_a_section_has_the_line_of_its_key(old: str, new: str, line: int) -> None:
+def test_a_mistake_in_a_section_has_the_line_of_its_key(old, new, line):
     text = Path(FILE).read_text(encoding="utf-8")
     assert text.count(old) == 1
     with pytest.raises(ScenarioError) as caught:

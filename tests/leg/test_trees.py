@@ -1,7 +1,5 @@
 """Legs that are trees, and muscles through points of bodies: an arm of 24 muscles, MuJoCo, and mistakes in files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -9,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
-from mckibben.leg import JointwiseControl, Leg, LegScenario, LegStart, PressureSchedule, TimedReference, simulate_leg
+from mckibben.leg import JointwiseControl, LegScenario, LegStart, PressureSchedule, TimedReference, simulate_leg
 from mckibben.leg.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
 from mckibben.leg.tree import MASSLESS, Body, Frame, Hinge, equations, frames_of, path_through
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
@@ -24,14 +21,14 @@ REFERENCE = json.loads(Path(__file__).with_name("umarm.json").read_text())
 
 
 @pytest.fixture(scope="module")
-def arm() -> Leg:
+def arm():
     return LegScenario.read(ARM).leg
 
 
-def pull_of_gravity(leg: Leg, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def pull_of_gravity(leg, angles):
     """Torques [N*m] on the joints of a gravity along -x, from the derivative of the potential energy."""
 
-    def energy(q: jax.Array) -> jax.Array:
+    def energy(q):
         posture = posture_of(leg, tuple(q))
         links = zip(frames(leg, posture, at_rest(posture))[1:], leg.links, strict=True)
         places = ((link.mass, frame.point(Vector(0.0, 0.0, -link.centre))[0].x) for frame, link in links)
@@ -41,7 +38,7 @@ def pull_of_gravity(leg: Leg, angles: NDArray[np.float64]) -> NDArray[np.float64
 
 
 @pytest.mark.parametrize("case", REFERENCE["cases"])
-def test_an_arm_of_24_muscles_is_that_of_soromox(arm: Leg, case: dict[str, list[float]]) -> None:
+def test_an_arm_of_24_muscles_is_that_of_soromox(arm, case):
     """Muscles, mass matrix and accelerations of UMArm; there gravity acts along -x of the base."""
     angles, rates = np.array(case["angle_rad"]), np.array(case["velocity_rad_s"])
     pressures = case["pressure_Pa"]
@@ -63,7 +60,7 @@ def test_an_arm_of_24_muscles_is_that_of_soromox(arm: Leg, case: dict[str, list[
 
 
 @pytest.mark.slow
-def test_an_arm_swings_to_where_its_muscles_pull_it() -> None:
+def test_an_arm_swings_to_where_its_muscles_pull_it():
     """Muscle a of the first joint, with more pressure than the others, turns it most."""
     plant = LegScenario.read(ARM).plant()
     names, even = plant.leg.muscle_names, (2e5,) * 24
@@ -75,7 +72,7 @@ def test_an_arm_swings_to_where_its_muscles_pull_it() -> None:
     assert max(turned, key=turned.__getitem__) == "u1y" and turned["u1y"] > 5 * deg
 
 
-def random_tree(rng: np.random.Generator) -> tuple[list[Hinge], list[Body], list[list[tuple[int, Vector]]]]:
+def random_tree(rng):
     """A tree of eight bodies of any shape, and paths through points of theirs."""
     hinges, bodies = [], [MASSLESS]
     for number in range(8):
@@ -95,11 +92,11 @@ def random_tree(rng: np.random.Generator) -> tuple[list[Hinge], list[Body], list
     return hinges, bodies, paths
 
 
-def vector(numbers: NDArray[np.float64]) -> Vector:
+def vector(numbers):
     return Vector(*map(float, numbers))
 
 
-def mjcf(hinges: list[Hinge], bodies: list[Body], paths: list[list[tuple[int, Vector]]]) -> str:
+def mjcf(hinges, bodies, paths):
     """The tree in MJCF, with the paths as spatial tendons."""
     sites = [
         (body, f'<site name="p{i}_{k}" pos="{numbers(place)}"/>')
@@ -107,7 +104,7 @@ def mjcf(hinges: list[Hinge], bodies: list[Body], paths: list[list[tuple[int, Ve
         for k, (body, place) in enumerate(path)
     ]
 
-    def content(parent: int) -> str:
+    def content(parent):
         inside = [site for body, site in sites if body == parent]
         for number, hinge in enumerate(hinges, 1):
             if hinge.parent == parent:
@@ -127,12 +124,12 @@ def mjcf(hinges: list[Hinge], bodies: list[Body], paths: list[list[tuple[int, Ve
     return f'<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/>{world}</mujoco>'
 
 
-def numbers(values: tuple[float, ...]) -> str:
+def numbers(values):
     return " ".join(repr(float(value)) for value in values)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_random_trees_with_paths_are_those_of_mujoco(seed: int) -> None:
+def test_random_trees_with_paths_are_those_of_mujoco(seed):
     mujoco = pytest.importorskip("mujoco")
     rng = np.random.default_rng(seed)
     hinges, bodies, paths = random_tree(rng)
@@ -161,7 +158,7 @@ def test_random_trees_with_paths_are_those_of_mujoco(seed: int) -> None:
         np.testing.assert_allclose([float(slopes.get(number, 0.0)) for number in ours], own, atol=1e-12)
 
 
-def depth_first(hinges: list[Hinge], parent: int = 0) -> list[int]:
+def depth_first(hinges, parent=0):
     found = []
     for number, hinge in enumerate(hinges, 1):
         if hinge.parent == parent:
@@ -189,7 +186,7 @@ leg:
 """
 
 
-def test_a_fork_is_read_and_a_muscle_turns_the_joints_that_it_passes() -> None:
+def test_a_fork_is_read_and_a_muscle_turns_the_joints_that_it_passes():
     scenario = LegScenario.parse(FORK)
     assert LegScenario.parse(scenario.dumps()) == scenario
     leg = scenario.leg
@@ -214,7 +211,7 @@ def test_a_fork_is_read_and_a_muscle_turns_the_joints_that_it_passes() -> None:
         ("-200 mm]", "200 mm]", 16, "leg.spanning[0]"),
     ],
 )
-def test_a_mistake_in_a_tree_has_its_line(old: str, new: str, line: int, field: str) -> None:
+def test_a_mistake_in_a_tree_has_its_line(old, new, line, field):
     assert old in FORK
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(FORK.replace(old, new))
@@ -223,7 +220,7 @@ def test_a_mistake_in_a_tree_has_its_line(old: str, new: str, line: int, field: 
     assert problem.line is not None and abs(problem.line - line) <= 2 and problem.remedy
 
 
-def test_a_controller_of_pairs_is_refused_without_pairs() -> None:
+def test_a_controller_of_pairs_is_refused_without_pairs():
     plant = LegScenario.read(ARM).plant()
     control = JointwiseControl((mk.PID(1.0, 1.0, 0.0),) * 12, TimedReference(()))
     with pytest.raises(RangeError) as caught:

@@ -23,7 +23,7 @@ from mckibben.units import bar, deg
 
 LEG = Path("examples/leg/lei-leg.yaml")
 OTHERS = run_path(str(Path(__file__).with_name("test_mujoco.py")))
-STEP, PERIOD, PERIODS = 1e-3, 2e-3, 500  # 1 s
+STEP, PERIOD, PERIODS = 1e-3, 2e-3, 100  # 0.2 s
 PRESSURES = tuple(one * bar for one in (4.3, 4.6, 4.2, 4.5, 4.9, 4.5, 1.0))  # that hold the leg near 0
 START = LegStart((2 * deg, -3 * deg, 1 * deg), PRESSURES, clearance=0.5)
 REGULATOR = mk.PressureRegulator(conductance=0.5e-8, supply=7 * bar, time_constant=0.01, dead_volume=5e-6)
@@ -39,7 +39,7 @@ def arm(valve, **parts):
 
 def commands():
     """Commands of all muscles in each period."""
-    return PRESSURES + 0.3 * bar * np.sin(10 * PERIOD * np.arange(PERIODS)[:, None] + np.arange(7))
+    return PRESSURES + 0.3 * bar * np.sin(50 * PERIOD * np.arange(PERIODS)[:, None] + np.arange(7))
 
 
 @jax.jit
@@ -54,7 +54,7 @@ def angles_of(plant, state, commands):
 
 
 @pytest.mark.slow
-def test_a_second_of_three_joints_and_a_muscle_over_two_agrees(tmp_path):
+def test_three_joints_and_a_muscle_over_two_agree(tmp_path):
     warp = pytest.importorskip("mujoco_warp", reason="the extra warp is not installed")
     importlib.import_module("warp").config.optimization_level = 0  # compiling takes longer than running
     plant = arm(REGULATOR, friction=MaxwellSlip(12.0, 5e-4, viscous=30.0, elements=2), creep=MaxwellCreep(900.0, 0.5))

@@ -1,7 +1,5 @@
 """Headless Chromium over its debugging protocol: open a page, evaluate, wait, take a picture."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import json
@@ -9,12 +7,9 @@ import shutil
 import subprocess
 import time
 import urllib.request
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 PROGRAM = shutil.which("chromium")
 
@@ -22,13 +17,13 @@ PROGRAM = shutil.which("chromium")
 class Tab:
     """A tab; `errors` are the errors that its scripts have reported."""
 
-    def __init__(self, line: ClientConnection) -> None:
+    def __init__(self, line):
         self._line, self._numbers = line, itertools.count(1)
         self.errors: list[str] = []
         for domain in ("Page", "Runtime", "Log"):
             self.send(f"{domain}.enable")
 
-    def send(self, method: str, **parameters: Any) -> Any:
+    def send(self, method, **parameters):
         """Call a method of the protocol; its result."""
         number = next(self._numbers)
         self._line.send(json.dumps({"id": number, "method": method, "params": parameters}))
@@ -40,31 +35,31 @@ class Tab:
             if answer.get("id") == number:
                 return answer["result"]
 
-    def open(self, address: str, width: int) -> None:
+    def open(self, address, width):
         """Open an address in a window of a width."""
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         self.send("Emulation.setDeviceMetricsOverride", **size)
         self.send("Page.navigate", url=address)
 
-    def evaluate(self, script: str) -> Any:
+    def evaluate(self, script):
         """The value of an expression."""
         return self.send("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
 
-    def wait(self, condition: str, seconds: float = 60.0) -> None:
+    def wait(self, condition, seconds=60.0):
         """Wait until an expression is true."""
         end = time.monotonic() + seconds
         while not self.evaluate(condition):
             assert time.monotonic() < end, f"not in time: {condition}"
             time.sleep(0.1)
 
-    def picture(self, path: Path) -> None:
+    def picture(self, path):
         """Save what is shown."""
         content = self.send("Page.captureScreenshot", captureBeyondViewport=True)["data"]
         path.write_bytes(base64.b64decode(content))
 
 
 @contextmanager
-def browser(folder: Path) -> Iterator[Tab]:
+def browser(folder):
     """A tab of a browser that is ended afterwards; its profile is in a folder."""
     options = ["--headless=new", "--no-sandbox", "--remote-debugging-port=0", f"--user-data-dir={folder}"]
     with subprocess.Popen([str(PROGRAM), *options], stderr=subprocess.DEVNULL) as process:

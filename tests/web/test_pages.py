@@ -1,7 +1,5 @@
 """The pages without a browser: what a user does, and what is shown."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import gc

@@ -1,7 +1,5 @@
 """Choices of the plant on the page of runs: each is a scenario that reads and runs, and is recognised again."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("nicegui")

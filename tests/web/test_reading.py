@@ -1,7 +1,5 @@
 """Fields of the page of muscles by which a file is read."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The server in a process of its own: whom it answers, how it starts and ends."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import re

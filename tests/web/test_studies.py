@@ -1,7 +1,5 @@
 """Tuning and comparison of the pages: the numbers of the commands."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile
