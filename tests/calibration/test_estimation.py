@@ -8,7 +8,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointEstimate, JointPrior, JointRecording, calibrate_joint
-from mckibben.calibration.equations import COEFFICIENTS, OF_MUSCLE, derivatives, halves_of, parameters, problem_of
+from mckibben.calibration.equations import COEFFICIENTS, OF_MUSCLE, PARAMETERS, derivatives, halves_of, problem_of
 from mckibben.calibration.estimation import quantities_of
 from mckibben.calibration.fitting import LocalMinimum
 from mckibben.errors import IdentificationError, RangeError, ScenarioError
@@ -120,7 +120,7 @@ def test_derivatives_are_difference_quotients(recorded, engine):
     rng = np.random.default_rng(2)
     halves = halves_of(recorded[0][0])
     problem = problem_of(knee(), LOAD, [halves], JointPrior())
-    z, directions = rng.standard_normal((2, parameters(problem), 1))
+    z, directions = rng.standard_normal((2, PARAMETERS, 1))
     step = 1e-6
 
     def errors(z):
@@ -220,7 +220,7 @@ def test_friction_that_two_minima_exchange_is_determined_in_sum_only(recorded):
     """Each minimum alone has small deviations."""
     halves = halves_of(recorded[0][0])
     problem = problem_of(knee(), LOAD, [halves], JointPrior())
-    z, narrow = np.zeros(parameters(problem)), 0.05**2 * np.eye(parameters(problem))
+    z, narrow = np.zeros(PARAMETERS), 0.05**2 * np.eye(PARAMETERS)
     first, second = 2 * COEFFICIENTS, 2 * COEFFICIENTS + OF_MUSCLE  # friction of each muscle
     minima = []
     for exchange in (1.2, -1.2):

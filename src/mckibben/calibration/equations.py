@@ -32,15 +32,11 @@ Number = float | np.float64 | Array
 PositiveAngle = Annotated[float, Quantity("rad", "deg", 0, 57, open_lower=True)]
 PositiveNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3, open_lower=True)]
 RATE = 50.0  # Hz, of the fitted samples
-_WINDOW = 0.05  # s, window of the local cubic fits used for differentiation: short, as they attenuate accelerations
-_SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, duration of a recording and time between its samples
 COEFFICIENTS = 3  # of each polynomial of a correction
 OF_MUSCLE = 2 * COEFFICIENTS + 3  # parameters: these, friction, presliding and growth of the friction
-_BEYOND = 1.2  # half width of the corrections relative to the measured contractions
-_SLIDING = 6.0  # presliding lengths of travel after which the initial friction state is forgotten
-_BAND, _PRESLIDING = 0.02, 2e-3  # friction if the model has none, relative to highest force and initial length
+_CREEP = 2 * OF_MUSCLE + 7  # first creep stiffness, after mass, weight, zero, arms, load cells and apparent inertia
 CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
-_SHARED = 7  # parameters: the load's mass, the weight, zero, arms, both load cells, and the apparent inertia
+PARAMETERS = _CREEP + 2 * CREEP_TIMES.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,22 +150,29 @@ class JointSamples(NamedTuple):
 Halves = tuple[JointSamples, JointSamples]
 
 
+class Scales(NamedTuple):
+    """Scales of the correction of a muscle."""
+
+    force: float  # highest force at the middle contraction [N]
+    highest: float  # pressure [Pa]
+    centre: float  # middle contraction
+    half_width: float
+    pressure: float  # mean of the measured pressures [Pa]
+    creep: float  # standard deviation of its stiffness [N/m]
+
+
 class CalibrationProblem(NamedTuple):
     """The model, and the scales of each muscle's correction.
 
-    Parameters z are in prior standard deviations from the model: of each muscle (but not of a return spring) the
-    coefficients of the constant and of the pressure-proportional correction, friction, presliding and growth of the
-    friction; then mass, weight, zero, arms, load cells and apparent inertia; then creep stiffnesses of each muscle.
+    Parameters z are in prior standard deviations from the model: of each muscle the coefficients of the constant and of
+    the pressure-proportional correction, friction, presliding and growth of the friction; then mass, weight, zero,
+    arms, load cells and apparent inertia; then creep stiffnesses of each muscle. Those of a return spring have no
+    effect, and more parameters may follow.
     """
 
     joint: AntagonisticJoint
     load: Load
-    force: tuple[float, ...]  # highest force at the middle contraction [N]
-    highest: tuple[float, ...]  # pressure [Pa]
-    centre: tuple[float, ...]
-    half_width: tuple[float, ...]
-    pressure: tuple[float, ...]  # mean of the measured pressures [Pa]
-    creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
+    scales: tuple[Scales, ...]
     prior: dict[str, float]
 
 
@@ -184,40 +187,45 @@ class _Corrected(NamedTuple):
     inertia: Number  # apparent, relative to that of the load
 
 
-def sampling_period(recording: JointRecording) -> float:
+def sampling_period(recording: JointRecording, *, longest: float = 0.01) -> float:
     """Sampling period [s]; `IdentificationError` for samples that are too sparse or not equally spaced."""
     time = recording.time
     period = float(time[-1] - time[0]) / (time.size - 1)
-    if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
+    if period > longest or np.ptp(np.diff(time)) > period:
         raise IdentificationError(
             f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
             value=period,
             unit="s",
-            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
+            remedy=f"record at {1 / longest:.0f} Hz or more",
         )
     return period
 
 
-def check_recording(recording: JointRecording) -> None:
-    """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short."""
+def check_recording(recording: JointRecording, *, shortest: float = 5.0) -> None:
+    """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short, a duration [s]."""
     columns = [recording.time, recording.angle, recording.pressures]
     columns += [column for column in (recording.tensions, recording.commands) if column is not None]
     if not all(np.all(np.isfinite(column)) for column in columns):
         raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time
-    if time.size < 50 or time[-1] - time[0] < _SHORTEST:
+    if time.size < 50 or time[-1] - time[0] < shortest:
         message = f"a recording of {time.size} samples over {np.ptp(time) if time.size else 0:.3g} s is too short"
-        raise IdentificationError(message, value=time.size, remedy=f"record at least {_SHORTEST:g} s")
+        raise IdentificationError(message, value=time.size, remedy=f"record at least {shortest:g} s")
 
 
-def local_cubic(values: Floats, width: int, derivative: int = 0, period: float = 1.0) -> Floats:
-    """Derivative at each sample of a cubic fitted to the `width` samples around it, at the ends to the outermost ones.
+def cubic_width(period: float, *, window: float = 0.05) -> int:
+    """Number of samples of a local cubic fit: a window [s] that is short, as it attenuates accelerations."""
+    return max(2 * int(window / (2 * period)) + 1, 5)
+
+
+def local_cubic(values: Floats, period: float, derivative: int = 0) -> Floats:
+    """Derivative at each sample of a cubic fitted to the `cubic_width` samples around it, at the ends to the outermost.
 
     A. Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964.
     """
     from scipy.signal import savgol_filter  # 1 s
 
-    return np.asarray(savgol_filter(values, width, 3, derivative, period))
+    return np.asarray(savgol_filter(values, cubic_width(period), 3, derivative, period))
 
 
 def halves_of(recording: JointRecording) -> Halves:
@@ -235,14 +243,13 @@ def halves_of(recording: JointRecording) -> Halves:
             "a recording has commanded pressures", remedy="use calibrate_from_commands, or give measured pressures"
         )
     check_recording(recording)
-    time, period = recording.time, sampling_period(recording)
-    width = max(2 * int(_WINDOW / (4 * period)) + 1, 5)
-    margin = 2 * width * period
+    time, period = recording.time, 2 * sampling_period(recording)  # of a half
+    margin = cubic_width(period) * period
     grid = np.arange(time[0] + margin, time[-1] - margin, 1 / RATE)
 
     def half(begin: int) -> JointSamples:
         def fit(column: Floats, derivative: int = 0) -> Floats:
-            return np.interp(grid, time[begin::2], local_cubic(column[begin::2], width, derivative, 2 * period))
+            return np.interp(grid, time[begin::2], local_cubic(column[begin::2], period, derivative))
 
         tensions = recording.tensions
         return JointSamples(
@@ -259,16 +266,27 @@ def halves_of(recording: JointRecording) -> Halves:
 
 
 def problem_of(
-    joint: AntagonisticJoint, load: Load, recordings: Sequence[Halves], prior: JointPrior
+    joint: AntagonisticJoint,
+    load: Load,
+    recordings: Sequence[Halves],
+    prior: JointPrior,
+    *,
+    beyond: float = 1.2,
+    band: float = 0.02,
+    presliding: float = 2e-3,
 ) -> CalibrationProblem:
     """Return the model, with friction added if it has none, and the scales of its corrections.
+
+    Corrections have a half width of `beyond` times that of the measured contractions. Friction, where the model has
+    none, begins at a `band` relative to the highest force, and a `presliding` length relative to the initial length.
 
     Raises
     ------
     IdentificationError
         If the muscles do not change their length in the recordings.
     """
-    muscles, scales = [], []
+    muscles: list[Muscle] = []
+    scales: list[Scales] = []
     angle = np.concatenate([half.angle for half, _ in recordings])
     for muscle, spring, path in zip(
         (joint.muscle1, joint.muscle2), joint.springs, path_lengths(joint, angle), strict=True
@@ -280,14 +298,14 @@ def problem_of(
         warn_outside((muscle, middle, most))
         creep = prior.creep * abs(slope) / float(muscle.specimen.initial_length)
         mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
-        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, creep))
+        scales.append(Scales(force, most, middle, beyond * (high - low) / 2, mean, creep))
         if not (spring or muscle.has_friction):
-            band = MaxwellSlip(_BAND * force, _PRESLIDING * float(muscle.specimen.initial_length))
-            muscle = dataclasses.replace(muscle, friction=band)
+            friction = MaxwellSlip(band * force, presliding * float(muscle.specimen.initial_length))
+            muscle = dataclasses.replace(muscle, friction=friction)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
     widths = {"offset": prior.strength / 2, **{name: width for name, width in vars(prior).items() if width is not None}}
-    return CalibrationProblem(joint, load, *zip(*scales, strict=True), prior=widths)
+    return CalibrationProblem(joint, load, tuple(scales), widths)
 
 
 def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
@@ -303,38 +321,22 @@ def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Arr
     return low, high, muscle.tension(*at), muscle.slope(*at)
 
 
-def muscle_parameters(problem: CalibrationProblem) -> int:
-    """Number of parameters of the muscles."""
-    return OF_MUSCLE * problem.joint.springs.count(False)
-
-
-def parameters(problem: CalibrationProblem) -> int:
-    """Number of parameters: muscles, shared ones, and creep stiffnesses."""
-    return creep_begin(problem) + CREEP_TIMES.size * problem.joint.springs.count(False)
-
-
-def creep_begin(problem: CalibrationProblem) -> int:
-    """Index of the first creep stiffness among the parameters; recordings of commands have none."""
-    return muscle_parameters(problem) + _SHARED
-
-
 def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
     """The model for parameters in prior standard deviations from their prior mean."""
-    prior, joint, load = problem.prior, problem.joint, problem.load
-    muscles, shrink, n = [], 0.5 ** np.arange(COEFFICIENTS), COEFFICIENTS
-    own = iter(z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE))
+    prior, joint, load, n = problem.prior, problem.joint, problem.load, COEFFICIENTS
+    muscles, shrink = [], 0.5 ** np.arange(n)
     for i, muscle in enumerate[Any]((joint.muscle1, joint.muscle2)):
         if joint.springs[i]:
             muscles.append(muscle)
             continue
-        values, force = next(own), problem.force[i]
+        values, scales = z[i * OF_MUSCLE : (i + 1) * OF_MUSCLE], problem.scales[i]
         correction = ForceCorrection(
-            tuple(values[:n] * shrink * (prior["offset"] * force)),
-            tuple(values[n : 2 * n] * shrink * (prior["strength"] * force / problem.highest[i])),
-            problem.centre[i],
-            problem.half_width[i],
+            tuple(values[:n] * shrink * (prior["offset"] * scales.force)),
+            tuple(values[n : 2 * n] * shrink * (prior["strength"] * scales.force / scales.highest)),
+            scales.centre,
+            scales.half_width,
         )
-        friction, mean = muscle.friction, problem.pressure[i]
+        friction, mean = muscle.friction, scales.pressure
         width = friction.half_width + friction.growth * (mean - friction.reference_pressure)
         friction = dataclasses.replace(
             friction,
@@ -346,7 +348,7 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
         muscles.append(
             dataclasses.replace(muscle, law=adjusted_law(muscle.law, correction=correction), friction=friction)
         )
-    mass, added, zero, arms, cell1, cell2, inertia = z[muscle_parameters(problem) : creep_begin(problem)]
+    mass, added, zero, arms, cell1, cell2, inertia = z[2 * OF_MUSCLE : _CREEP]
     if load.adapted_mass:
         more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
         load = dataclasses.replace(load, **{load.adapted_mass: more})
@@ -363,11 +365,9 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
 
 def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
     """Stiffness [N/m] of each Maxwell arm of both muscles, shape (2, arms); 0 of springs."""
-    count = CREEP_TIMES.size
-    own = iter(z[creep_begin(problem) :].reshape(-1, count))
-    pairs = zip(problem.joint.springs, problem.creep, strict=True)
-    rows = [jnp.zeros(count) if spring else next(own) * deviation / np.sqrt(count) for spring, deviation in pairs]
-    return jnp.stack(rows)
+    pairs = zip(problem.joint.springs, problem.scales, strict=True)
+    deviations = jnp.stack([jnp.asarray(0.0 if spring else scales.creep) for spring, scales in pairs])
+    return z[_CREEP:PARAMETERS].reshape(2, -1) * deviations[:, None] / np.sqrt(CREEP_TIMES.size)
 
 
 def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
@@ -423,15 +423,16 @@ def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) ->
     return errors[..., 0], slopes
 
 
-def sliding_from(joint: AntagonisticJoint, angle: Samples) -> int:
+def sliding_from(joint: AntagonisticJoint, angle: Samples, *, lengths: float = 6.0) -> int:
     """First of the samples [rad] at which the friction does not depend on its unknown initial state.
 
-    Raises `IdentificationError` if that is not within the first half of them.
+    It is forgotten after a travel of some presliding lengths. Raises `IdentificationError` if that is not within the
+    first half of the samples.
     """
     first = 0
     for muscle, path in zip((joint.muscle1, joint.muscle2), path_lengths(joint, angle), strict=True):
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
-        enough = travelled > _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
+        enough = travelled > lengths * float(getattr(muscle.friction, "presliding_length", 0.0))
         if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:
             message = f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm"
             remedy = "sweep larger angles: friction hides the force in small motions"

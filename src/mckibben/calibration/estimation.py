@@ -19,6 +19,7 @@ from scipy.special import chdtri
 from mckibben.calibration.equations import (
     COEFFICIENTS,
     OF_MUSCLE,
+    PARAMETERS,
     RATE,
     CalibrationProblem,
     Floats,
@@ -26,12 +27,9 @@ from mckibben.calibration.equations import (
     JointPrior,
     JointRecording,
     corrected,
-    creep_begin,
     creep_stiffness,
     halves_of,
     linearised,
-    muscle_parameters,
-    parameters,
     problem_of,
     sliding_from,
 )
@@ -43,9 +41,10 @@ from mckibben.calibration.fitting import (
     draws,
     misfit_remarks,
     probabilities,
-    remembered,
+    root_mean_square,
 )
 from mckibben.errors import IdentificationError, RangeError
+from mckibben.identification.estimator import remembered
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
@@ -53,20 +52,12 @@ from mckibben.numerics.compiled import jit
 from mckibben.result import Column, Listing, Remark, column
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
-_START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
-_LEAST_VARIANCE = 1e-8
-_CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 _APART = 100  # samples, of the stiffness along recordings
 _EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
 _LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm is estimated
-_SAMPLES = ((0, 1), (0, 1))  # axes of a sum over samples and groups
-_TAKES_PART = 0.3  # least share of a quantity that is named in a combination
-STARTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, -4.0)  # prior standard deviations of the muscles' strength
-_EXCHANGES = (0.35, -0.35)  # of the friction of muscle 1; the opposite of muscle 2, and of the presliding lengths
-_FIRST, _STAGES, _ITERATIONS = 8, 3, 25
-_TOLERANCE = 1e-2  # of the gradient, per prior standard deviation
-_FARTHEST = 2.0  # prior standard deviations, of a step
+STRENGTHS = range(-4, 3)
+"""Prior standard deviations of the muscles' strength at the starts of a search: slack muscles cause local minima."""
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 
 
@@ -134,12 +125,12 @@ class CalibratedJoint(Calibration):
         before, after = np.sum([np.square(self.errors(recording)) for recording in self.held_out], axis=0)
         return bool(after < before)
 
-    def combinations(self) -> dict[str, float]:
+    def combinations(self, *, share: float = 0.3) -> dict[str, float]:
         """Return combinations of the quantities that the recordings do not determine one by one.
 
         The deviation of each relative to that before: below 1/2 the recordings determine the combination, near 1 they
         trade its quantities for each other. Quantities count in units of their deviations before, of their logarithms
-        for friction and presliding.
+        for friction and presliding. Quantities with less than a `share` are not named.
         """
         evaluations = [_quantities(self._problem, jnp.asarray(minimum.z)) for minimum in self._minima]
         names = [name for name, estimate in self.quantities.items() if not estimate.determined]
@@ -154,7 +145,7 @@ class CalibratedJoint(Calibration):
         rows = {}
         variances, directions = np.linalg.eigh(spread) if names else ((), np.zeros((0, 0)))
         for variance, direction in zip(variances, directions.T, strict=True):
-            parts = [f"{x:+.2g} {name}" for x, name in zip(direction, names, strict=True) if abs(x) > _TAKES_PART]
+            parts = [f"{x:+.2g} {name}" for x, name in zip(direction, names, strict=True) if abs(x) > share]
             if len(parts) > 1:
                 rows[" ".join(parts)] = math.sqrt(variance)
         return rows
@@ -185,10 +176,10 @@ class CalibratedJoint(Calibration):
         return f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; {super().verdict()}"
 
     def remarks(self) -> list[Remark]:
-        """Contradictions of model and recordings, and quantities that are far from the model."""
-        z = self._minima[0].z
+        """Contradictions of model and recordings (probability 1e-6), and quantities that are far from the model."""
+        z = self._minima[0].z[:PARAMETERS]
         remarks, distance = [], float(z @ z)
-        if distance > chdtri(z.size, _CONTRADICTION):
+        if distance > chdtri(z.size, 1e-6):
             text = f"the recordings contradict the model: it is too far from the estimates (chi-squared {distance:.3g})"
             remarks.append(Remark.warning("quantities", text, _CHECK))
         if self.held_out and not self.predicts:
@@ -229,13 +220,13 @@ class JointCalibration(CalibratedJoint):
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
         """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
-        halves, z = halves_of(recording), self._minima[0].z
+        halves = halves_of(recording)
         edge = sliding_from(self._problem.joint, halves[0].angle) + int(4 * _FILTER * RATE)
         before, after = (
-            np.mean([_filtered(linearised(self._problem, at, half)[0], edge) for half in halves], axis=0)[:, 0]
-            for at in (np.zeros(z.size), z)
+            np.mean([_filtered(linearised(self._problem, z, half)[0], edge) for half in halves], axis=0)[:, 0]
+            for z in (np.zeros(PARAMETERS), self._minima[0].z)
         )
-        return float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
+        return root_mean_square([before]), root_mean_square([after])
 
     def remarks(self) -> list[Remark]:
         """Whether the model describes the recordings, and remarks on the quantities."""
@@ -286,7 +277,9 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     minima, residual, noise = _solve(problem, halves)
-    highest = float(np.max(problem.force) * np.max(np.abs(joint.geometry.moment_arms(halves[0][0].angle))))
+    highest = float(
+        max(scales.force for scales in problem.scales) * np.max(np.abs(joint.geometry.moment_arms(halves[0][0].angle)))
+    )
     model = jax.tree.map(number, _model(problem, jnp.asarray(minima[0].z)))
     try:
         recheck(model)
@@ -348,36 +341,37 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
         geometry: Any = joint.geometry
         quantities: Any = OrderedDict()
         bands = []
-        creep = creep_stiffness(problem, z).sum(axis=1) if z.size > creep_begin(problem) else None
+        creep = creep_stiffness(problem, z).sum(axis=1)
         pairs = zip((joint.muscle1, joint.muscle2), (problem.joint.muscle1, problem.joint.muscle2), strict=True)
         for i, (muscle, before) in enumerate(pairs):
             if joint.springs[i]:
                 continue
-            point, name, friction = (problem.centre[i], problem.pressure[i]), f"muscle{i + 1}", muscle.friction
+            name, scales, friction = f"muscle{i + 1}", problem.scales[i], muscle.friction
+            point = scales.centre, scales.pressure
             bands.append(friction.half_width)  # type: ignore[attr-defined]
             quantities[f"{name}.force"] = muscle.law.force(*point) / before.law.force(*point)
             quantities[f"{name}.friction"] = jnp.log(bands[-1])
             quantities[f"{name}.presliding"] = jnp.log(friction.presliding_length)  # type: ignore[attr-defined]
-            if creep is not None:
-                quantities[f"{name}.creep"] = creep[i]
+            quantities[f"{name}.creep"] = creep[i]
         quantities["friction"] = jnp.log(jnp.stack(bands).sum())
         if load.adapted_mass:
             quantities["load.mass"] = getattr(load, load.adapted_mass)
-        quantities |= {"added_mass": added, "zero": zero, "arm_scale": geometry.scale}
-        if creep is not None:
-            quantities["inertia"] = inertia
-        return quantities
+        return quantities | {"added_mass": added, "zero": zero, "arm_scale": geometry.scale, "inertia": inertia}
 
     return values(z), jax.jacfwd(values)(z)
 
 
-def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[tuple[LocalMinimum, ...], float, float]:
-    """Minima of all starts, the best one first, the residual torque [N*m], and its noise."""
-    count, edge = parameters(problem), int(4 * _FILTER * RATE)
+def _solve(
+    problem: CalibrationProblem, recordings: Sequence[Halves], *, stages: int = 3, variance: float = 1e-3
+) -> tuple[tuple[LocalMinimum, ...], float, float]:
+    """Minima of all starts, the best one first, the residual torque [N*m], and its noise.
+
+    The variances, of the torque first that stated [N^2*m^2], are estimated from the residuals in stages.
+    """
+    edge = int(4 * _FILTER * RATE)
     begins = [sliding_from(problem.joint, half.angle) + edge for half, _ in recordings]
-    groups = 1 + len(recordings[0][0].tensions)
-    highest = np.asarray(problem.force).max()
-    variances = np.full(groups, _START_VARIANCE) * np.array([1.0, highest**2, highest**2])[:groups]
+    highest = max(scales.force for scales in problem.scales)
+    variances = variance * np.array([1.0, highest**2, highest**2])[: 1 + len(recordings[0][0].tensions)]
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of both halves of each recording."""
@@ -387,12 +381,13 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[t
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
         """Objective with the prior, its gradient, and its Gauss-Newton Hessian."""
         scale = 1 / np.sqrt(variances)
-        objective, gradient, curvature = float(z @ z) / 2, z.copy(), np.eye(count)
-        for (r0, J0), (r1, J1) in raw(z):
-            r0, r1, J0, J1 = r0 * scale, r1 * scale, J0 * scale[:, None], J1 * scale[:, None]
-            cross = np.tensordot(J0, J1, _SAMPLES)
-            objective, curvature = objective + float(np.vdot(r0, r1)) / 2, curvature + (cross + cross.T) / 2
-            gradient += (np.tensordot(J0, r1, _SAMPLES) + np.tensordot(J1, r0, _SAMPLES)) / 2
+        objective, gradient, curvature = float(z @ z) / 2, z.copy(), np.eye(PARAMETERS)
+        for pair in raw(z):
+            r0, r1 = ((r * scale).ravel() for r, _ in pair)
+            J0, J1 = ((J * scale[:, None]).reshape(-1, PARAMETERS) for _, J in pair)
+            cross = J0.T @ J1
+            objective, curvature = objective + float(r0 @ r1) / 2, curvature + (cross + cross.T) / 2
+            gradient += (J0.T @ r1 + J1.T @ r0) / 2
         return objective, gradient, curvature
 
     def errors(z: Floats) -> tuple[list[Floats], list[Floats]]:
@@ -400,14 +395,13 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[t
         pairs = [(r0, r1) for (r0, _), (r1, _) in raw(z)]
         return [(r0 + r1) / 2 for r0, r1 in pairs], [(r0 - r1) / 2 for r0, r1 in pairs]
 
-    search = [start(problem, strength) for strength in STARTS]
-    search += [start(problem, exchange=exchange) for exchange in _EXCHANGES]
-    minima = sorted((_minimised(terms, z, _FIRST) for z in search), key=lambda fit: fit[1])
+    search = [start(strength) for strength in STRENGTHS] + [start(exchange=sign * 0.35) for sign in (1, -1)]
+    minima = sorted((_minimised(terms, z, iterations=8) for z in search), key=lambda fit: fit[1])
     z = minima[0][0]
-    for _ in range(_STAGES):
+    for _ in range(stages):
         z, _ = _minimised(terms, z)
-        determined = count - float(np.trace(np.linalg.inv(terms(z)[2])))
-        variances = np.maximum(_variances(*errors(z), determined), _LEAST_VARIANCE)
+        determined = PARAMETERS - float(np.trace(np.linalg.inv(terms(z)[2])))
+        variances = np.maximum(_variances(*errors(z), determined), 1e-8)
     others = _distinct([z, *(z for z, _ in minima)])
     minima = sorted((_minimised(terms, z) for z in others), key=lambda fit: fit[1])
     weights = probabilities([objective for _, objective in minima])
@@ -416,7 +410,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[t
         for (z, _), weight in zip(minima, weights.tolist(), strict=True)
         if weight > 0
     ]
-    residual, noise = (float(np.sqrt(np.mean(np.concatenate(r)[:, 0] ** 2))) for r in errors(best[0].z))
+    residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
     return tuple(best), residual, noise
 
 
@@ -444,23 +438,31 @@ def _variances(errors: list[Floats], noise: list[Floats], determined: float) -> 
     return white * times + np.maximum(whole - white, 0.0) * sum(map(len, errors)) / determined
 
 
-def start(problem: CalibrationProblem, strength: float = 0.0, exchange: float = 0.0) -> Floats:
-    """Start of a search, in prior standard deviations: slack muscles, or friction of the other, cause local minima."""
-    z = np.zeros(parameters(problem))
-    muscles = z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)
+def start(strength: float = 0.0, exchange: float = 0.0) -> Floats:
+    """Start of a search, in prior standard deviations: `STRENGTHS`, or friction of the other muscle, and presliding."""
+    z = np.zeros(PARAMETERS)
+    muscles = z[: 2 * OF_MUSCLE].reshape(2, OF_MUSCLE)
     muscles[:, COEFFICIENTS] = strength
-    muscles[:, -3:-1] = np.outer((exchange, -exchange), (1.0, -1.0))[: len(muscles)]  # friction and presliding
+    muscles[:, -3:-1] = np.outer((exchange, -exchange), (1.0, -1.0))
     return z
 
 
 def _minimised(
-    terms: Callable[[Floats], tuple[float, Floats, Floats]], z: Floats, most: int = _ITERATIONS
+    terms: Callable[[Floats], tuple[float, Floats, Floats]],
+    z: Floats,
+    *,
+    iterations: int = 25,
+    tolerance: float = 1e-2,
+    farthest: float = 2.0,
 ) -> tuple[Floats, float]:
-    """Minimum, and its value, of an objective with its gradient and second derivatives (trust region)."""
+    """Minimum, and its value, of an objective with its gradient and second derivatives (trust region).
+
+    The tolerance is that of the gradient, and `farthest` the longest step, in prior standard deviations.
+    """
     from scipy.optimize import minimize  # 0.2 s
 
     at = remembered(terms)
-    options = {"maxiter": most, "max_trust_radius": _FARTHEST, "gtol": _TOLERANCE}
+    options = {"maxiter": iterations, "max_trust_radius": farthest, "gtol": tolerance}
     derivatives = {"jac": lambda z: at(z)[1], "hess": lambda z: at(z)[2]}
     fit = minimize(lambda z: at(z)[0], z, method="trust-exact", options=options, **derivatives)
     return fit.x, float(fit.fun)

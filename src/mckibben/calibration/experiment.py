@@ -34,13 +34,6 @@ from mckibben.simulation import SimulationResult
 from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write
 
-_SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
-_LONG = 60.0  # s: longer parts have more of them, as creep hides the inertia in slow motion
-_FAST = 1.0  # Hz, of the faster motion
-_LEAST, _MOST = (0.15, 1.0), (0.35, 4.0)  # its part of the amplitude, and rad/s^2; at most in the middle, with a weight
-_BAND = 0.7  # swept fraction of the attainable stiffness
-_TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
-_ANGLES = 41
 _PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
@@ -67,7 +60,17 @@ class Sweeps:
     added_mass: float = 0.0
     distance: float = 0.0
 
-    def scenarios(self, scenario: Scenario) -> dict[str, Scenario]:
+    def scenarios(
+        self,
+        scenario: Scenario,
+        *,
+        sweeps: int = 3,
+        cocontractions: int = 2,
+        band: float = 0.7,
+        fast: float = 1.0,
+        least: tuple[float, float] = (0.15, 1.0),
+        most: tuple[float, float] = (0.35, 4.0),
+    ) -> dict[str, Scenario]:
         """Scenario of each part, "bare" and "weighted": sweeps within the attainable set of the controller's model.
 
         Angles are swept slowly, three times a minute or part, with a motion of 1 Hz, from which the inertia follows,
@@ -75,30 +78,37 @@ class Sweeps:
         a return spring). With a weight the faster motion is larger in the middle of the range. Raises `ParameterError`
         if there is no such range, `IdentificationError` if the angles do not overcome the friction of the model. Warns
         of a weight whose torque is below that friction, as it hardly determines the forces.
+
+        Parameters
+        ----------
+        scenario
+            Joint, controller and times.
+        sweeps, cocontractions
+            Periods of angle and stiffness in a part, or a minute of it: creep hides the inertia in slow motion.
+        band
+            Swept fraction of the attainable stiffness.
+        fast, least, most
+            Frequency [Hz] of the faster motion, and its largest part of the amplitude and acceleration [rad/s^2], bare
+            and, in the middle, with a weight.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         sliding_from(first_model_of(scenario), np.array([self.lowest, self.highest, self.highest]))
         low, high = self._attainable(scenario)
-        if not low <= high:
-            raise ParameterError(
-                "no stiffness is attainable at all of the angles, with and without weight",
-                remedy="give other angles, or a smaller weight",
-            )
         if self.added_mass:
             self._check_weight(first_model_of(scenario), load_of(scenario))
-        least, most = (
-            float(min(share * amplitude, fastest / (2 * np.pi * _FAST) ** 2)) for share, fastest in (_LEAST, _MOST)
+        slight, strong = (
+            float(min(share * amplitude, fastest / (2 * np.pi * fast) ** 2)) for share, fastest in (least, most)
         )
         duration = self.part_duration(scenario)
-        rounds = max(round(duration / _LONG), 1)
-        slow, half = rounds * _SWEEPS / duration, (most - least) / 2 if self.added_mass else 0.0
+        rounds = max(round(duration / 60.0), 1)
+        slow, half = rounds * sweeps / duration, (strong - slight) / 2 if self.added_mass else 0.0
         signals = Reference(
             Multisine(  # the slow sine, and a fast one that grows with the square of the slow cosine
-                (float(amplitude) - least, least + half, half / 2, half / 2),
-                (slow, _FAST, _FAST + 2 * slow, _FAST - 2 * slow),
+                (float(amplitude) - slight, slight + half, half / 2, half / 2),
+                (slow, fast, fast + 2 * slow, fast - 2 * slow),
                 offset=float(middle),
             ),
-            Sine(_BAND * (high - low) / 2, rounds * _COCONTRACTIONS / duration, offset=(low + high) / 2),
+            Sine(band * (high - low) / 2, rounds * cocontractions / duration, offset=(low + high) / 2),
         )
         control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "actuator_adaptation")))
         load = field_of(control, "load")
@@ -147,23 +157,31 @@ class Sweeps:
             warnings.warn(text, McKibbenWarning, stacklevel=2)
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
-        """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
+        """Stiffness range [N*m/rad] attainable at all angles with each weight; `ParameterError` if there is none."""
         joint, load = first_model_of(scenario), load_of(scenario)
-        angles = np.linspace(self.lowest, self.highest, _ANGLES)
+        angles = np.linspace(self.lowest, self.highest, 41)
         bands = np.asarray(_bands(joint, [self._weighted(load, mass) for mass in self.weights.values()], angles))
-        low, high = bands[:, 0].max(), bands[:, 1].min()
+        low, high = float(bands[:, 0].max()), float(bands[:, 1].min())
         if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
-            low = high = bands.mean()
-        return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
+            low = high = float(bands.mean())
+        if not low <= high:
+            raise ParameterError(
+                "no stiffness is attainable at all of the angles, with and without weight",
+                remedy="give other angles, or a smaller weight",
+            )
+        return low, high
 
 
 @jit
 def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Array:
-    """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut."""
+    """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut.
+
+    Their tension is 8 % of the highest force at the middle contraction, as a muscle may be weaker than its model.
+    """
     middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
-    least: Any = _TAUT * jnp.stack(highest).min()
+    least: Any = 0.08 * jnp.stack(highest).min()
     torques = [-load.gravity_torque(angles) for load in loads]
     return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
 
@@ -299,15 +317,12 @@ def calibrate_scenario(
     else:
         fit = calibrate_joint(joint, load, recordings, prior)
     fit = replace(fit, held_out=tuple(held_out))
-    if held_out and not fit.predicts:
-        write_model = partial(write_section, joint, _HEAD)
-        return replace(fit, writers={"model.yaml": write_model, "scenario.yaml": scenario.to_yaml})
-    after, write_model = (
-        calibrated_scenario(scenario, fit),
-        partial(write_section, calibrated_model(scenario, fit), _HEAD),
-    )
-    writers = {"model.yaml": write_model, "scenario.yaml": after.to_yaml}
-    return replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
+    keeps = bool(held_out) and not fit.predicts
+    after = scenario if keeps else calibrated_scenario(scenario, fit)
+    model = joint if keeps else calibrated_model(scenario, fit)
+    margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))
+    writers = {"model.yaml": partial(write_section, model, _HEAD), "scenario.yaml": after.to_yaml}
+    return replace(fit, writers=writers, disk_margins=margins)
 
 
 def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJoint:

@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import Minimum, least_squares
+from mckibben.identification.estimator import Minimum, least_squares, remembered
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.units import factor, show
 
@@ -23,17 +24,10 @@ Floats = NDArray[np.float64]
 
 CONFLICT = 2.5
 """Prior standard deviations from the first model above which a quantity is named."""
-_UNEXPLAINED = 2.0
-"""Ratio of residual to noise above which a model does not describe the recordings."""
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
 """Units of quantities in texts that differ from SI."""
-_NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure or torque up to which a misfit is irrelevant
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
-_SIGNIFICANT = 2.0  # standard deviations of the variance of noise by which a residual exceeds it
-_STAGES, _BRIEF, _EVALUATIONS = 3, 10, 60  # re-estimations of the variance; evaluations of a start and of a stage
-_TOLERANCE = 1e-7  # relative, of cost and parameters
 
-Answer = TypeVar("Answer")
 Linearised = Callable[[Floats], tuple[Floats, Floats]]
 """Errors, shape (samples,), and their derivatives, shape (samples, parameters), at parameters."""
 
@@ -132,35 +126,30 @@ class Calibration(Result):
 
     def listings(self) -> list[Listing]:
         """Declared numbers, estimates with deviations in the unit of their row, and margins of the loop."""
-        listings = [*super().listings(), estimates_listing(self.quantities)]
+        listings = [*super().listings(), self._estimates_listing()]
         if self.disk_margins is not None:
             plants = ["calibrated", *(f"drawn {i}" for i in range(1, len(self.disk_margins)))]
             columns = {"plant": (Column(), plants), "disk margin": (Column(digits=2), self.disk_margins)}
             listings.append(Listing("loop with the gains of the file", columns))
         return listings
 
-
-def estimates_listing(quantities: Mapping[str, JointEstimate]) -> Listing:
-    """Return a table of estimates, each in its own unit."""
-    estimates = list(quantities.values())
-    units = [SHOWN.get(estimate.unit, estimate.unit) for estimate in estimates]
-    sizes = [factor(unit) for unit in units]
-
-    def scaled(values: Sequence[float]) -> list[float]:
-        return [value / size for value, size in zip(values, sizes, strict=True)]
-
-    lower, upper = zip(*(estimate.interval for estimate in estimates), strict=True)
-    columns: dict[str, tuple[Column, Any]] = {
-        "quantity": (Column(), list(quantities)),
-        "estimate": (Column(), scaled([estimate.value for estimate in estimates])),
-        "deviation": (Column(digits=2), scaled([estimate.deviation for estimate in estimates])),
-        "before": (Column(digits=2), scaled([estimate.prior for estimate in estimates])),
-        "unit": (Column(), ["" if unit == "1" else unit for unit in units]),
-        "determined": (Column(), [estimate.determined for estimate in estimates]),
-        "lower": (Column(title="95 % from"), scaled(lower)),
-        "upper": (Column(title="to"), scaled(upper)),
-    }
-    return Listing("calibration", columns)
+    def _estimates_listing(self) -> Listing:
+        """Table of the estimates, each in its own unit."""
+        rows = [
+            (estimate, SHOWN.get(estimate.unit, estimate.unit), factor(SHOWN.get(estimate.unit, estimate.unit)))
+            for estimate in self.quantities.values()
+        ]
+        columns: dict[str, tuple[Column, Any]] = {
+            "quantity": (Column(), list(self.quantities)),
+            "estimate": (Column(), [estimate.value / size for estimate, _, size in rows]),
+            "deviation": (Column(digits=2), [estimate.deviation / size for estimate, _, size in rows]),
+            "before": (Column(digits=2), [estimate.prior / size for estimate, _, size in rows]),
+            "unit": (Column(), ["" if unit == "1" else unit for _, unit, _ in rows]),
+            "determined": (Column(), [estimate.determined for estimate, _, _ in rows]),
+            "lower": (Column(title="95 % from"), [estimate.interval[0] / size for estimate, _, size in rows]),
+            "upper": (Column(title="to"), [estimate.interval[1] / size for estimate, _, size in rows]),
+        }
+        return Listing("calibration", columns)
 
 
 class UncertainParameter(NamedTuple):
@@ -206,6 +195,11 @@ class LocalMinimum(NamedTuple):
     covariance: Floats
     weight: float = 1.0
 
+    @property
+    def deviations(self) -> Floats:
+        """Standard deviations of the parameters."""
+        return np.sqrt(np.diag(self.covariance))
+
 
 def probabilities(objectives: Sequence[float], *, never: float = 1e-3) -> Floats:
     """Return the weights of minima from their objectives, the least one first; they sum to 1.
@@ -228,17 +222,20 @@ def draws(minima: Sequence[LocalMinimum], count: int) -> Array:
     return jnp.asarray([minima[0].z, *drawn])
 
 
-def remembered(function: Callable[[Floats], Answer]) -> Callable[[Floats], Answer]:
-    """A function that remembers its last answer, as solvers ask for values and derivatives one after the other."""
-    last: dict[bytes, Answer] = {}
+def with_derivatives(function: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
+    """Return values, shape (samples,), and their derivatives with respect to parameters, shape (samples, parameters).
 
-    def at(z: Floats) -> Answer:
-        if z.tobytes() not in last:
-            last.clear()
-            last[z.tobytes()] = function(z)
-        return last[z.tobytes()]
+    >>> values, slopes = with_derivatives(lambda z: z**2, jnp.array([1.0, 3.0]))
+    >>> values.tolist(), slopes.tolist()
+    ([1.0, 9.0], [[2.0, 0.0], [0.0, 6.0]])
+    """
 
-    return at
+    def twice(z: Array) -> tuple[Array, Array]:
+        values = function(z)
+        return values, values
+
+    slopes, values = jax.jacfwd(twice, has_aux=True)(z)
+    return values, slopes
 
 
 class OutputErrorFit(NamedTuple):
@@ -246,25 +243,19 @@ class OutputErrorFit(NamedTuple):
 
     Attributes
     ----------
-    z, hessian
-        Parameters in prior standard deviations, and the Gauss-Newton Hessian with the prior, whose inverse is their
-        covariance; shape (parameters,) and (parameters, parameters).
-    errors, slopes
-        Errors of each recording, shape (samples,), and their derivatives, (samples, parameters).
-    variance
-        Variance of a sample, by `variance_of`.
+    minimum
+        Parameters in prior standard deviations, and their covariance.
+    errors
+        Errors of each recording, shape (samples,).
     """
 
-    z: Floats
-    hessian: Floats
+    minimum: LocalMinimum
     errors: list[Floats]
-    slopes: list[Floats]
-    variance: float
 
     @property
     def residual(self) -> float:
         """Root mean square error."""
-        return float(np.sqrt(np.mean(np.concatenate(self.errors) ** 2)))
+        return root_mean_square(self.errors)
 
 
 def fit_output_error(
@@ -276,12 +267,15 @@ def fit_output_error(
     *,
     prior: Floats | float = 1.0,
     positive: NDArray[np.bool_] | None = None,
+    stages: int = 3,
+    evaluations: int = 60,
+    tolerance: float = 1e-7,
 ) -> OutputErrorFit:
     r"""Minimise errors of simulated samples, with a normal prior of the parameters about 0.
 
     .. math:: \frac{1}{\sigma^2} \sum_k e_k(z)^2 + \sum_i w_i z_i^2
 
-    by `least_squares` of `mckibben.identification.estimator`, with sigma^2 of `variance_of`, re-estimated three times.
+    by `least_squares` of `mckibben.identification.estimator`, with sigma^2 of `variance_of`, re-estimated in stages.
 
     Parameters
     ----------
@@ -297,6 +291,10 @@ def fit_output_error(
         Weights w of the prior.
     positive
         Parameters that are not negative.
+    stages
+        Re-estimations of the variance.
+    evaluations, tolerance
+        Most evaluations of a stage, and its relative tolerance of cost and parameters.
 
     Raises
     ------
@@ -309,37 +307,47 @@ def fit_output_error(
     """
     weights = np.sqrt(prior * np.ones(starts[0].size))
     lower = np.where(np.zeros(weights.size, bool) if positive is None else positive, 0.0, -np.inf)
-    edges = np.cumsum(sizes)[:-1]
+    bounds, edges = (lower, np.full(weights.size, np.inf)), np.cumsum(sizes)[:-1]
 
-    def search(z: Floats, variance: float, evaluations: int) -> Minimum:
+    def search(z: Floats, variance: float, most: int) -> Minimum:
         @remembered
         def at(z: Floats) -> tuple[Floats, Floats]:
             error, slope = linearised(z)
             stacked = np.concatenate([error / math.sqrt(variance), weights * z])
             return stacked, np.concatenate([slope / math.sqrt(variance), np.diag(weights)])
 
-        bounds = lower, np.full(z.size, np.inf)
-        return least_squares(
-            lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, tolerance=_TOLERANCE, evaluations=evaluations
-        )
+        limits: Any = {"tolerance": tolerance, "evaluations": most}
+        return least_squares(lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, **limits)
 
     finite = [z for z in starts if all(np.isfinite(part).all() for part in linearised(z))]
     if not finite:
         raise IdentificationError("the simulated model diverges", remedy="give a model closer to the recordings")
-    evaluations = _BRIEF if len(finite) > 1 else _EVALUATIONS
-    z = min((search(z, variance, evaluations) for z in finite), key=lambda fit: fit.cost).values
-    error = slope = np.zeros(0)
-    for _ in range(_STAGES):
-        z = search(z, variance, _EVALUATIONS).values
+    brief = 10 if len(finite) > 1 else evaluations
+    z = min((search(z, variance, brief) for z in finite), key=lambda fit: fit.cost).values
+    errors, information = [], np.zeros(0)
+    for _ in range(stages):
+        z = search(z, variance, evaluations).values
         error, slope = linearised(z)
-        information = slope.T @ slope / variance
-        determined = float(np.trace(np.linalg.solve(information + np.diag(weights**2), information)))
-        variance = max(variance_of(np.split(error, edges), determined), least)
-    hessian = slope.T @ slope / variance + np.diag(weights**2)
-    return OutputErrorFit(z, hessian, np.split(error, edges), np.split(slope, edges), variance)
+        errors, information = np.split(error, edges), slope.T @ slope
+        scaled = information / variance
+        determined = float(np.trace(np.linalg.solve(scaled + np.diag(weights**2), scaled)))
+        variance = max(variance_of(errors, determined), least)
+    hessian = information / variance + np.diag(weights**2)
+    scale = np.sqrt(np.diag(hessian))
+    scales = np.outer(scale, scale)
+    return OutputErrorFit(LocalMinimum(z, np.linalg.inv(hessian / scales) / scales), errors)
 
 
-def variance_of(parts: Sequence[Floats], determined: float) -> float:
+def root_mean_square(parts: Sequence[Floats]) -> float:
+    """Return the root mean square of all samples of several recordings.
+
+    >>> root_mean_square([np.array([3.0, 0.0]), np.array([4.0, 5.0, 0.0])])
+    3.1622776601683795
+    """
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def variance_of(parts: Sequence[Floats], determined: float, *, significant: float = 2.0) -> float:
     """Variance of a sample of white noise and of the error of a model, for the information of independent samples.
 
     The noise follows from successive differences. The error of the model, if the residual is significantly above the
@@ -352,6 +360,8 @@ def variance_of(parts: Sequence[Floats], determined: float) -> float:
         Residuals of each recording, shape (samples,) each.
     determined
         Number of effective parameters.
+    significant
+        Standard deviations of the variance of the noise by which that of a residual is significantly above it.
 
     Examples
     --------
@@ -364,8 +374,8 @@ def variance_of(parts: Sequence[Floats], determined: float) -> float:
     True
     """
     residual, noise = np.concatenate(parts), noise_of(parts) ** 2
-    significant = noise * (1 + _SIGNIFICANT * math.sqrt(2 / residual.size))
-    misfit = max(float(np.mean(residual**2)) - significant, 0.0)
+    explained = noise * (1 + significant * math.sqrt(2 / residual.size))
+    misfit = max(float(np.mean(residual**2)) - explained, 0.0)
     return noise + misfit * residual.size / determined
 
 
@@ -391,19 +401,29 @@ def noise_of(errors: Sequence[Floats]) -> float:
     >>> noise_of([smooth]) < 0.01, round(noise_of([smooth + 0.5 * (-1.0) ** np.arange(1000)]), 2)
     (True, 0.71)
     """
-    return float(np.sqrt(np.mean(np.concatenate([np.diff(part) for part in errors]) ** 2) / 2))
+    return root_mean_square([np.diff(part) for part in errors]) / math.sqrt(2)
 
 
-def misfit_remarks(residual: float, noise: float, highest: float, unit: str, remedy: str) -> list[Remark]:
+def misfit_remarks(
+    residual: float,
+    noise: float,
+    highest: float,
+    unit: str,
+    remedy: str,
+    *,
+    explained: float = 2.0,
+    negligible: float = 2e-3,
+) -> list[Remark]:
     """Return the remark on a residual pressure [Pa] or torque [N*m] that its noise does not explain, where it matters.
+
+    The noise explains up to `explained` times its root mean square; up to a `negligible` part of the highest pressure
+    or torque the residual does not matter.
 
     >>> len(misfit_remarks(5e3, 1e3, 6e5, "kPa", "units")), len(misfit_remarks(1e3, 1.0, 6e5, "kPa", "units"))
     (1, 0)
     """
-    if residual <= max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
+    if residual <= max(explained * noise, negligible * highest):
         return []
-    text = (
-        f"the residual of {show(residual, unit, 2)} is far above the noise, {show(noise, unit, 2)}: the model does not "
-    )
-    text += "describe the recordings, and deviations contain its error"
+    text = f"the residual of {show(residual, unit, 2)} is far above the noise, {show(noise, unit, 2)}: the model does "
+    text += "not describe the recordings, and deviations contain its error"
     return [Remark.warning("residual", text, f"check {remedy}")]

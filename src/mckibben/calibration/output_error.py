@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
-from numpy.typing import NDArray
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.calibration.equations import (
+    OF_MUSCLE,
+    PARAMETERS,
     CalibrationProblem,
     Floats,
     JointPrior,
@@ -25,17 +26,15 @@ from mckibben.calibration.equations import (
     Samples,
     check_recording,
     corrected,
-    creep_begin,
-    muscle_parameters,
     problem_of,
 )
-from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
+from mckibben.calibration.estimation import CalibratedJoint, number, quantities_of, start
 from mckibben.calibration.fitting import (
-    LocalMinimum,
     OutputErrorFit,
     UncertainParameter,
     draws,
     fit_output_error,
+    root_mean_square,
 )
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
@@ -45,16 +44,8 @@ from mckibben.plant import JointFriction, JointPlant
 from mckibben.result import Column, column
 from mckibben.units import ms
 
-_LONGEST_PERIOD, _LARGEST_GAP = 0.05, 10  # s; periods
-_STEP = 5e-3  # s, of the integration
-_BLOCK = 1024  # samples
-_DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
-_DELAY = 20 * ms  # prior median
-_DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
-_FIRST_VARIANCE, _LEAST_VARIANCE = 0.1**2, 1e-8  # rad^2
-_RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
-_STRENGTHS = 3  # starts
-_SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
+_ESTIMATED = np.array([*range(2 * OF_MUSCLE), 2 * OF_MUSCLE + 1, 2 * OF_MUSCLE + 2, 2 * OF_MUSCLE + 3])
+"""Parameters of `corrected` that are estimated: those of the muscles, and weight, zero and scale of the arms."""
 
 
 class _Motion(NamedTuple):
@@ -79,8 +70,7 @@ class SimulatedAngles(NamedTuple):
     @property
     def errors(self) -> tuple[float, float]:
         """Root mean square errors [rad] of the model before and after calibration."""
-        before, after = (float(np.sqrt(np.mean((angle - self.measured) ** 2))) for angle in (self.before, self.after))
-        return before, after
+        return root_mean_square([self.before - self.measured]), root_mean_square([self.after - self.measured])
 
 
 class _Simulated(NamedTuple):
@@ -125,7 +115,6 @@ class CommandedCalibration(CalibratedJoint):
     friction: JointFriction | None
     _before: _Simulated
     _whole: _Problem
-    _all: LocalMinimum
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
         """Return the root mean square errors of the simulated angle [rad] before and after the calibration."""
@@ -133,7 +122,7 @@ class CommandedCalibration(CalibratedJoint):
 
     def drawn(self, count: int) -> dict[str, Any]:
         """Return joint, load, valve and delay of plants, as `CalibratedJoint.drawn`."""
-        models = _models(self._whole, draws([self._all], count))
+        models = _models(self._whole, draws(self._minima, count))
         plant = models.plant
         return {"joint": plant.joint, "load": plant.load, "valve": plant.valve, "command_delay": models.delay}
 
@@ -144,7 +133,7 @@ class CommandedCalibration(CalibratedJoint):
 
     def simulate(self, recording: JointRecording) -> SimulatedAngles:
         """Return angles simulated from the first angle and the commands of a recording."""
-        motion, after = _motion(recording), _model(self._whole, jnp.asarray(self._all.z))
+        motion, after = _motion(recording), _model(self._whole, jnp.asarray(self._minima[0].z))
         substeps = _substeps([motion])
         angles = (np.asarray(_angle(model, _padded(motion), substeps)) for model in (self._before, after))
         return SimulatedAngles(
@@ -201,62 +190,61 @@ def calibrate_from_commands(
     rigid = jax.tree.map(float, load.with_weight(0.0, 0.0))
     samples = [JointSamples(motion.angle, None, None, tuple(motion.commands), (), 0.0, 0.0) for motion in motions]
     base = problem_of(joint, rigid, [(half, half) for half in samples], prior)
-    damping = rigid.damping or rigid.inertia / _DAMPING_TIME
+    damping = rigid.damping or rigid.inertia / 1.0  # a time constant of 1 s
     highest = max(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))  # 0 of a spring
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     own = (
         UncertainParameter("valve.time_constant", "s", float(valve.time_constant), prior.lag),
         UncertainParameter("valve.rate", "Pa/s", float(rate), prior.rate),
-        UncertainParameter("delay", "s", delay or _DELAY, prior.delay),
+        UncertainParameter("delay", "s", delay or 20 * ms, prior.delay),
         UncertainParameter("load.damping", "N*m*s/rad", float(damping), prior.damping),
         UncertainParameter("load.inertia", "kg*m^2", rigid.inertia, prior.mass),
         UncertainParameter("load.gravity_torque", "N*m", rigid.greatest_gravity_torque, prior.mass),
     )
     problem = _Problem(base, valve, friction, own)
     fit = _solve(problem, motions)
-    covariance = np.asarray(np.linalg.inv(fit.hessian), float)
-    places = _places(base)
-    full, wide = np.zeros(creep_begin(base)), np.eye(creep_begin(base))  # the prior of what is not estimated
-    full[places], wide[np.ix_(places, places)] = fit.z[: -len(own)], covariance[: -len(own), : -len(own)]
-    model = jax.tree.map(number, _model(problem, jnp.asarray(fit.z)))
-    minima = (LocalMinimum(full, wide),)
-    plant, quantities = model.plant, quantities_of(base, minima)
-    deviations = np.sqrt(np.diag(covariance))[-len(own) :]
+    minimum = fit.minimum
+    model = jax.tree.map(number, _model(problem, jnp.asarray(minimum.z)))
+    quantities = quantities_of(base, [minimum])
+    for name in ("muscle1.creep", "muscle2.creep", "inertia"):  # not estimated
+        quantities.pop(name, None)
     quantities |= {
         parameter.name: parameter.estimate(float(z), float(deviation))
-        for parameter, z, deviation in zip(own, fit.z[-len(own) :], deviations, strict=True)
+        for parameter, z, deviation in zip(own, minimum.z[PARAMETERS:], minimum.deviations[PARAMETERS:], strict=True)
         if parameter.median
     }
     return CommandedCalibration(
         quantities=quantities,
-        joint=plant.joint,
-        load=plant.load,
+        joint=model.plant.joint,
+        load=model.plant.load,
         recordings=tuple(recordings),
         _problem=base,
-        _minima=minima,
+        _minima=(minimum,),
         residual=fit.residual,
-        valve=plant.valve,
+        valve=model.plant.valve,
         delay=model.delay,
-        friction=plant.friction,
+        friction=friction,
         _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
         _whole=problem,
-        _all=LocalMinimum(fit.z, covariance),
     )
 
 
-def _motion(recording: JointRecording) -> _Motion:
-    """Equally spaced samples with commands constant over each period."""
+def _motion(recording: JointRecording, *, longest: float = 0.05, gap: int = 10) -> _Motion:
+    """Equally spaced samples with commands constant over each period, of at most some [s], and a gap of some periods.
+
+    Raises `IdentificationError` for measured pressures, sparse samples, gaps, and constant commands.
+    """
     if not recording.commanded:
         raise IdentificationError(
             "a recording has measured pressures", remedy="give commands, in columns command1_bar,command2_bar"
         )
     check_recording(recording)
     period = float(np.median(np.diff(recording.time)))
-    gap = float(np.diff(recording.time).max())
-    if not 0 < period <= _LONGEST_PERIOD or gap > _LARGEST_GAP * period:
-        message = f"the samples of a recording are {period * 1e3:.3g} ms apart, with a gap of {gap * 1e3:.3g} ms"
-        remedy = f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more, and split recordings at gaps"
-        raise IdentificationError(message, value=gap, unit="s", remedy=remedy)
+    widest = float(np.diff(recording.time).max())
+    if not 0 < period <= longest or widest > gap * period:
+        message = f"the samples of a recording are {period * 1e3:.3g} ms apart, with a gap of {widest * 1e3:.3g} ms"
+        remedy = f"record at {1 / longest:.0f} Hz or more, and split recordings at gaps"
+        raise IdentificationError(message, value=widest, unit="s", remedy=remedy)
     grid = np.arange(recording.time[0], recording.time[-1], period)
     last = np.searchsorted(recording.time, grid + period / 2, side="right") - 1
     commands = recording.pressures[last].T
@@ -267,16 +255,16 @@ def _motion(recording: JointRecording) -> _Motion:
     return _Motion(grid, angle, commands, np.float64(period), *weight)
 
 
-def _padded(motion: _Motion) -> _Motion:
-    """A motion padded with rest to a common length: each length needs its own program."""
-    more = -motion.angle.size % _BLOCK
+def _padded(motion: _Motion, *, block: int = 1024) -> _Motion:
+    """A motion padded with rest to whole blocks of samples: each length needs its own program."""
+    more = -motion.angle.size % block
     columns = motion[:3]
     time, angle, commands = (np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)], "edge") for values in columns)
     return motion._replace(time=time, angle=angle, commands=commands)
 
 
-def _substeps(motions: Sequence[_Motion]) -> int:
-    return math.ceil(max(float(motion.period) for motion in motions) / _STEP)
+def _substeps(motions: Sequence[_Motion], *, step: float = 5 * ms) -> int:
+    return math.ceil(max(float(motion.period) for motion in motions) / step)
 
 
 def _trajectory(model: _Simulated, motion: _Motion, substeps: int) -> Array:
@@ -306,18 +294,11 @@ def _angles(problem: _Problem, zs: ArrayLike, motion: _Motion, substeps: int) ->
         return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
 
 
-def _places(base: CalibrationProblem) -> NDArray[np.int_]:
-    """Indices of the estimated ones: those of the muscles, and weight, zero and scale of the arms."""
-    count = muscle_parameters(base)
-    return np.append(np.arange(count), count + 1 + np.arange(_SHARED))
-
-
 def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     """The model by parameters in prior standard deviations from their prior mean."""
     base, load = problem.base, problem.base.load
-    own = len(problem.parameters)
-    joint, _, added, zero, *_ = corrected(base, jnp.zeros(creep_begin(base)).at[_places(base)].set(z[:-own]))
-    values = [parameter.at(at) for parameter, at in zip(problem.parameters, z[-own:], strict=True)]
+    joint, _, added, zero, *_ = corrected(base, z)
+    values = [parameter.at(at) for parameter, at in zip(problem.parameters, z[PARAMETERS:], strict=True)]
     lag, rate, delay, damping, inertia, gravity = values
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
@@ -328,24 +309,25 @@ _model = jit(_simulated_by)
 _models = jit(jax.vmap(_simulated_by, (None, 0)))
 
 
-def _solve(problem: _Problem, motions: Sequence[_Motion]) -> OutputErrorFit:
-    """The fit of the angles of all motions."""
-    muscles, own = muscle_parameters(problem.base), len(problem.parameters)
-    count, substeps = muscles + _SHARED + own, _substeps(motions)
+def _solve(problem: _Problem, motions: Sequence[_Motion], *, difference: float = 1e-4) -> OutputErrorFit:
+    """The fit of the angles of all motions; difference quotients are of a part of a prior standard deviation."""
+    count, substeps = PARAMETERS + len(problem.parameters), _substeps(motions)
     padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
     measured = np.concatenate([motion.angle for motion in motions])
-    moves = np.vstack([np.zeros(count), _DIFFERENCE * np.eye(count)])
+    estimated = np.append(_ESTIMATED, np.arange(PARAMETERS, count))
+    moves = np.vstack([np.zeros(count), difference * np.eye(count)[estimated]])
 
     def linearised(z: Floats) -> tuple[Floats, Floats]:
         """Errors of the angle [rad], and their difference quotients, shape (samples, parameters)."""
         simulated = [np.asarray(_angles(problem, z + moves, motion, substeps)) for motion in padded]
         angles = np.concatenate([angle[:, :size] for angle, size in zip(simulated, sizes, strict=True)], axis=1)
-        return angles[0] - measured, ((angles[1:] - angles[0]) / _DIFFERENCE).T
+        slopes = np.zeros((measured.size, count))
+        slopes[:, estimated] = ((angles[1:] - angles[0]) / difference).T
+        return angles[0] - measured, slopes
 
     def begin(strength: float) -> Floats:
-        z = np.zeros(count)
-        z[:muscles] = start(problem.base, strength)[:muscles]
-        z[muscles + _SHARED + 1] = _RATE_START
-        return z
+        """Start with a limit of the rate that acts on large steps: else its derivative is zero."""
+        return np.append(start(strength), np.where(np.arange(len(problem.parameters)) == 1, -1.5, 0.0))
 
-    return fit_output_error(linearised, list(map(begin, STARTS[:_STRENGTHS])), sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)
+    starts = [begin(strength) for strength in (0.0, -1.0, 1.0)]
+    return fit_output_error(linearised, starts, sizes, 0.1**2, 1e-8)

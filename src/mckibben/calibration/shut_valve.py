@@ -6,14 +6,21 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.calibration.fitting import Calibration, JointEstimate, fit_output_error, misfit_remarks, noise_of
+from mckibben.calibration.fitting import (
+    Calibration,
+    JointEstimate,
+    OutputErrorFit,
+    fit_output_error,
+    misfit_remarks,
+    noise_of,
+    with_derivatives,
+)
 from mckibben.component.checks import check_positive
 from mckibben.errors import IdentificationError
 from mckibben.muscle import Specimen
@@ -38,22 +45,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_SLOWEST = 10 * ms  # sampling period
-_BLOCK = 5 * ms  # samples are averaged over this time
-_SUBSTEPS = 2
-_FAST = 0.1  # of the highest rate, over 20 ms: faster changes are filling or venting
-_SHORTEST = 0.5  # s, of a phase with a shut valve
 _LOWEST = 0.2 * bar  # of a muscle that is not open to the atmosphere
-_RELAXES, _PART = 5.0, 0.005  # least change in a phase, in noise and in absolute pressure
-_STILL = 0.005  # largest change of the contraction in a phase
-_APART = 1.1  # ratio of volumes from which the dead volume is estimated
-_CRITICAL_RATIO = 0.3  # of the leak
 _LEAK, _DEAD = 1e-3 * L_PER_S_BAR, 1 * cm**3  # units of the search
-_FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
 _ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
-_ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
 _SHARED = 4  # parameters that all phases share
-_PADDING = 256  # blocks: programs are compiled for multiples of it
 
 
 class ShutPhase(NamedTuple):
@@ -182,36 +177,32 @@ def identify_air(
             remedy="fill the muscle fast, shut the valve (a regulator must not hold the pressure) and record 3 s; "
             "then vent in part, shut, and record 3 s",
         )
-    volumes = np.array([phase.volume for phase in phases])
-    observable = volumes.max() + dead_volume > _APART * (volumes.min() + dead_volume)
+    volumes = np.array([phase.volume for phase in phases]) + dead_volume
+    observable = bool(volumes.max() > 1.1 * volumes.min())
     at = float(np.mean([phase.contraction for phase in phases]))
     areas = np.array([_wall_area(specimen, phase.contraction) for phase in phases]) / _wall_area(specimen, at)
-    problem = _Problem.of(phases, areas, dead_volume, estimates_dead_volume=observable)
     try:
-        z, covariance, errors = _solve(problem)
+        fit = _solve(_Problem.of(phases, volumes, areas), observable=observable)
     except np.linalg.LinAlgError as error:
         raise IdentificationError(
             "the pressures do not determine the heat to the wall", remedy="check the contraction of each recording"
         ) from error
-    _check(problem, z, np.sqrt(np.diag(covariance)))
-    conductance, leak, dead = math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2]) * _DEAD
+    z, unit = fit.minimum.z, np.array([1.0, _LEAK, _DEAD * observable])
+    conductance, leak, more = math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2] * unit[2])
+    # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room, known to 5 K
+    room = 5 / TEMPERATURE * np.array([1.0, leak / 2, 0.0])
+    spread = np.sqrt(np.diag(np.outer(unit, unit) * fit.minimum.covariance[:3, :3] + np.outer(room, room)))
+    _check(dead_volume + more, float(spread[2]), max(phase.volume for phase in phases), finite=np.isfinite(z).all())
     rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance
-    constants = [
-        float((phase.pressures[-1] + ATMOSPHERE) * (phase.volume + dead) / (rate * area))
-        for phase, area in zip(phases, areas, strict=True)
-    ]
-    # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room
-    unit, room = np.array([1.0, _LEAK, _DEAD]), _ROOM * np.array([1.0, leak / 2, 0.0])
-    spread = np.sqrt(np.diag(np.outer(unit, unit) * covariance[:3, :3] + np.outer(room, room)))
+    ends = np.array([phase.pressures[-1] for phase in phases]) + ATMOSPHERE
     quantities = {
         "wall_conductance": JointEstimate(conductance, conductance * spread[0], math.inf, "W/K", logarithmic=True),
         "leak": JointEstimate(leak, float(spread[1]), math.inf, "m^3/(s*Pa)"),
     }
     if observable:
-        quantities["dead_volume"] = JointEstimate(dead, float(spread[2]), math.inf, "m^3")
-    residual = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    assumed = None if observable else dead_volume
-    return AirFit(quantities, tuple(phases), at, np.array(constants), residual, noise_of(errors), assumed)
+        quantities["dead_volume"] = JointEstimate(dead_volume + more, float(spread[2]), math.inf, "m^3")
+    constants, assumed = ends * (volumes + more) / (rate * areas), None if observable else dead_volume
+    return AirFit(quantities, tuple(phases), at, constants, fit.residual, noise_of(fit.errors), assumed)
 
 
 def _wall_area(specimen: Specimen, contraction: float) -> float:
@@ -225,10 +216,9 @@ _CONTRADICTED = (
 )
 
 
-def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
-    """Raise `IdentificationError` for a dead volume below zero, or that is not determined."""
-    dead, spread, highest = float(z[2]) * _DEAD, float(deviations[2]) * _DEAD, float(problem.volumes.max())
-    if not (np.isfinite(z).all() and -3 * spread <= dead and dead + 2 * spread <= 10 * highest):
+def _check(dead: float, spread: float, highest: float, *, finite: bool) -> None:
+    """Raise `IdentificationError` for a dead volume [m^3] below zero, or that is not determined."""
+    if not (finite and -3 * spread <= dead and dead + 2 * spread <= 10 * highest):
         raise IdentificationError(
             "the time constants of the temperature contradict the volumes: dead volume "
             f"{show(dead, 'cm^3', 3)} +- {show(spread, 'cm^3', 3)}",
@@ -240,8 +230,23 @@ def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
         )
 
 
-def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | None) -> list[ShutPhase]:
-    """Parts of a recording between fast changes of the pressure in which this relaxes."""
+def _shut_phases(
+    recording: Recording,
+    specimen: Specimen,
+    contraction: float | None,
+    *,
+    slowest: float = 10 * ms,
+    block: float = 5 * ms,
+    fast: float = 0.1,
+    shortest: float = 0.5,
+    still: float = 0.005,
+) -> list[ShutPhase]:
+    """Parts of a recording between fast changes of the pressure in which this relaxes.
+
+    Samples, no farther apart than `slowest` [s], are averaged over a `block` [s]. Changes over 20 ms at more than a
+    part `fast` of the highest rate are filling or venting. Shorter phases than `shortest` [s] are left out; during a
+    phase the contraction changes by no more than `still`.
+    """
     from mckibben.dataset.points import saturated_samples  # 0.1 s
 
     time, pressure = recording.time, recording.table["pressure"].to_numpy()
@@ -259,29 +264,29 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
             remedy="record the length, or give the contraction (--read 'contraction=10 %')",
         )
     period, longest = float(np.median(np.diff(time))), float(np.diff(time).max())
-    if round(period, 6) > _SLOWEST or longest > 1.5 * period:
+    if round(period, 6) > slowest or longest > 1.5 * period:
         message = f"the samples of a recording are up to {show(longest, 'ms', 3)} apart"
         remedy = "sample at a constant rate of 100 Hz or more, without gaps"
-        raise IdentificationError(message, value=longest, upper=_SLOWEST, unit="s", remedy=remedy)
-    count, window = max(round(_BLOCK / period), 1), max(round(4 * _BLOCK / period), 1)
+        raise IdentificationError(message, value=longest, upper=slowest, unit="s", remedy=remedy)
+    count, window = max(round(block / period), 1), max(round(4 * block / period), 1)
     smooth = np.convolve(pressure, np.ones(window) / window, mode="valid")
     rate = np.pad(np.abs(smooth[window:] - smooth[:-window]), window, mode="constant", constant_values=np.inf)
-    slow = rate < _FAST * rate[np.isfinite(rate)].max(initial=0.0)
+    slow = rate < fast * rate[np.isfinite(rate)].max(initial=0.0)
     edges = np.flatnonzero(np.diff(slow.astype(int), prepend=0, append=0))
     phases = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         begin, means = _relaxation(pressure[first:last], count)
         begin += first
-        if means.size * count * period < _SHORTEST:
+        if means.size * count * period < shortest:
             continue
         part = slice(begin, begin + means.size * count)
         at = float(lengths[part].mean()) if lengths is not None else contraction
         moved = 0.0 if lengths is None else float(np.ptp(lengths[part]))
-        if moved > _STILL:
+        if moved > still:
             raise IdentificationError(
                 f"the contraction changes by {moved / percent:.2g} % while the valve is shut",
                 value=moved,
-                upper=_STILL,
+                upper=still,
                 unit="1",
                 remedy="hold the muscle at a fixed length",
             )
@@ -291,107 +296,84 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
     return phases
 
 
-def _relaxation(pressure: Floats, count: int) -> tuple[int, Floats]:
-    """First sample, and means of `count` samples, from a tenth of a slow change and 20 ms on; none without a change."""
+def _relaxation(pressure: Floats, count: int, *, noises: float = 5.0, part: float = 0.005) -> tuple[int, Floats]:
+    """First sample, and means of `count` samples, from a tenth of a slow change and 20 ms on; none without a change.
+
+    A change is at least so many times the noise, and such a part of the absolute pressure.
+    """
     means = pressure[: pressure.size // count * count].reshape(-1, count).mean(axis=1)
     if means.size < 2 or means.min() < _LOWEST:
         return 0, means[:0]
     tenth = max(means.size // 10, 1)
     distance, noise = np.abs(means - means[-tenth:].mean()), noise_of([means])
-    if distance[:tenth].mean() < max(_RELAXES * noise, _PART * (means.mean() + ATMOSPHERE)):
+    if distance[:tenth].mean() < max(noises * noise, part * (means.mean() + ATMOSPHERE)):
         return 0, means[:0]
     held = int(np.flatnonzero(distance > 0.9 * distance.max())[-1]) + 5  # as noise decides when the tenth is reached
     return held * count, means[held:]
 
 
 class _Problem(NamedTuple):
-    """Phases; parameters: wall, leak, dead volume, sensor's zero, and pressure and temperature at each start."""
+    """Phases; parameters: wall, leak, more dead volume, sensor's zero, and pressure and temperature at each start."""
 
     pressures: Floats  # (phases, blocks)
     used: NDArray[np.bool_]  # until the end of a phase
-    volumes: Floats
+    volumes: Floats  # with the dead volume as stated
     areas: Floats  # of the wall, relative to that at which the conductance holds
     periods: Floats
     start: Floats  # of the search
-    estimates_dead_volume: bool
 
     @classmethod
-    def of(
-        cls, phases: Sequence[ShutPhase], areas: Floats, dead_volume: float, *, estimates_dead_volume: bool
-    ) -> _Problem:
-        longest = -(-max(len(phase.pressures) for phase in phases) // _PADDING) * _PADDING
-        pressures, used = np.zeros((len(phases), longest)), np.zeros((len(phases), longest), bool)
+    def of(cls, phases: Sequence[ShutPhase], volumes: Floats, areas: Floats, *, multiple: int = 256) -> _Problem:
+        """The phases, padded to a multiple of blocks, as each length needs its own program."""
+        longest = -(-max(len(phase.pressures) for phase in phases) // multiple) * multiple
+        pressures = np.array([np.pad(phase.pressures, (0, longest - len(phase.pressures))) for phase in phases])
+        used = np.arange(longest) < np.array([[len(phase.pressures)] for phase in phases])
         first, conductances = [], []
-        for i, phase in enumerate(phases):
-            size = len(phase.pressures)
-            pressures[i, :size], used[i, :size] = phase.pressures, True
-            begin, end = phase.pressures[0], phase.pressures[-max(size // 10, 1) :].mean()
+        for phase, volume in zip(phases, volumes, strict=True):
+            begin, end = phase.pressures[0], phase.pressures[-max(len(phase.pressures) // 10, 1) :].mean()
             left = np.abs(phase.pressures - end) < abs(begin - end) / math.e
             constant = max(float(np.argmax(left)), 1.0) * phase.period
-            room = phase.volume + dead_volume
-            conductances.append((end + ATMOSPHERE) * room / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
+            conductances.append((end + ATMOSPHERE) * volume / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
             first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
-        shared = [math.log(float(np.median(np.array(conductances) / areas))), 0.0, dead_volume / _DEAD, 0.0]
-        volumes, periods = (np.array([getattr(phase, name) for phase in phases]) for name in ("volume", "period"))
-        start = np.array([*shared, *first])
-        return cls(pressures, used, volumes, areas, periods, start, estimates_dead_volume)
-
-
-def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: int) -> Array:
-    """Pressures [Pa] of all phases, shape (phases, blocks)."""
-    conductance, leak, dead = jnp.exp(z[0]) * areas, z[1] * _LEAK, z[2] * _DEAD
-    room, step = volumes + dead, periods / _SUBSTEPS
-
-    def rates(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        gauge, temperature = state
-        absolute = gauge + ATMOSPHERE
-        leaking = flow_of_warm_air(-mass_flow(leak, _CRITICAL_RATIO, absolute, ATMOSPHERE), temperature)
-        filling = leaking * temperature / TEMPERATURE + heat_as_flow(conductance, temperature)
-        rate = pressure_rate(HEAT_CAPACITY_RATIO, absolute, filling, room, 0.0)
-        return rate, temperature_rate(temperature, absolute, rate, leaking, room, 0.0)
-
-    def follow(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
-        return lax.fori_loop(0, _SUBSTEPS, lambda _, state: rk4(rates, state, step), state), state[0] + _ZERO * z[3]
-
-    own = z[_SHARED:]
-    begin = own[::2] * bar, TEMPERATURE * jnp.exp(own[1::2])
-    return lax.scan(follow, begin, None, blocks)[1].T
+        start = np.array([math.log(float(np.median(np.array(conductances) / areas))), 0.0, 0.0, 0.0, *first])
+        return cls(pressures, used, volumes, areas, np.array([phase.period for phase in phases]), start)
 
 
 @jit
-def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like: Array) -> tuple[Array, Array]:
-    """Pressures [Pa] of all phases and their derivatives."""
+def _sensitivities(z: Array, problem: _Problem, observable: ArrayLike) -> tuple[Array, Array]:
+    """Pressures [Pa] of all phases, shape (phases, blocks), and their derivatives."""
 
-    def simulated(z: Array) -> tuple[Array, Array]:
-        pressures = _simulated(z, volumes, areas, periods, like.shape[1])
-        return pressures, pressures
+    def simulated(z: Array) -> Array:
+        conductance, leak = jnp.exp(z[0]) * problem.areas, z[1] * _LEAK
+        room, substeps = problem.volumes + observable * z[2] * _DEAD, 2
+        step = problem.periods / substeps
 
-    slope, pressures = jax.jacfwd(simulated, has_aux=True)(z)
-    return pressures, slope
+        def rates(state: tuple[Array, Array]) -> tuple[Array, Array]:
+            gauge, temperature = state
+            absolute = gauge + ATMOSPHERE
+            leaking = flow_of_warm_air(-mass_flow(leak, 0.3, absolute, ATMOSPHERE), temperature)  # critical ratio 0.3
+            filling = leaking * temperature / TEMPERATURE + heat_as_flow(conductance, temperature)
+            rate = pressure_rate(HEAT_CAPACITY_RATIO, absolute, filling, room, 0.0)
+            return rate, temperature_rate(temperature, absolute, rate, leaking, room, 0.0)
+
+        def follow(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+            return lax.fori_loop(0, substeps, lambda _, state: rk4(rates, state, step), state), state[0] + _ZERO * z[3]
+
+        begin = z[_SHARED::2] * bar, TEMPERATURE * jnp.exp(z[_SHARED + 1 :: 2])
+        return lax.scan(follow, begin, None, problem.pressures.shape[1])[1].T
+
+    return with_derivatives(simulated, z)
 
 
-def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
-    """Estimates, their covariance, and the errors [Pa] of each phase."""
-    free = np.ones(problem.start.size, bool)
-    free[2] = problem.estimates_dead_volume
-    used = problem.used
-    zero = (np.arange(free.size) == _SHARED - 1)[free]  # has a normal prior
+def _solve(problem: _Problem, *, observable: bool) -> OutputErrorFit:
+    """The fit of the pressures of all phases; only the zero of the sensor, and what is not observable, have a prior."""
+    prior = np.zeros(problem.start.size)
+    prior[[2, 3]] = float(not observable), 1.0
 
-    def whole(x: Floats) -> Floats:
-        z = problem.start.copy()
-        z[free] = x
-        return z
+    def linearised(z: Floats) -> tuple[Floats, Floats]:
+        parts: Any = z, problem, float(observable)
+        pressures, slope = map(np.asarray, _sensitivities(*parts))
+        return (pressures - problem.pressures)[problem.used], slope[problem.used]
 
-    def linearised(x: Floats) -> tuple[Floats, Floats]:
-        parts: Any = whole(x), problem.volumes, problem.areas, problem.periods, problem.pressures
-        pressures, slope = _sensitivities(*parts)
-        return (np.asarray(pressures) - problem.pressures)[used], np.asarray(slope)[used][:, free]
-
-    sizes = used.sum(axis=1).tolist()
-    start = problem.start[free]
-    fit = fit_output_error(linearised, [start], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE, prior=zero.astype(float))
-    covariance = np.zeros((free.size, free.size))
-    scale = np.sqrt(np.diag(fit.hessian))
-    scales = np.outer(scale, scale)
-    covariance[np.ix_(free, free)] = np.linalg.inv(fit.hessian / scales) / scales
-    return whole(fit.z), covariance, fit.errors
+    sizes = problem.used.sum(axis=1).tolist()
+    return fit_output_error(linearised, [problem.start], sizes, (1 * kPa) ** 2, (10e-3 * kPa) ** 2, prior=prior)

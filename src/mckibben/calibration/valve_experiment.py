@@ -26,12 +26,6 @@ from mckibben.scenario import Scenario
 from mckibben.simulation import SimulationResult, simulate
 from mckibben.units import bar, deg
 
-_INSIDE = 0.05  # part of the stiffness range that is left out at both ends
-_DWELL = (0.4, 2.5)  # s, of the steps
-_FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
-_DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
-_SHRINK, _TRIES = 0.8, 10
-_NARROW = 0.5  # share of the range below which fewer quantities may be determined
 _HEAD = """\
 # Valves calibrated by `mckibben calibrate --valves`: `valve: valve.yaml`.
 """
@@ -58,14 +52,15 @@ class ValveExperiment:
 
         The commands lie between those of the lowest and the highest stiffness in the middle of the angles, or with a
         return spring, between those of both angles. The range is narrowed until the model stays within all limits.
-        Raises `ParameterError` if it does not, and warns where less than half of the range is left.
+        Raises `ParameterError` if it does not, after ten steps of 0.8, and warns where less than half of the range is
+        left.
         """
         model, middle = model_of(scenario), (self.lowest + self.highest) / 2
         plant = scenario.model_copy(update={"joint": model, "load": load_of(scenario)}).plant()
         ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
         centre, reason, duration = ends.mean(axis=0), "", self._half(scenario)
-        for share in _SHRINK ** np.arange(_TRIES):
+        for share in 0.8 ** np.arange(10):
             commands = _commands(centre + share * (ends - centre))
             parts = {
                 name: part_of(
@@ -81,7 +76,7 @@ class ValveExperiment:
             violations = (self._violation(part, joint) for joint in self._joints(model) for part in parts.values())
             violation = next(filter(None, violations), "")
             if not violation:
-                if share < _NARROW:
+                if share < 0.5:
                     text = (
                         f"the commands have {share:.0%} of the attainable range, as otherwise {reason}: wider --angles "
                     )
@@ -113,7 +108,7 @@ class ValveExperiment:
         else:
             torque = -plant.load.gravity_torque(middle)
             low, high = (float(bound) for bound in plant.supplied_joint.attainable_stiffness(middle, torque))
-            inside = _INSIDE * (high - low)
+            inside = 0.05 * (high - low)
             states = [plant.equilibrium(middle, stiffness=stiffness) for stiffness in (low + inside, high - inside)]
         return np.array([[float(pressure) for pressure in state.pressures] for state in states])
 
@@ -154,16 +149,26 @@ class ValveExperiment:
         return ""
 
 
-def _commands(ends: Floats) -> dict[str, tuple[Any, Any]]:
-    """Commands [Pa] of both muscles in both parts, between their ends."""
-    count, (pitches, share) = len(_FREQUENCIES), _DIFFERENCE
+def _commands(
+    ends: Floats,
+    *,
+    frequencies: tuple[float, ...] = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3),
+    difference: float = 0.1,
+    pitches: tuple[float, ...] = (0.17, 0.41),
+) -> dict[str, tuple[Any, Any]]:
+    """Commands [Pa] of both muscles in both parts, between their ends.
+
+    Steps last 0.4 to 2.5 s. The sines of the multisine have `frequencies` [Hz], and common amplitudes; those with the
+    `pitches` [Hz] move the joint: they have opposite signs, and a `difference` relative to the range as amplitude.
+    """
+    count = len(frequencies)
     phases = tuple(math.pi * k * k / count % (2 * math.pi) for k in range(count))  # M. Schroeder, 1970: a low crest
     steps, waves = [], []
     for sign, (low, high) in zip((1.0, -1.0), ends.T.tolist(), strict=True):
         span = high - low
-        steps.append(RandomSteps(low, high, _DWELL[0], longest_dwell=_DWELL[1]))
-        common = Multisine((span / 2 / math.sqrt(2 * count),) * count, _FREQUENCIES, phases, (low + high) / 2)
-        waves.append(Sum((common, Multisine((sign * share * span,) * len(pitches), pitches))))
+        steps.append(RandomSteps(low, high, 0.4, longest_dwell=2.5))
+        common = Multisine((span / 2 / math.sqrt(2 * count),) * count, frequencies, phases, (low + high) / 2)
+        waves.append(Sum((common, Multisine((sign * difference * span,) * len(pitches), pitches))))
     return {"steps": (steps[0], steps[1]), "multisine": (waves[0], waves[1])}
 
 

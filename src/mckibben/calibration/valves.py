@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
 
 from mckibben.actuator import Actuator, AirState, AirVolume, UnequalValves
 from mckibben.actuator.base import air_volumes
@@ -35,6 +36,8 @@ from mckibben.calibration.fitting import (
     fit_output_error,
     misfit_remarks,
     noise_of,
+    root_mean_square,
+    with_derivatives,
 )
 from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError
@@ -45,18 +48,15 @@ from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.result import Remark, column
 from mckibben.units import bar, cm, kPa, ms
 
-_START = 1.0  # s that are simulated but not fitted, until the state of the valves at the start is forgotten
-_START_ERROR = 10 * kPa  # prior standard deviation of the pressure at the start, about the first sample
-_WINDOW = 0.05  # s, of the local cubic fits of the angle
-_MARGIN = 2.0  # of the integration step to the stable one, as the estimates may be faster than the first model
-_FIRST_VARIANCE, _LEAST_VARIANCE = (5 * kPa) ** 2, (0.05 * kPa) ** 2
 _KNOWN = frozenset({"period", "compensation", "reservoir_volume", "line_conductance"})  # not estimated
 _PRIORS = {"supply": "supply", "polytropic_index": "polytropic_index", "critical_ratio": "critical_ratio"}
-_SCALES = {"dead_volume": 10 * cm**3, "leak": 3e-11, "delay": 20 * ms, "opening_delay": 2 * ms}
+_SCALES = {
+    "dead_volume": 10 * cm**3,
+    "leak": 3e-11,
+    "delay": 20 * ms,
+    "opening_delay": 2 * ms,
+}  # of what the first model lacks
 _DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
-_SHOWN = 2.0  # standard deviations from zero of what the first model lacks
-_APART = 3.0  # standard deviations beyond which two valves differ
-_BEGIN = 0.3  # scales: start of what the first model lacks
 
 
 class _Record(NamedTuple):
@@ -78,22 +78,18 @@ class ValveCalibration(Calibration):
         Estimates by name, such as ``valve1.conductance`` and ``valve2.delay``, and those that are uncertain about the
         joint: ``valve1.pressure_zero`` (reading of the pressure sensor at 0 bar), ``valve1.zero`` (encoder reading at
         angle 0), ``valve1.arm_scale``, ``valve1.volume`` (relative to that of the specimen).
-    valves, delays
-        Valve of each muscle with the estimates (of one muscle with a return spring), and the delays of their commands
-        [s].
-    recordings, highest
-        Those that were fitted, and their highest pressure [Pa].
+    valves
+        Valve of each muscle with the estimates (of one muscle with a return spring).
+    recordings
+        Those that were fitted.
     residual, noise
         Root mean square of the error of the simulated pressures [Pa], and of the noise of the sensors.
     """
 
     recordings: tuple[JointRecording, ...]
     valves: tuple[Actuator, ...]
-    delays: tuple[float, ...]
-    highest: float
     _problems: dict[int, _Problem]  # by muscle
-    _estimates: tuple[Floats, ...]
-    _deviations: tuple[Floats, ...]
+    _minima: tuple[LocalMinimum, ...]
     residual: float = column("Pa", "residual pressure", shown="kPa", digits=3)
     noise: float = column("Pa", "noise of the pressure", shown="kPa", digits=3)
 
@@ -102,7 +98,8 @@ class ValveCalibration(Calibration):
     def remarks(self) -> list[Remark]:
         """Misfit, quantities that differ between the valves, and those that are far from the first model."""
         remedy = "class of the valve, units, which muscle"
-        remarks = misfit_remarks(self.residual, self.noise, self.highest, "kPa", remedy)
+        highest = max(float(recording.pressures.max()) for recording in self.recordings)
+        remarks = misfit_remarks(self.residual, self.noise, highest, "kPa", remedy)
         for name in self.differing:
             both = " and ".join(str(self.quantities[f"valve{number}.{name}"]) for number in (1, 2))
             model = "the mean" if name == "delay" else "both valves"
@@ -126,27 +123,32 @@ class ValveCalibration(Calibration):
     def mean_valve(self) -> Actuator:
         """The mean of the estimates of both valves, or of their logarithms, for equal kinds of valves."""
         problem = next(iter(self._problems.values()))
-        count = len(self.valves)
-        return _valve_of(problem, sum(self._estimates) / count, sum(self._deviations) / count)  # type: ignore[arg-type]
+        z = np.mean([minimum.z for minimum in self._minima], axis=0)
+        return _valve_of(problem, z, np.mean([minimum.deviations for minimum in self._minima], axis=0))
 
     @property
     def differing(self) -> tuple[str, ...]:
         """Names of the determined quantities in which the two valves differ by more than three standard deviations."""
         if len(self.valves) == 1:
             return ()
-        names = []
-        for name in (parameter.name for parameter in next(iter(self._problems.values())).parameters):
-            first, second = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
-            if first is None or second is None or not (first.determined and second.determined):
-                continue
-            if abs(first.value - second.value) > _APART * math.hypot(first.deviation, second.deviation):
-                names.append(name)
-        return tuple(names)
+        names = (parameter.name for parameter in next(iter(self._problems.values())).parameters)
+        return tuple(name for name in names if self._differs(name))
+
+    def _differs(self, name: str) -> bool:
+        first, second = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
+        if first is None or second is None or not (first.determined and second.determined):
+            return False
+        return abs(first.value - second.value) > 3 * math.hypot(first.deviation, second.deviation)
 
     @property
     def muscles(self) -> tuple[int, ...]:
         """Index of the muscle of each valve: 0 and 1, or one of them with a return spring."""
         return tuple(self._problems)
+
+    @property
+    def delays(self) -> tuple[float, ...]:
+        """Delay [s] of the commands of each valve."""
+        return tuple(self.quantities[f"valve{muscle + 1}.delay"].value for muscle in self.muscles)
 
     @property
     def delay(self) -> float:
@@ -155,14 +157,12 @@ class ValveCalibration(Calibration):
 
     def drawn(self, count: int) -> dict[str, Any]:
         """Return valve and delay of plants, with an array of shape (count,) for each number, as `CalibratedJoint`."""
-        valves, delays = [], []
-        for problem, z, deviations in zip(self._problems.values(), self._estimates, self._deviations, strict=True):
+        pairs = []
+        for problem, minimum in zip(self._problems.values(), self._minima, strict=True):
             own = len(problem.parameters)
-            rows = draws([LocalMinimum(z[:own], np.diag(deviations[:own] ** 2))], count)
-            lacking = np.array([not parameter.logarithmic for parameter in problem.parameters])
-            valve, delay = _valves(_traced(problem), jnp.where(lacking, jnp.maximum(rows, 0.0), rows))
-            valves.append(valve)
-            delays.append(np.asarray(delay))
+            rows = draws([LocalMinimum(minimum.z[:own], np.diag(minimum.deviations[:own] ** 2))], count)
+            pairs.append(_valves(_traced(problem), jnp.where(problem.lacking, jnp.maximum(rows, 0.0), rows)))
+        valves, delays = zip(*pairs, strict=True)
         return {
             "valve": UnequalValves(*valves) if len(valves) > 1 else valves[0],
             "command_delay": np.mean(delays, axis=0),
@@ -173,8 +173,8 @@ class ValveCalibration(Calibration):
         record = _record_of(recording)
         substeps = _substeps(self._problems, self.valves, [record])
         columns = []
-        for (muscle, problem), estimates in zip(self._problems.items(), self._estimates, strict=True):
-            z = np.append(estimates[: len(problem.uncertain)], 0.0)
+        for (muscle, problem), minimum in zip(self._problems.items(), self._minima, strict=True):
+            z = np.append(minimum.z[: len(problem.uncertain)], 0.0)
             columns.append(np.asarray(_sensitivities(_traced(problem), z, numeric(record), muscle, substeps)[0]))
         return np.stack(columns, axis=1)
 
@@ -191,6 +191,11 @@ class _Problem(NamedTuple):
     def uncertain(self) -> tuple[UncertainParameter, ...]:
         """All parameters."""
         return self.parameters + self.nuisances
+
+    @property
+    def lacking(self) -> NDArray[np.bool_]:
+        """Mask of the parameters that the first model lacks, which are not negative."""
+        return np.array([not parameter.logarithmic for parameter in self.parameters])
 
 
 def calibrate_valves(
@@ -262,36 +267,28 @@ def calibrate_valves(
     problems = {index: _problem_of(joint, valve.for_muscle(index), prior, delay) for index in muscles}
     records = list(map(_record_of, recordings, range(len(recordings))))
     fits, valves = _fits(problems, records)
-    z = tuple(fit.z for fit in fits)
-    deviations = tuple(np.sqrt(np.diag(np.linalg.inv(fit.hessian))) for fit in fits)
-    errors = [error for fit in fits for error in fit.errors]
-    delays = tuple(
-        float(problem.parameters[-1].at(row[len(problem.parameters) - 1]))
-        for problem, row in zip(problems.values(), z, strict=True)
-    )
-    highest = max(float(np.max(pressure)) for record in records for pressure in record.pressures)
-    residual = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    minima, errors = tuple(fit.minimum for fit in fits), [error for fit in fits for error in fit.errors]
     quantities = {
         f"valve{muscle + 1}.{parameter.name}": parameter.estimate(at, float(deviation))
-        for (muscle, problem), row, wide in zip(problems.items(), z, deviations, strict=True)
-        for parameter, at, deviation in zip(problem.uncertain, row, wide, strict=False)
+        for (muscle, problem), minimum in zip(problems.items(), minima, strict=True)
+        for parameter, at, deviation in zip(problem.uncertain, minimum.z, minimum.deviations, strict=False)
     }
-    parts = tuple(recordings), valves, delays, highest, problems, z, deviations
-    return ValveCalibration(quantities, *parts, residual, noise_of(errors))
+    parts = tuple(recordings), valves, problems, minima
+    return ValveCalibration(quantities, *parts, root_mean_square(errors), noise_of(errors))
 
 
 def _fits(problems: dict[int, _Problem], records: list[_Record]) -> tuple[list[OutputErrorFit], tuple[Actuator, ...]]:
     """Fits and valves of all muscles, with integration steps that resolve the estimates."""
-    substeps = _substeps(problems, [problem.valve for problem in problems.values()], records)
-    while True:
-        fits = [_solve(problem, records, muscle, substeps) for muscle, problem in problems.items()]
-        valves = tuple(
-            _valve_of(problem, fit.z, np.sqrt(np.diag(np.linalg.inv(fit.hessian))))
-            for problem, fit in zip(problems.values(), fits, strict=True)
-        )
-        if (needed := _substeps(problems, valves, records)) <= substeps:
-            return fits, valves
+    substeps, needed = 0, _substeps(problems, [problem.valve for problem in problems.values()], records)
+    fits: list[OutputErrorFit] = []
+    valves: tuple[Actuator, ...] = ()
+    while needed > substeps:
         substeps = needed
+        fits = [_solve(problem, records, muscle, substeps) for muscle, problem in problems.items()]
+        pairs = zip(problems.values(), (fit.minimum for fit in fits), strict=True)
+        valves = tuple(_valve_of(problem, minimum.z, minimum.deviations) for problem, minimum in pairs)
+        needed = _substeps(problems, valves, records)
+    return fits, valves
 
 
 def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
@@ -344,36 +341,34 @@ def _record_of(recording: JointRecording, number: int = 0) -> _Record:
     period = sampling_period(recording)
     if not np.ptp(recording.commands, axis=0).any():
         raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
-    angle = local_cubic(recording.angle, max(2 * int(_WINDOW / (2 * period)) + 1, 5))
+    angle = local_cubic(recording.angle, period)
     pressures, commands = recording.pressures.T, recording.commands.T
     return _Record(angle, (pressures[0], pressures[1]), (commands[0], commands[1]), np.float64(period), number)
 
 
-def _substeps(problems: dict[int, _Problem], valves: Sequence[Actuator], records: Sequence[_Record]) -> int:
-    """Integration steps per sample that resolve the valves at the smallest volume of a muscle, with a margin."""
+def _substeps(
+    problems: dict[int, _Problem], valves: Sequence[Actuator], records: Sequence[_Record], *, margin: float = 2.0
+) -> int:
+    """Integration steps per sample that resolve the valves at the smallest volume of a muscle.
+
+    The margin is for estimates that are faster than the first model.
+    """
     if not valves[0].holds_air:
         return 1
     joint = next(iter(problems.values())).joint
     angle = np.concatenate([record.angle for record in records])
-    room = min(
-        float(np.min(air.volume))
-        for index, air in enumerate(air_volumes(joint, angle, 0.0, _mean_pressures(records)))
-        if index in problems
-    )
-    fastest = max(valve.fastest_rate_in(room) for valve in valves)
-    return math.ceil(_MARGIN * fastest * max(float(record.period) for record in records) / STABILITY_LIMIT)
-
-
-def _mean_pressures(records: Sequence[_Record]) -> tuple[Array, Array]:
     first, second = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
-    return first, second
+    air = air_volumes(joint, angle, 0.0, (first, second))
+    room = min(float(np.min(air[index].volume)) for index in problems)
+    fastest = max(valve.fastest_rate_in(room) for valve in valves)
+    return math.ceil(margin * fastest * max(float(record.period) for record in records) / STABILITY_LIMIT)
 
 
 def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
-    """Valve with the estimates; what the first model lacks and the recordings do not show is left out."""
+    """Valve with the estimates; what the first model lacks is left out within two deviations of zero."""
     own, ranges = {}, {name: quantity for name, _, quantity in _numbers(problem.valve)}
     for parameter, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
-        if parameter.logarithmic or abs(at) > _SHOWN * wide:
+        if parameter.logarithmic or abs(at) > 2 * wide:
             lower, upper = ranges[parameter.name].limits
             own[parameter.name] = float(np.clip(float(parameter.at(at)), lower, upper))
     return _with(problem.valve, own)
@@ -396,8 +391,8 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     steps = jnp.arange(record.angle.shape[0])
     late = steps - delay / record.period  # between two samples a valve gets their mean over the period
     commands = jnp.interp(late, steps, jnp.asarray(record.commands[muscle]))
-    start = _START_ERROR * z[len(values) + record.number]
-    pressure = jnp.asarray(record.pressures[muscle])[0] - offset + start
+    error = 10 * kPa * z[len(values) + record.number]  # of the first sample, as the pressure at the start
+    pressure = jnp.asarray(record.pressures[muscle])[0] - offset + error
     step = record.period / substeps
     if not valve.holds_air:
 
@@ -438,13 +433,7 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
 @jit_arrays
 def _sensitivities(problem: _Problem, z: ArrayLike, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
     """Pressures [Pa] of a muscle, shape (samples,), and their derivatives, shape (samples, parameters)."""
-
-    def simulated(z: Array) -> tuple[Array, Array]:
-        pressures = _simulated(problem, z, record, muscle, substeps)
-        return pressures, pressures
-
-    slope, pressures = jax.jacfwd(simulated, has_aux=True)(z)
-    return pressures, slope
+    return with_derivatives(lambda z: _simulated(problem, z, record, muscle, substeps), jnp.asarray(z))
 
 
 def _traced(problem: _Problem) -> _Problem:
@@ -453,22 +442,28 @@ def _traced(problem: _Problem) -> _Problem:
     return problem._replace(joint=joint, valve=valve)
 
 
-def _solve(problem: _Problem, records: list[_Record], muscle: int, substeps: int) -> OutputErrorFit:
-    """The fit of the pressures of a muscle: the problem's parameters, then the starts of the recordings."""
-    begins = [round(_START / float(record.period)) for record in records]
-    measured = np.concatenate([record.pressures[muscle][begin:] for record, begin in zip(records, begins, strict=True)])
+def _solve(
+    problem: _Problem, records: list[_Record], muscle: int, substeps: int, *, settling: float = 1.0, share: float = 0.3
+) -> OutputErrorFit:
+    """The fit of the pressures of a muscle: the problem's parameters, then the starts of the recordings.
+
+    The samples of a settling time [s] are simulated, but not fitted, until the state of the valves at the start is
+    forgotten. What the first model lacks begins at a share of its scale.
+    """
+    begins = [round(settling / float(record.period)) for record in records]
     model, traced = _traced(problem), list(map(numeric, records))
     others = len(problem.nuisances) + len(records)
-    lacking = np.array([not parameter.logarithmic for parameter in problem.parameters] + [False] * others)
+    lacking = np.append(problem.lacking, np.zeros(others, bool))
+
+    def fitted(parts: Sequence[ArrayLike]) -> Floats:
+        return np.concatenate([np.asarray(part)[begin:] for part, begin in zip(parts, begins, strict=True)])
+
+    measured = fitted([record.pressures[muscle] for record in records])
 
     def linearised(z: Floats) -> tuple[Floats, Floats]:
-        pairs = [_sensitivities(model, z, record, muscle, substeps) for record in traced]
-        errors, slopes = (
-            np.concatenate([np.asarray(part)[begin:] for part, begin in zip(parts, begins, strict=True)])
-            for parts in zip(*pairs, strict=True)
-        )
-        return errors - measured, slopes
+        pressures, slopes = zip(*(_sensitivities(model, z, record, muscle, substeps) for record in traced), strict=True)
+        return fitted(pressures) - measured, fitted(slopes)
 
     sizes = [record.angle.size - begin for record, begin in zip(records, begins, strict=True)]
-    start = np.where(lacking, _BEGIN, 0.0)
-    return fit_output_error(linearised, [start], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE, positive=lacking)
+    starts = [np.where(lacking, share, 0.0)]
+    return fit_output_error(linearised, starts, sizes, (5 * kPa) ** 2, (0.05 * kPa) ** 2, positive=lacking)

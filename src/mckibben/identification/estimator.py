@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from mckibben.errors import RangeError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Answer = TypeVar("Answer")
 
 # Block size, small enough that OpenBLAS starts no threads: competing with XLA's, they take 100 times as long.
 _BLOCK = 6144
@@ -53,6 +54,19 @@ def _tsqr(matrix: Floats) -> tuple[Floats, Floats]:
         q = np.einsum("ni,ij->nj", q / lengths, np.linalg.inv(factor / lengths))  # no BLAS, no threads
         r = factor @ r
     return q, r
+
+
+def remembered(function: Callable[[Floats], Answer]) -> Callable[[Floats], Answer]:
+    """A function that remembers its last answer, as solvers ask for values and derivatives one after the other."""
+    last: dict[bytes, Answer] = {}
+
+    def at(position: Floats) -> Answer:
+        if position.tobytes() not in last:
+            last.clear()
+            last[position.tobytes()] = function(position)
+        return last[position.tobytes()]
+
+    return at
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ from mckibben.identification.estimator import (
     Floats,
     condition_number,
     least_squares,
+    remembered,
     tsqr_r,
 )
 from mckibben.muscle import Domain, ForceLaw, Parameter
@@ -365,15 +366,11 @@ def solve(problem: FitProblem, start: Floats) -> Solution:
     determine is at a bound of its range, the lower one where the cost is equal at both.
     """
 
+    @remembered
     def projection(position: Floats) -> Projection:
-        """Projection with derivatives at the linear parameters of the solution, computed once per position."""
-        if position.tobytes() not in latest:
-            guess = project(problem, position).values[: problem.linear]
-            latest.clear()
-            latest[position.tobytes()] = project(problem, position, guess)
-        return latest[position.tobytes()]
+        """Projection with derivatives at the linear parameters of the solution."""
+        return project(problem, position, project(problem, position).values[: problem.linear])
 
-    latest: dict[bytes, Projection] = {}
     best, converged = projection(start), True
     if len(start) and np.isfinite(best.cost):
         search = least_squares(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import unattainable
 from mckibben.muscle import Muscle
 from mckibben.reachability.static import StaticEnvelope, Values, static_envelope
-from mckibben.reachability.trackability import Trackability, TrackabilityChecker, bands_along
+from mckibben.reachability.trackability import Trackability, bands_along, check_trackability
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg
@@ -68,14 +69,11 @@ class Envelope(Result):
             return []
         remarks = []
         if not self.trackability.trackable:
-            nearest = [
-                *(
-                    ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness)]
-                    if self.stiffness
-                    else []
-                ),
-                *([f"at {self.amplitude:.3g} of its amplitude"] if self.amplitude > 0 else []),
-                *([f"at {self.speed:.3g} of its speed"] if self.speed > 0 else []),
+            nearest = ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness or (0.0, 0.0))]
+            nearest = nearest * bool(self.stiffness) + [
+                f"at {part:.3g} of its {name}"
+                for name, part in (("amplitude", self.amplitude), ("speed", self.speed))
+                if part > 0
             ]
             text = f"the reference is trackable, each alone, {', '.join(nearest)}" if nearest else _NONE
             remarks.append(Remark.warning("reference", text))
@@ -103,7 +101,6 @@ class Envelope(Result):
         return [*super().listings(), Listing("static envelope", columns)]
 
 
-_AT_LIMIT = 1.0  # Pa, N
 _MEASURED = "measured pressure"
 _EXTRAPOLATE = (
     "to apply the law at all pressures of its specimen, give `extrapolate: true` of the muscle; if the specimen has no "
@@ -111,18 +108,20 @@ _EXTRAPOLATE = (
 )
 
 
-def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
-    """Masks of the active limits of a muscle at pressures [Pa] and tensions [N], by name."""
+def _bounds(
+    supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values, *, near: float = 1.0
+) -> dict[str, NDArray[np.bool_]]:
+    """Masks of the active limits of a muscle at pressures and tensions `near` them [Pa], [N], by name."""
     law, rated = muscle.law.domain, muscle.domain
     low, high, top = float(rated.pressure_min), float(supplied.domain.pressure_max), float(rated.pressure_max)
     least = f"the lowest {_MEASURED}" if low == law.pressure_min and low > 0 else "venting"
     most = f"the highest {_MEASURED}" if top == law.pressure_max else "the rated pressure"
     most = "the supply" if high < top else most
     return {
-        f"{least} ({low / bar:.3g} bar)": pressure <= low + _AT_LIMIT,
-        f"{most} ({high / bar:.3g} bar)": pressure >= high - _AT_LIMIT,
-        f"the rated force ({muscle.specimen.force_limit:.4g} N)": tension >= muscle.specimen.force_limit - _AT_LIMIT,
-        "a muscle that becomes slack": (tension <= _AT_LIMIT) & (pressure > low + _AT_LIMIT),
+        f"{least} ({low / bar:.3g} bar)": pressure <= low + near,
+        f"{most} ({high / bar:.3g} bar)": pressure >= high - near,
+        f"the rated force ({muscle.specimen.force_limit:.4g} N)": tension >= muscle.specimen.force_limit - near,
+        "a muscle that becomes slack": (tension <= near) & (pressure > low + near),
     }
 
 
@@ -175,9 +174,8 @@ def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
             unit="rad",
             remedy="leave stiffness_amplitude out, and give the reference of the stiffness without friction",
         )
-    plant, reference = scenario.plant(), scenario.reference()
-    checker = TrackabilityChecker.of(plant, scenario.duration, scenario.control_period)
-    checked = checker.check(reference, smoothing)
+    plant, times = scenario.plant(), {"duration": scenario.duration, "control_period": scenario.control_period}
+    checked = check_trackability(plant, scenario.reference(), **times, smoothing=smoothing)
     static = static_envelope(plant, about=float(np.mean(checked.trajectory.angle)))
     low, high = np.max(checked.bands.rate_limited.lowest), np.min(checked.bands.rate_limited.highest)
 
@@ -195,10 +193,6 @@ def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
 
 def _largest(trial: Callable[[float], bool]) -> float:
     """Largest factor up to 1, to 0.001, that passes, if smaller ones do; NaN if even 0.001 does not."""
-    low, high = 1, 1000  # thousandths
-    if not trial(low / 1000):
+    if not trial(0.001):
         return math.nan
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if trial(middle / 1000) else (low, middle)
-    return low / 1000
+    return bisect.bisect_left(range(1, 1000), True, lo=1, key=lambda part: not trial(part / 1000)) / 1000

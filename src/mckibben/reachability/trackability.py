@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -32,11 +32,6 @@ from mckibben.simulation.problem import sampling_times
 
 MAX_SMOOTHING = 0.25
 """s: widest smoothing of a jump or corner before it counts as not trackable."""
-
-_MIN_SMOOTHING = 4e-3  # s
-_SMOOTHING_TRIALS = 13  # geometric series: a wider kernel may do worse where samples move fast
-_MAX_SCANNED = 400  # samples, if stiffness or commands have to be scanned
-_PRESSURE_TOLERANCE = 1e-3  # Pa
 
 
 class StiffnessBands(NamedTuple):
@@ -104,8 +99,13 @@ def _state(plant: JointPlant, lane: tuple[Array, ...]) -> tuple[Array, ...]:
 _states = BatchFunction(_state)
 
 
-def _within_limits(stiffness: Values, commands: list[Values], limits: list[tuple[float, float]]) -> AttainableRange:
-    """Range of stiffness over the states with commands within limits, linear between neighbouring scan points."""
+def _within_limits(
+    stiffness: Values, commands: list[Values], limits: list[tuple[float, float]], *, tolerance: float = 1e-3
+) -> AttainableRange:
+    """Range of stiffness over the states with commands within limits, linear between neighbouring scan points.
+
+    A command that is the same at both points may exceed a limit by the tolerance [Pa].
+    """
     start, end = np.zeros(stiffness[1:].shape), np.ones(stiffness[1:].shape)
     with np.errstate(divide="ignore", invalid="ignore"):
         for command, (low, high) in zip(commands, limits, strict=True):
@@ -116,7 +116,7 @@ def _within_limits(stiffness: Values, commands: list[Values], limits: list[tuple
                 crossing = -here / np.where(level, 1.0, slope)
                 start = np.where(~level & (slope > 0), np.fmax(start, crossing), start)
                 end = np.where(~level & (slope < 0), np.fmin(end, crossing), end)
-                out = (level & (here < -_PRESSURE_TOLERANCE)) | ~np.isfinite(here) | ~np.isfinite(slope)
+                out = (level & (here < -tolerance)) | ~np.isfinite(here) | ~np.isfinite(slope)
                 start = np.where(out, np.inf, start)
         feasible = start <= end + SEGMENT_MARGIN * 10
         ends = [np.where(feasible, stiffness[:-1] + np.diff(stiffness, axis=0) * x, np.nan) for x in (start, end)]
@@ -234,70 +234,48 @@ def check_trackability(
     >>> print(found.cause)
     at 10.72 deg, contraction -3.1 % is outside -3..25 % of MAS-10-180N-AA-MC-O (muscle 1); give the joint a longer ...
     """
-    return TrackabilityChecker.of(plant, duration, control_period).check(reference, smoothing)
+    if smoothing is not None and not 0 < smoothing < np.inf:
+        remedy = "give a positive time"
+        raise RangeError(f"the smoothing is {smoothing:g} s", value=smoothing, lower=0.0, unit="s", remedy=remedy)
+    times = sampling_times(duration, control_period)
+    most = times.size if _is_affine(plant) else min(times.size, 400)
+    checked = evenly_spaced(times.size, most)
+    corners = np.union1d(*(breakpoints(signal, times) for signal in (reference.angle, reference.stiffness)))
+
+    def smoothed_over(width: float) -> tuple[ReferenceTrajectory, StiffnessBands]:
+        """The reference trajectory at the checked samples, and the bands along it."""
+        whole = reference_trajectory(reference, times, smoothing=width)
+        series = {name: value[checked] for name, value in vars(whole).items() if name != "smoothing"}
+        trajectory = ReferenceTrajectory(**series, smoothing=width)
+        return trajectory, bands_along(plant, trajectory)
+
+    def is_trackable(width: float) -> bool:
+        """Whether the reference is trackable next to its corners."""
+        trajectory, bands = smoothed_over(width)
+        missed = ~(bands.rate_limited.violation(trajectory.stiffness) == 0)
+        return not np.any(missed & is_near(trajectory.times, corners, width / 2 + control_period))
+
+    width, sufficient = (smoothing, True) if smoothing is not None else (4e-3, True)
+    if smoothing is None and corners.size:
+        spacing = float(times[-1]) / max(checked.size - 1, 1)
+        width, sufficient = _narrowest(is_trackable, min(max(4e-3, 4 * spacing), MAX_SMOOTHING))
+    trajectory, bands = smoothed_over(width)
+    unheld = np.isnan(bands.static.lowest) & np.isnan(bands.dynamic.lowest)
+    cause = leaves_domain(plant.supplied_joint, trajectory.angle, unheld)
+    return Trackability(trajectory, bands, corners, sufficient, cause)
 
 
-@dataclass(frozen=True)
-class TrackabilityChecker:
-    """Trackability checks of one plant at fixed sample times."""
+def _narrowest(is_trackable: Callable[[float], bool], least: float) -> tuple[float, bool]:
+    """The narrowest trackable width [s] from the least to `MAX_SMOOTHING`, within 5 %, and whether there is one.
 
-    plant: JointPlant
-    times: Values  # all [s]
-    checked: NDArray[np.int_]  # indices
-
-    @classmethod
-    def of(cls, plant: JointPlant, duration: float, control_period: float) -> TrackabilityChecker:
-        """Checker for a run."""
-        times = sampling_times(duration, control_period)
-        most = times.size if _is_affine(plant) else min(times.size, _MAX_SCANNED)
-        return cls(plant, times, evenly_spaced(times.size, most))
-
-    @property
-    def period(self) -> float:
-        """Sample period [s]."""
-        return float(self.times[1]) if self.times.size > 1 else 1.0
-
-    def trajectory(self, reference: Reference, smoothing: float) -> ReferenceTrajectory:
-        """The reference trajectory at the checked samples."""
-        whole = reference_trajectory(reference, self.times, smoothing=smoothing)
-        series = {name: value[self.checked] for name, value in vars(whole).items() if name != "smoothing"}
-        return ReferenceTrajectory(**series, smoothing=smoothing)
-
-    def breakpoints(self, reference: Reference) -> Values:
-        """Jumps and corners of a reference [s]."""
-        return np.union1d(*(breakpoints(signal, self.times) for signal in (reference.angle, reference.stiffness)))
-
-    def smoothing_for(self, reference: Reference) -> tuple[float, bool]:
-        """The narrowest trackable smoothing [s] of jumps and corners, within 5 %, and whether it exists."""
-        at = self.breakpoints(reference)
-        if not at.size:
-            return _MIN_SMOOTHING, True
-
-        def is_trackable(smoothing: float) -> bool:
-            trajectory = self.trajectory(reference, smoothing)
-            violation = bands_along(self.plant, trajectory).rate_limited.violation(trajectory.stiffness)
-            return not np.any(is_near(trajectory.times, at, smoothing / 2 + self.period) & ~(violation == 0))
-
-        spacing = float(self.times[-1]) / max(self.checked.size - 1, 1)
-        narrowest = min(max(_MIN_SMOOTHING, 4 * spacing), MAX_SMOOTHING)  # several checked samples within it
-        trials = np.geomspace(narrowest, MAX_SMOOTHING, _SMOOTHING_TRIALS)
-        index = next((k for k, smoothing in enumerate(trials) if is_trackable(float(smoothing))), None)
-        if index is None:
-            return MAX_SMOOTHING, False
-        low, high = float(trials[max(index - 1, 0)]), float(trials[index])
-        while high > 1.05 * low:
-            middle = float(np.sqrt(low * high))
-            low, high = (low, middle) if is_trackable(middle) else (middle, high)
-        return high, True
-
-    def check(self, reference: Reference, smoothing: float | None = None) -> Trackability:
-        """See `check_trackability`."""
-        if smoothing is not None and not 0 < smoothing < np.inf:
-            remedy = "give a positive time"
-            raise RangeError(f"the smoothing is {smoothing:g} s", value=smoothing, lower=0.0, unit="s", remedy=remedy)
-        width, sufficient = self.smoothing_for(reference) if smoothing is None else (smoothing, True)
-        trajectory = self.trajectory(reference, width)
-        bands = bands_along(self.plant, trajectory)
-        unheld = np.isnan(bands.static.lowest) & np.isnan(bands.dynamic.lowest)
-        cause = leaves_domain(self.plant.supplied_joint, trajectory.angle, unheld)
-        return Trackability(trajectory, bands, self.breakpoints(reference), sufficient, cause)
+    A wider kernel may do worse where samples move fast: the widths of a geometric series are tried in turn.
+    """
+    trials = np.geomspace(least, MAX_SMOOTHING, 13).tolist()
+    index = next((k for k, width in enumerate(trials) if is_trackable(width)), None)
+    if index is None:
+        return MAX_SMOOTHING, False
+    low, high = trials[max(index - 1, 0)], trials[index]
+    while high > 1.05 * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if is_trackable(middle) else (middle, high)
+    return high, True

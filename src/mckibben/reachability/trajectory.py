@@ -155,9 +155,6 @@ def is_near(times: Values, at: ArrayLike, tolerance: float) -> NDArray[np.bool_]
     >>> is_near(np.array([0.0, 0.1, 0.2]), [0.11], 0.02)
     array([False,  True, False])
     """
-    at = np.sort(np.asarray(at, float))
-    if not at.size:
-        return np.zeros(times.shape, bool)
+    at = np.concatenate([[-np.inf], np.sort(np.asarray(at, float)), [np.inf]])
     after = np.searchsorted(at, times)
-    before = np.abs(times - at[np.maximum(after - 1, 0)])
-    return np.minimum(before, np.abs(at[np.minimum(after, at.size - 1)] - times)) <= tolerance
+    return np.minimum(times - at[after - 1], at[after] - times) <= tolerance
