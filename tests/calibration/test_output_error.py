@@ -103,7 +103,7 @@ def test_a_scenario_gets_the_estimates_as_plant_and_model(found):
 
 
 def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):
-    before, after = found.simulate(recordings[2]).errors
+    before, after = found.errors(recordings[2])
     assert after < 0.2 * before
     assert after < 0.3 * deg
     rows = dataclasses.replace(found, held_out=(recordings[2],)).listings()[-1].rows()

@@ -28,8 +28,8 @@ SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3"
 """Units of quantities in texts that differ from SI."""
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
 
-Linearised = Callable[[Floats], tuple[Floats, Floats]]
-"""Errors, shape (samples,), and their derivatives, shape (samples, parameters), at parameters."""
+Simulated = Callable[[Floats], Sequence[tuple[Floats, Floats]]]
+"""Samples of each recording, shape (samples,), and their derivatives, shape (samples, parameters), at parameters."""
 
 
 @dataclass(frozen=True)
@@ -259,9 +259,9 @@ class OutputErrorFit(NamedTuple):
 
 
 def fit_output_error(
-    linearised: Linearised,
+    simulated: Simulated,
+    measured: Sequence[Floats],
     starts: Sequence[Floats],
-    sizes: Sequence[int],
     variance: float,
     least: float,
     *,
@@ -279,12 +279,10 @@ def fit_output_error(
 
     Parameters
     ----------
-    linearised
-        Errors of all samples and their derivatives.
+    simulated, measured
+        Samples of each recording, with their derivatives, and as measured, shape (samples,).
     starts
         Starts of the search, of which the one with the least objective after ten evaluations is continued.
-    sizes
-        Number of samples of each recording, in order.
     variance, least
         First and least variance of a sample.
     prior
@@ -307,7 +305,12 @@ def fit_output_error(
     """
     weights = np.sqrt(prior * np.ones(starts[0].size))
     lower = np.where(np.zeros(weights.size, bool) if positive is None else positive, 0.0, -np.inf)
-    bounds, edges = (lower, np.full(weights.size, np.inf)), np.cumsum(sizes)[:-1]
+    bounds = lower, np.full(weights.size, np.inf)
+    samples, edges = np.concatenate(measured), np.cumsum([part.size for part in measured])[:-1]
+
+    def linearised(z: Floats) -> tuple[Floats, Floats]:
+        values, slopes = map(np.concatenate, zip(*simulated(z), strict=True))
+        return values - samples, slopes
 
     def search(z: Floats, variance: float, most: int) -> Minimum:
         @remembered

@@ -59,20 +59,6 @@ class _Motion(NamedTuple):
     distance: Number  # [m]
 
 
-class SimulatedAngles(NamedTuple):
-    """Times [s] and angles [rad] of a recording, measured and simulated by the model before and after calibration."""
-
-    time: Floats
-    measured: Floats
-    before: Floats
-    after: Floats
-
-    @property
-    def errors(self) -> tuple[float, float]:
-        """Root mean square errors [rad] of the model before and after calibration."""
-        return root_mean_square([self.before - self.measured]), root_mean_square([self.after - self.measured])
-
-
 class _Simulated(NamedTuple):
     """A plant with the additional quantities of recordings."""
 
@@ -118,7 +104,10 @@ class CommandedCalibration(CalibratedJoint):
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
         """Return the root mean square errors of the simulated angle [rad] before and after the calibration."""
-        return self.simulate(recording).errors
+        motion, substeps = _motion(recording), _substeps([_motion(recording)])
+        models = self._before, _model(self._whole, jnp.asarray(self._minima[0].z))
+        angles = [np.asarray(_angle(model, _padded(motion), substeps))[: motion.angle.size] for model in models]
+        return root_mean_square([angles[0] - motion.angle]), root_mean_square([angles[1] - motion.angle])
 
     def drawn(self, count: int) -> dict[str, Any]:
         """Return joint, load, valve and delay of plants, as `CalibratedJoint.drawn`."""
@@ -130,15 +119,6 @@ class CommandedCalibration(CalibratedJoint):
     def plant(self) -> JointPlant:
         """Joint, load, valve, friction and delay of the commands with the estimates."""
         return JointPlant(self.joint, self.load, self.valve, friction=self.friction, command_delay=self.delay)
-
-    def simulate(self, recording: JointRecording) -> SimulatedAngles:
-        """Return angles simulated from the first angle and the commands of a recording."""
-        motion, after = _motion(recording), _model(self._whole, jnp.asarray(self._minima[0].z))
-        substeps = _substeps([motion])
-        angles = (np.asarray(_angle(model, _padded(motion), substeps)) for model in (self._before, after))
-        return SimulatedAngles(
-            np.asarray(motion.time), np.asarray(motion.angle), *(angle[: motion.angle.size] for angle in angles)
-        )
 
 
 def calibrate_from_commands(
@@ -312,22 +292,23 @@ _models = jit(jax.vmap(_simulated_by, (None, 0)))
 def _solve(problem: _Problem, motions: Sequence[_Motion], *, difference: float = 1e-4) -> OutputErrorFit:
     """The fit of the angles of all motions; difference quotients are of a part of a prior standard deviation."""
     count, substeps = PARAMETERS + len(problem.parameters), _substeps(motions)
-    padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
-    measured = np.concatenate([motion.angle for motion in motions])
+    padded, measured = list(map(_padded, motions)), [np.asarray(motion.angle) for motion in motions]
     estimated = np.append(_ESTIMATED, np.arange(PARAMETERS, count))
     moves = np.vstack([np.zeros(count), difference * np.eye(count)[estimated]])
 
-    def linearised(z: Floats) -> tuple[Floats, Floats]:
-        """Errors of the angle [rad], and their difference quotients, shape (samples, parameters)."""
-        simulated = [np.asarray(_angles(problem, z + moves, motion, substeps)) for motion in padded]
-        angles = np.concatenate([angle[:, :size] for angle, size in zip(simulated, sizes, strict=True)], axis=1)
-        slopes = np.zeros((measured.size, count))
-        slopes[:, estimated] = ((angles[1:] - angles[0]) / difference).T
-        return angles[0] - measured, slopes
+    def simulated(z: Floats) -> list[tuple[Floats, Floats]]:
+        """Angles [rad] of each motion, and their difference quotients."""
+        pairs = []
+        for motion, angle in zip(padded, measured, strict=True):
+            angles = np.asarray(_angles(problem, z + moves, motion, substeps))[:, : angle.size]
+            slopes = np.zeros((angle.size, count))
+            slopes[:, estimated] = ((angles[1:] - angles[0]) / difference).T
+            pairs.append((angles[0], slopes))
+        return pairs
 
     def begin(strength: float) -> Floats:
         """Start with a limit of the rate that acts on large steps: else its derivative is zero."""
         return np.append(start(strength), np.where(np.arange(len(problem.parameters)) == 1, -1.5, 0.0))
 
     starts = [begin(strength) for strength in (0.0, -1.0, 1.0)]
-    return fit_output_error(linearised, starts, sizes, 0.1**2, 1e-8)
+    return fit_output_error(simulated, measured, starts, 0.1**2, 1e-8)

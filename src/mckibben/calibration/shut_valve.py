@@ -182,7 +182,7 @@ def identify_air(
     at = float(np.mean([phase.contraction for phase in phases]))
     areas = np.array([_wall_area(specimen, phase.contraction) for phase in phases]) / _wall_area(specimen, at)
     try:
-        fit = _solve(_Problem.of(phases, volumes, areas), observable=observable)
+        fit = _solve(phases, _Problem.of(phases, volumes, areas), observable=observable)
     except np.linalg.LinAlgError as error:
         raise IdentificationError(
             "the pressures do not determine the heat to the wall", remedy="check the contraction of each recording"
@@ -192,7 +192,9 @@ def identify_air(
     # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room, known to 5 K
     room = 5 / TEMPERATURE * np.array([1.0, leak / 2, 0.0])
     spread = np.sqrt(np.diag(np.outer(unit, unit) * fit.minimum.covariance[:3, :3] + np.outer(room, room)))
-    _check(dead_volume + more, float(spread[2]), max(phase.volume for phase in phases), finite=np.isfinite(z).all())
+    _check(
+        dead_volume + more, float(spread[2]), max(phase.volume for phase in phases), finite=bool(np.isfinite(z).all())
+    )
     rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance
     ends = np.array([phase.pressures[-1] for phase in phases]) + ATMOSPHERE
     quantities = {
@@ -315,8 +317,7 @@ def _relaxation(pressure: Floats, count: int, *, noises: float = 5.0, part: floa
 class _Problem(NamedTuple):
     """Phases; parameters: wall, leak, more dead volume, sensor's zero, and pressure and temperature at each start."""
 
-    pressures: Floats  # (phases, blocks)
-    used: NDArray[np.bool_]  # until the end of a phase
+    blocks: NDArray[np.bool_]  # (blocks,), as many as the longest phase has at least
     volumes: Floats  # with the dead volume as stated
     areas: Floats  # of the wall, relative to that at which the conductance holds
     periods: Floats
@@ -325,9 +326,7 @@ class _Problem(NamedTuple):
     @classmethod
     def of(cls, phases: Sequence[ShutPhase], volumes: Floats, areas: Floats, *, multiple: int = 256) -> _Problem:
         """The phases, padded to a multiple of blocks, as each length needs its own program."""
-        longest = -(-max(len(phase.pressures) for phase in phases) // multiple) * multiple
-        pressures = np.array([np.pad(phase.pressures, (0, longest - len(phase.pressures))) for phase in phases])
-        used = np.arange(longest) < np.array([[len(phase.pressures)] for phase in phases])
+        blocks = np.ones(-(-max(len(phase.pressures) for phase in phases) // multiple) * multiple, bool)
         first, conductances = [], []
         for phase, volume in zip(phases, volumes, strict=True):
             begin, end = phase.pressures[0], phase.pressures[-max(len(phase.pressures) // 10, 1) :].mean()
@@ -336,7 +335,7 @@ class _Problem(NamedTuple):
             conductances.append((end + ATMOSPHERE) * volume / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
             first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
         start = np.array([math.log(float(np.median(np.array(conductances) / areas))), 0.0, 0.0, 0.0, *first])
-        return cls(pressures, used, volumes, areas, np.array([phase.period for phase in phases]), start)
+        return cls(blocks, volumes, areas, np.array([phase.period for phase in phases]), start)
 
 
 @jit
@@ -360,20 +359,23 @@ def _sensitivities(z: Array, problem: _Problem, observable: ArrayLike) -> tuple[
             return lax.fori_loop(0, substeps, lambda _, state: rk4(rates, state, step), state), state[0] + _ZERO * z[3]
 
         begin = z[_SHARED::2] * bar, TEMPERATURE * jnp.exp(z[_SHARED + 1 :: 2])
-        return lax.scan(follow, begin, None, problem.pressures.shape[1])[1].T
+        return lax.scan(follow, begin, None, problem.blocks.size)[1].T
 
     return with_derivatives(simulated, z)
 
 
-def _solve(problem: _Problem, *, observable: bool) -> OutputErrorFit:
+def _solve(phases: Sequence[ShutPhase], problem: _Problem, *, observable: bool) -> OutputErrorFit:
     """The fit of the pressures of all phases; only the zero of the sensor, and what is not observable, have a prior."""
     prior = np.zeros(problem.start.size)
     prior[[2, 3]] = float(not observable), 1.0
+    measured = [phase.pressures for phase in phases]
 
-    def linearised(z: Floats) -> tuple[Floats, Floats]:
+    def simulated(z: Floats) -> list[tuple[Floats, Floats]]:
         parts: Any = z, problem, float(observable)
-        pressures, slope = map(np.asarray, _sensitivities(*parts))
-        return (pressures - problem.pressures)[problem.used], slope[problem.used]
+        pairs = zip(*map(np.asarray, _sensitivities(*parts)), strict=True)
+        return [
+            (pressures[: own.size], slopes[: own.size])
+            for (pressures, slopes), own in zip(pairs, measured, strict=True)
+        ]
 
-    sizes = problem.used.sum(axis=1).tolist()
-    return fit_output_error(linearised, [problem.start], sizes, (1 * kPa) ** 2, (10e-3 * kPa) ** 2, prior=prior)
+    return fit_output_error(simulated, measured, [problem.start], (1 * kPa) ** 2, (10e-3 * kPa) ** 2, prior=prior)

@@ -452,18 +452,15 @@ def _solve(
     """
     begins = [round(settling / float(record.period)) for record in records]
     model, traced = _traced(problem), list(map(numeric, records))
-    others = len(problem.nuisances) + len(records)
-    lacking = np.append(problem.lacking, np.zeros(others, bool))
+    lacking = np.append(problem.lacking, np.zeros(len(problem.nuisances) + len(records), bool))
+    measured = [np.asarray(record.pressures[muscle])[begin:] for record, begin in zip(records, begins, strict=True)]
 
-    def fitted(parts: Sequence[ArrayLike]) -> Floats:
-        return np.concatenate([np.asarray(part)[begin:] for part, begin in zip(parts, begins, strict=True)])
+    def simulated(z: Floats) -> list[tuple[Floats, Floats]]:
+        whole = (_sensitivities(model, z, record, muscle, substeps) for record in traced)
+        return [
+            (np.asarray(pressures)[begin:], np.asarray(slopes)[begin:])
+            for (pressures, slopes), begin in zip(whole, begins, strict=True)
+        ]
 
-    measured = fitted([record.pressures[muscle] for record in records])
-
-    def linearised(z: Floats) -> tuple[Floats, Floats]:
-        pressures, slopes = zip(*(_sensitivities(model, z, record, muscle, substeps) for record in traced), strict=True)
-        return fitted(pressures) - measured, fitted(slopes)
-
-    sizes = [record.angle.size - begin for record, begin in zip(records, begins, strict=True)]
     starts = [np.where(lacking, share, 0.0)]
-    return fit_output_error(linearised, starts, sizes, (5 * kPa) ** 2, (0.05 * kPa) ** 2, positive=lacking)
+    return fit_output_error(simulated, measured, starts, (5 * kPa) ** 2, (0.05 * kPa) ** 2, positive=lacking)

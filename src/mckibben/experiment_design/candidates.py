@@ -18,8 +18,6 @@ from mckibben.units import mm, percent
 
 REPEATS = 2
 """Most repetitions of a point, each on a separate pass."""
-_FORCE_RESERVE = 0.05  # of the rated force, as in a protocol
-_SLACK_MARGIN = 3.0  # standard deviations of a point above the slack force
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ def design_region(
     measured = (data.contraction, data.levels)
     box = Domain(*(end(values) for values in measured for end in (np.min, np.max))) if len(data) else Domain()
     if specimen is not None and specimen.rated_force is not None:
-        highest = (1 - _FORCE_RESERVE) * float(specimen.force_limit)
+        highest = 0.95 * float(specimen.force_limit)
     elif len(prior.points):
         highest = float(data.force.max())
         notes.append("the rated force of the muscle is unknown: the plan stays within the forces of the data")
@@ -123,7 +121,7 @@ def design_region(
     domain = (rated if limits is None else limits.intersection(rated)).filled(box)
     length = attrs.get("initial_length") or (float(specimen.initial_length) if specimen else None)
     default = 1 * mm / length if length else 0.5 * percent
-    lowest = float(attrs["slack_force"]) + _SLACK_MARGIN * prior.noise.point
+    lowest = float(attrs["slack_force"]) + 3 * prior.noise.point
     step = default if contraction_step is None else contraction_step
     return DesignRegion(domain, step, pressure_step, lowest, highest), notes
 

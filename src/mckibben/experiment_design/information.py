@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_UNDETERMINED = 1.02  # ratio of variances with a prior and with a hundredth of it
 RANK_TOLERANCE = 1e-10
 """Relative to the largest singular value; combinations of parameters below it change no measurable force."""
 
@@ -203,9 +202,8 @@ class ErrorEstimator:
 
     def _variances(self, gradients: Floats, added: Floats | float) -> Floats:
         """Variances of values with the prior and with a hundredth of it, shape (2, values)."""
-        known = self.information + added, gradients.T
         priors = np.stack([self.prior, self.prior / 100])
-        return np.einsum("ni,kin->kn", gradients, np.linalg.solve(known[0] + priors, known[1]))
+        return np.einsum("ni,kin->kn", gradients, np.linalg.solve(self.information + added + priors, gradients.T))
 
     def undetermined(self, subspace: IdentifiableSubspace) -> Floats:
         """Combinations of parameters, scaled to 1 N, that the prior data leave free; shape (parameters, n)."""
@@ -216,7 +214,7 @@ class ErrorEstimator:
 
 def _root(weak: Floats, weaker: Floats) -> Floats:
     """Standard error from the variances with a weak and a weaker prior; infinite if only the prior determines it."""
-    return np.where(weaker > _UNDETERMINED * weak, np.inf, np.sqrt(weaker))
+    return np.where(weaker > 1.02 * weak, np.inf, np.sqrt(weaker))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,10 +25,7 @@ from mckibben.identification import Fit
 from mckibben.muscle import Domain, ForceLaw, Specimen
 from mckibben.units import bar
 
-_PRIOR = 100.0  # largest forces: prior standard deviation of each coordinate
-_ROUNDING = 1e-10  # of the information of one point: a weaker prior would be lost in rounding
-_MAX_POINTS = 200
-_UNIDENTIFIABLE = 1e-6
+_UNIDENTIFIABLE = 1e-6  # relative part in the null space
 
 
 @checked_call
@@ -102,9 +99,9 @@ def plan(
     >>> found.error_after < found.error_now
     True
     """
-    if not 1 <= points <= _MAX_POINTS:
-        message = f"{points} points are not within 1..{_MAX_POINTS}"
-        raise RangeError(message, field="points", value=points, lower=1, upper=_MAX_POINTS)
+    if not 1 <= points <= 200:
+        message = f"{points} points are not within 1..200"
+        raise RangeError(message, field="points", value=points, lower=1, upper=200)
     if noise is not None:
         check_positive("plan", "N", noise=noise)
     prior = PriorData.of(data, law_type, noise, guess)
@@ -120,7 +117,8 @@ def plan(
     subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::REPEATS], prior.rows]))
     _check_identifiable(quantity, gradients, subspace, prior)
     wanted = condensed(gradients @ subspace.basis)
-    weakest = 1 / (_PRIOR * float(states.force[states.allowed].max())) ** 2, _ROUNDING / prior.noise.point**2
+    # prior standard deviation: 100 of the largest forces; a weaker prior would be lost in rounding
+    weakest = 1 / (100 * float(states.force[states.allowed].max())) ** 2, 1e-10 / prior.noise.point**2
     weak = np.eye(subspace.basis.shape[1]) * max(weakest)
     known = information_matrix(prior.rows @ subspace.basis, prior.strokes, prior.noise)
     rows = candidates.rows @ subspace.basis

@@ -17,7 +17,6 @@ from mckibben.muscle import Domain, ForceLaw
 
 DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}
 """Sign of the friction force, by direction."""
-_ROUNDING = 1e-9  # of the highest force
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ def _noise(rows: Floats, residuals: Floats, strokes: Indices | None, noise: floa
     """Variance components: of a point as given or estimated from residuals, of a stroke estimated."""
     estimate = estimate_noise(rows, residuals, strokes) if np.any(residuals) else NoiseModel(0.0)
     point = estimate.point if noise is None else noise
-    if not point > _ROUNDING * highest:
+    if not point > 1e-9 * highest:
         raise IdentificationError(
             "the residuals are zero to rounding: there is no uncertainty to reduce",
             field="noise",

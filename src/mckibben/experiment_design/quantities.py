@@ -20,9 +20,6 @@ from mckibben.muscle.base import Parameter
 from mckibben.study.uncertainty import torque_and_stiffness_gradients
 from mckibben.units import bar, deg, parse_range, quantity
 
-_SIDE = 21  # states along each side of a region
-_ANGLES = 5  # in a range of angles
-
 
 @dataclass(frozen=True, eq=False)
 class LinearizedQuantity:
@@ -77,7 +74,7 @@ class Coefficient(QuantityOfInterest):
 class Force(QuantityOfInterest):
     """Mean force of the law over the taut part of a region (V-optimal); default: all measurable states.
 
-    Linearisation raises `RangeError` if the law has no force anywhere in the region.
+    A region has 21 states along each side. Linearisation raises `RangeError` if the law has no force anywhere in it.
     """
 
     region: Domain | None = None
@@ -96,7 +93,7 @@ class Force(QuantityOfInterest):
         else:
             box = self.region
             sides = (
-                np.linspace(float(low), float(high), _SIDE if high > low else 1)
+                np.linspace(float(low), float(high), 21 if high > low else 1)
                 for low, high in ((box.contraction_min, box.contraction_max), (box.pressure_min, box.pressure_max))
             )
             contraction, pressure = (axis.ravel() for axis in np.meshgrid(*sides))
@@ -240,7 +237,7 @@ def parse_quantity_of_interest(
         pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
     except UnitError as error:
         raise UnitError(f"{text!r}: {error}; {_PLACES[kind == 'force']}", value=text) from None
-    angle = low if low == high else tuple(np.linspace(low, high, _ANGLES).tolist())
+    angle = low if low == high else tuple(np.linspace(low, high, 5).tolist())
     return kinds[kind](joint(), angle, (pressures[0], pressures[-1]))
 
 

@@ -16,11 +16,6 @@ from mckibben.plant import JointPlant
 from mckibben.reachability.trajectory import ReferenceTrajectory
 from mckibben.units import mm
 
-_RATIO = 0.3  # critical pressure ratio of the needed conductance
-_VALVE_MARGIN, _TUBE_MARGIN = 2.0, 4.0  # conductance over that needed by the motion
-_COMPRESSOR_MARGIN = 1.3  # leaks, and the time in which the compressor rests
-_DROP = 0.05  # of the absolute supply in a cycle
-
 
 class AirSupply(NamedTuple):
     """Air supply of a joint, in SI; ANR: at 20 degrees C and 1 bar."""
@@ -49,10 +44,21 @@ def tube_conductance(diameter: float, length: float) -> float:
 
 
 def air_supply(
-    plant: JointPlant, motion: ReferenceTrajectory, cycle: float, supply: float, tube_length: float
+    plant: JointPlant,
+    motion: ReferenceTrajectory,
+    cycle: float,
+    supply: float,
+    tube_length: float,
+    *,
+    valve_margin: float = 2.0,
+    tube_margin: float = 4.0,
+    compressor_margin: float = 1.3,
+    drop: float = 0.05,
 ) -> AirSupply:
     """Size the air supply for a motion whose last cycle [s] is periodic; isothermal air in the muscles.
 
+    Valve and tube have multiples of the needed conductance, of a critical pressure ratio of 0.3; the compressor has a
+    margin for leaks and its rests. In a cycle the absolute pressure of the reservoir drops by a part of the supply.
     Raises `UnreachableError` if no pressures give the motion, or no valve of the catalog is large enough.
     """
     torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
@@ -64,19 +70,19 @@ def air_supply(
         absolute = np.asarray(pressure, float) + ATMOSPHERE
         mass = absolute * np.asarray(muscle.specimen.volume(contraction)) / ENERGY
         flow = np.gradient(mass, motion.times)
-        fill = np.asarray(mass_flow(1.0, _RATIO, supply + ATMOSPHERE, absolute))
-        vent = np.asarray(mass_flow(1.0, _RATIO, absolute, ATMOSPHERE))
+        fill = np.asarray(mass_flow(1.0, 0.3, supply + ATMOSPHERE, absolute))
+        vent = np.asarray(mass_flow(1.0, 0.3, absolute, ATMOSPHERE))
         needed = max(needed, float((flow / fill).max()), float((-flow / np.maximum(vent, 1e-12)).max()))
         taken += float(np.maximum(np.diff(mass[last]), 0.0).sum())
-    name, valve = _valve(_VALVE_MARGIN * needed, supply)
+    name, valve = _valve(valve_margin * needed, supply)
     return AirSupply(
         needed,
         valve,
         name,
-        _tube(_TUBE_MARGIN * needed, tube_length),
+        _tube(tube_margin * needed, tube_length),
         taken / DENSITY,
-        taken * ENERGY / (_DROP * (supply + ATMOSPHERE)),
-        _COMPRESSOR_MARGIN * taken / DENSITY / cycle,
+        taken * ENERGY / (drop * (supply + ATMOSPHERE)),
+        compressor_margin * taken / DENSITY / cycle,
     )
 
 

@@ -22,8 +22,6 @@ CONSTRAINTS = (
 )
 """Constraints of a sized joint, in the order of `constraint_margins`."""
 
-_CONTRACTION_SCALE, _TENSION_SCALE, _STIFFNESS_SCALE = 1 * percent, 10.0, 0.05
-
 
 def constraint_margins(
     plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike, torque_reserve: ArrayLike, minimum_tension: ArrayLike
@@ -69,11 +67,11 @@ def constraint_margins(
         return _unclipped_stiffness(joint.geometry, muscles, angle, pressures)
 
     ends = stiffness_at(first), stiffness_at(last)
-    scale = _STIFFNESS_SCALE * jnp.maximum(jnp.abs(stiffness[1]), 1.0)
+    scale = 0.05 * jnp.maximum(jnp.abs(stiffness[1]), 1.0)
     margins = [
-        *((e - m.domain.contraction_min) / _CONTRACTION_SCALE for m, e in zip(muscles, contractions, strict=True)),
-        *((m.domain.contraction_max - e) / _CONTRACTION_SCALE for m, e in zip(muscles, contractions, strict=True)),
-        tension_range / _TENSION_SCALE,
+        *((e - m.domain.contraction_min) / (1 * percent) for m, e in zip(muscles, contractions, strict=True)),
+        *((m.domain.contraction_max - e) / (1 * percent) for m, e in zip(muscles, contractions, strict=True)),
+        tension_range / 10.0,
         (stiffness[0] - jnp.minimum(*ends)) / scale,
         (jnp.maximum(*ends) - stiffness[1]) / scale,
     ]

@@ -16,7 +16,6 @@ from mckibben import catalog
 from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError
 from mckibben.identification import Fit, identify
 from mckibben.joint import AntagonisticJoint, Load
@@ -38,8 +37,6 @@ from mckibben.units import (
 ReserveTorque = Annotated[float, Quantity("N*m", "N*m", 0, 1e6)]
 SHORTEST = 0.04
 """Shortest muscle [m]."""
-_SLENDER = 3.0  # shortest muscle per diameter, below which it is not a cylinder (ours)
-_SCALED_SPREAD = 0.2  # of a make whose forces are scaled from another diameter (ours)
 
 
 @dataclass(frozen=True)
@@ -202,8 +199,8 @@ class Make(NamedTuple):
 
     @property
     def shortest(self) -> float:
-        """Shortest muscle [m] that is considered, of at least three diameters."""
-        return max(SHORTEST, _SLENDER * float(self.muscle.specimen.initial_diameter or 0.0))
+        """Shortest muscle [m] that is considered, of at least three diameters: below, it is not a cylinder (ours)."""
+        return max(SHORTEST, 3 * float(self.muscle.specimen.initial_diameter or 0.0))
 
     @property
     def unnamed(self) -> Specimen:
@@ -228,11 +225,10 @@ def catalog_makes() -> tuple[Make, ...]:
 
     10 mm is fitted to the maker's chart, 20 mm to the force map of Martens and Boblan (2017). The catalog has no table
     of 40 mm: its forces are those of 20 mm times four, the ratio of the cross-sections and of the rated forces, 1500
-    and 6000 N.
+    and 6000 N, with twice the spread (ours).
     """
     ten = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
-    data: IsobaricDataset = catalog.dataset("dmsp-20-300-martens2017")
-    twenty = identify(ExponentialLaw, data)
+    twenty = identify(ExponentialLaw, catalog.dataset("dmsp-20-300-martens2017"))
     small, large = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.specimen("DMSP-20-300")
     forty = dataclasses.replace(
         large, name="Festo 40 mm", initial_diameter=2 * float(large.initial_diameter or 0.0), rated_force=6000.0
@@ -240,7 +236,7 @@ def catalog_makes() -> tuple[Make, ...]:
     return (
         Make.of("Festo 10 mm", Muscle(dataclasses.replace(small, name="Festo 10 mm"), ten.law), ten),
         Make.of("Festo 20 mm", Muscle(dataclasses.replace(large, name="Festo 20 mm"), twenty.law), twenty),
-        Make.of("Festo 40 mm", Muscle(forty, twenty.law, strength=4.0), twenty, _SCALED_SPREAD),
+        Make.of("Festo 40 mm", Muscle(forty, twenty.law, strength=4.0), twenty, 2 * Requirement.spread),
     )
 
 
@@ -253,10 +249,3 @@ def read_make(path: Path, spread: float = Requirement.spread) -> Make:
         read = Fit.from_yaml(path.parent / text)
         fit = read if read.regression is not None else None
     return Make.of(str(muscle.specimen.name), muscle, fit, spread)
-
-
-def with_supply(muscle: Muscle, highest: float) -> Muscle:
-    """The muscle with a highest pressure [Pa] not above its own."""
-    domain = muscle.specimen.domain
-    limited = dataclasses.replace(domain, pressure_max=min(float(domain.pressure_max), highest))
-    return dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, domain=limited))

@@ -28,14 +28,7 @@ from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.lengths import check_lengths, with_lengths
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
-from mckibben.reachability.requirement import (
-    SHORTEST,
-    Make,
-    Requirement,
-    catalog_makes,
-    read_make,
-    with_supply,
-)
+from mckibben.reachability.requirement import SHORTEST, Make, Requirement, catalog_makes, read_make
 from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, Start
@@ -47,10 +40,9 @@ Floats = NDArray[np.float64]
 
 _HEADROOM = 0.9  # of the supply: air flows into a muscle only below it
 _TENSION = 5.0  # N: least tension of both muscles
-_ANY = (1e6, -1e6)  # stiffness that every joint attains
 _NARROWEST = 5 * mm  # radius of a pulley, and step of the lengths of muscles
 _ANGLES = 41  # of the motion
-_CYCLES, _SAMPLES = 3, 32  # of a run, and of a cycle
+_CYCLES = 3  # of a run
 
 
 class Candidate(NamedTuple):
@@ -288,8 +280,11 @@ def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0
         if (lowest := float(muscle.domain.pressure_min)) >= _HEADROOM * need.supply:
             used = show(_HEADROOM * need.supply, "bar", 3)
             raise UnreachableError(f"its law begins at {show(lowest, 'bar', 3)}, and {used} of the supply are used")
-        stronger = dataclasses.replace(muscle, strength=strength * float(muscle.strength or 1.0))
-        muscles.append(with_supply(stronger, _HEADROOM * need.supply))
+        highest = min(float(muscle.specimen.domain.pressure_max), _HEADROOM * need.supply)
+        domain = dataclasses.replace(muscle.specimen.domain, pressure_max=highest)
+        specimen = dataclasses.replace(muscle.specimen, domain=domain)
+        total = strength * float(muscle.strength or 1.0)
+        muscles.append(dataclasses.replace(muscle, specimen=specimen, strength=total))
     usable = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
     return JointPlant(usable, need.load, IdealValve())
 
@@ -297,7 +292,7 @@ def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0
 def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requirement) -> Floats:
     """Least margins of `CONSTRAINTS` over the motion and the plants, shape (candidates, constraints)."""
     angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
-    motion = angles, np.asarray(need.stiffness or _ANY), need.reserve, need.speed
+    motion = angles, np.asarray(need.stiffness or (1e6, -1e6)), need.reserve, need.speed  # any joint attains these
     margins = [np.asarray(_margins_of(plant, lengths, *motion)) for plant in plants]
     return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
 
@@ -326,15 +321,14 @@ def _candidate_of_make(make: Make, need: Requirement) -> Candidate:
     grid = _pulley_grid(make, need)
     unnamed = _on_pulleys(dataclasses.replace(make.muscle, specimen=make.unnamed))  # makes share compiled programs
     plants = [_template(unnamed, need, 1 + sign * make.uncertainty) for sign in (-1, 1)]
-    margins = _margins(plants, grid, need)
-    margins[(grid["muscle_length"] < make.shortest - 1e-9) | (grid["radius"] > need.widest + 1e-9)] = -np.inf
-    least, lengths = margins.min(axis=1), grid["muscle_length"]
+    margins, lengths = _margins(plants, grid, need), grid["muscle_length"]
+    margins[(lengths < make.shortest - 1e-9) | (grid["radius"] > need.widest + 1e-9)] = -np.inf
+    least = margins.min(axis=1)
     feasible = (least >= 0) & (lengths <= need.longest + 1e-9)
-    at = int(np.argmax(np.where(feasible & (lengths == lengths[feasible].min(initial=math.inf)), least, -np.inf)))
     if not feasible.any():
         raise _unreached(margins, grid)
-    chosen = {name: float(column[at]) for name, column in grid.items()}
-    return _candidate(make.name, make.uncertainty, _on_pulleys(make.muscle), chosen, margins[at], need)
+    at = int(np.argmax(np.where(feasible & (lengths == lengths[feasible].min()), least, -np.inf)))
+    return _candidate(make.name, make.uncertainty, _on_pulleys(make.muscle), _row(grid, at), margins[at], need)
 
 
 def _candidate_of_joint(name: str, joint: AntagonisticJoint, need: Requirement) -> Candidate:
@@ -359,16 +353,20 @@ def _candidate_of_joint(name: str, joint: AntagonisticJoint, need: Requirement) 
     margins = _margins(plants, best, need)
     if not margins.min() >= 0:
         raise _unreached(margins, best)
-    chosen = {name: float(value.item()) for name, value in best.items()}
-    return _candidate(name, need.spread, joint, chosen, margins[0], need)
+    return _candidate(name, need.spread, joint, _row(best, 0), margins[0], need)
+
+
+def _row(lengths: dict[str, Floats], at: int) -> dict[str, float]:
+    """Lengths of one candidate."""
+    return {name: float(column[at]) for name, column in lengths.items()}
 
 
 def _unreached(margins: Floats, lengths: dict[str, Floats]) -> UnreachableError:
     """The error that names the constraints broken by the closest candidate."""
     at = int(np.argmax(margins.min(axis=1)))
     broken = [name for name, margin in zip(CONSTRAINTS, margins[at], strict=True) if margin < 0]
-    best = _lengths_text({name: float(column[at]) for name, column in lengths.items()})
     remedy = "allow other lengths, a smaller range of angles or less load"
+    best = _lengths_text(_row(lengths, at))
     return UnreachableError(f"limited by {' and '.join(broken)} (at best, with {best})", remedy=remedy)
 
 
@@ -424,7 +422,7 @@ def _candidate(
         low, high = plant.joint.attainable_torque(angles, minimum_tension=_TENSION)
         gravity = -plant.load.gravity_torque(angles)
         torque.append(float(np.minimum(high - gravity, gravity - low).min()) - opposed)
-    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1)
+    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * 32 + 1)
     motion = reference_trajectory(_reference(need, plants[1]), times, smoothing=need.cycle / 20)
     supply = air_supply(plants[1], motion, need.cycle, need.supply, need.tube)
     plant = dataclasses.replace(plants[1], valve=supply.valve)
@@ -439,7 +437,7 @@ def _reference(need: Requirement, plant: JointPlant) -> Reference:
         low, high = need.stiffness
         held: Signal = Constant(low) if low == high else Ramp(low, high, start=need.cycle, duration=need.cycle)
         return Reference(angle=angle, stiffness=held)
-    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1)
+    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * 32 + 1)
     motion = reference_trajectory(Reference(angle=angle, stiffness=0.0), times, smoothing=0.0)
     torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
     low, high = plant.joint.attainable_stiffness(motion.angle, torque, minimum_tension=_TENSION)

@@ -23,8 +23,6 @@ from mckibben.units import deg
 Values = NDArray[np.float64]
 
 SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its end a muscle is slack
-_SCAN_POINTS = 41  # along the segment of a joint whose stiffness is not affine in tension
-_ANGLE_LIMIT = 80 * deg
 
 
 class AttainableRange(NamedTuple):
@@ -86,7 +84,7 @@ class StaticEnvelope:
 
 def scan_points(affine: bool) -> Values:
     """Positions along a segment of tensions, 0 to 1: its ends if all requested quantities are affine, else a scan."""
-    return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if affine else _SCAN_POINTS)
+    return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if affine else 41)
 
 
 def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
@@ -109,7 +107,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     """
     affine = is_affine(plant.joint)
     count = 641 if affine else 161
-    angles = np.linspace(-_ANGLE_LIMIT, _ANGLE_LIMIT, count)
+    angles = np.linspace(-80 * deg, 80 * deg, count)
     points = scan_points(affine)
     torque, *limits, stiffness, pressure1, pressure2 = (np.asarray(x) for x in _static_states(plant, angles, points))
     infeasible = np.asarray(np.isnan(stiffness).all(axis=0))

@@ -14,9 +14,6 @@ from mckibben.numerics.compiled import jit
 
 Values = NDArray[np.float64]
 
-_AVERAGES = 4
-"""Successive moving averages. Their kernel is a cubic B-spline: the third derivative of a smoothed jump is bounded."""
-
 
 @dataclass(frozen=True)
 class ReferenceTrajectory:
@@ -101,8 +98,11 @@ def _at(signal: Signal, times: Values) -> object:
     return signal(times)
 
 
-def smoothed_values(values: Values, period: float, width: float, *, order: int = 0) -> Values:
+def smoothed_values(values: Values, period: float, width: float, *, order: int = 0, averages: int = 4) -> Values:
     """Return smoothed samples at a period [s], or a derivative of them, of the same shape (samples,).
+
+    The kernel of four successive moving averages is a cubic B-spline: the third derivative of a smoothed jump is
+    bounded.
 
     A straight line stays as it is, up to its ends:
 
@@ -111,13 +111,13 @@ def smoothed_values(values: Values, period: float, width: float, *, order: int =
     """
     if values.size < 2:
         return values if order == 0 else np.zeros_like(values)
-    window = max(math.ceil(width / (_AVERAGES * period) - 1e-9), 1)
-    values = np.pad(values, _AVERAGES * window // 2, mode="reflect", reflect_type="odd")
+    window = max(math.ceil(width / (averages * period) - 1e-9), 1)
+    values = np.pad(values, averages * window // 2, mode="reflect", reflect_type="odd")
     average = np.ones(window + 1) / window
     average[[0, -1]] /= 2
     difference = np.zeros(window + 1)
     difference[0], difference[-1] = 1 / (window * period), -1 / (window * period)
-    for k in range(_AVERAGES):
+    for k in range(averages):
         values = np.convolve(values, difference if k < order else average, mode="valid")
     return values
 
