@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
 from mckibben.calibration.equations import JointPrior, JointRecording, Samples, sliding_from
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
@@ -142,7 +142,7 @@ class Sweeps:
 
     def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
         """Return a load with the weight."""
-        return jax.tree.map(float, _with_weight(load, added_mass, self.distance))
+        return jax.tree.map(float, load.with_weight(added_mass, self.distance))
 
     def _check_weight(self, joint: AntagonisticJoint, load: Load) -> None:
         """Warn if the weight turns the joint by less than friction holds it, in the middle at the highest pressures."""
@@ -184,11 +184,6 @@ def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Arra
     least: Any = 0.08 * jnp.stack(highest).min()
     torques = [-load.gravity_torque(angles) for load in loads]
     return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
-
-
-@jit
-def _with_weight(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
-    return load.with_weight(mass, distance)
 
 
 def part_of(scenario: Scenario, title: str, angle: float, **changes: object) -> Scenario:
@@ -276,17 +271,10 @@ def read_joint_recording(
         return np.stack([columns[f"{kind}1"], columns[f"{kind}2"]], axis=1) if f"{kind}1" in columns else None
 
     pressures, commands = pair("pressure"), pair("command")
-    commanded = pressures is None
-    return JointRecording(
-        times,
-        columns["angle"],
-        commands if commanded else pressures,
-        pair("tension"),
-        added_mass,
-        distance,
-        commanded,
-        None if commanded else commands,
-    )
+    shared = pair("tension"), added_mass, distance
+    if pressures is None:
+        return JointRecording(times, columns["angle"], commands, *shared, commanded=True)
+    return JointRecording(times, columns["angle"], pressures, *shared, commands=commands)
 
 
 def calibrate_scenario(

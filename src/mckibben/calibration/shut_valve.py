@@ -212,12 +212,6 @@ def _wall_area(specimen: Specimen, contraction: float) -> float:
     return 2 * math.sqrt(math.pi * float(specimen.volume(contraction)) * float(specimen.length_at(contraction)))
 
 
-_CONTRADICTED = (
-    "check the contraction of each recording and the volume of the specimen; if the heat to the wall does not grow "
-    "with its area, identify each length by itself with a measured dead volume"
-)
-
-
 def _check(dead: float, spread: float, highest: float, *, finite: bool) -> None:
     """Raise `IdentificationError` for a dead volume [m^3] below zero, or that is not determined."""
     if not (finite and -3 * spread <= dead and dead + 2 * spread <= 10 * highest):
@@ -228,7 +222,8 @@ def _check(dead: float, spread: float, highest: float, *, finite: bool) -> None:
             lower=0.0,
             upper=10 * highest,
             unit="m^3",
-            remedy=_CONTRADICTED,
+            remedy="check the contraction of each recording and the volume of the specimen; if the heat to the wall "
+            "does not grow with its area, identify each length by itself with a measured dead volume",
         )
 
 

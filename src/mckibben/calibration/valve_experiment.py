@@ -61,29 +61,26 @@ class ValveExperiment:
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
         centre, reason, duration = ends.mean(axis=0), "", self._half(scenario)
         for share in 0.8 ** np.arange(10):
-            commands = _commands(centre + share * (ends - centre))
+            changes: dict[str, Any] = {"signals": signals, "duration": duration}
             parts = {
                 name: part_of(
                     scenario,
                     f"calibration of the valves, {name}",
                     middle,
                     controller=OpenLoopControl(*pair, model),
-                    signals=signals,
-                    duration=duration,
+                    **changes,
                 )
-                for name, pair in commands.items()
+                for name, pair in _commands(centre + share * (ends - centre)).items()
             }
             violations = (self._violation(part, joint) for joint in self._joints(model) for part in parts.values())
-            violation = next(filter(None, violations), "")
-            if not violation:
-                if share < 0.5:
-                    text = (
-                        f"the commands have {share:.0%} of the attainable range, as otherwise {reason}: wider --angles "
-                    )
-                    text += "or a smaller `strength` in --prior may determine more quantities of the valves"
-                    warnings.warn(text, McKibbenWarning, stacklevel=2)
-                return parts
-            reason = violation
+            if violation := next(filter(None, violations), ""):
+                reason = violation
+                continue
+            if share < 0.5:
+                text = f"the commands have {share:.0%} of the attainable range, as otherwise {reason}: wider --angles "
+                text += "or a smaller `strength` in --prior may determine more quantities of the valves"
+                warnings.warn(text, McKibbenWarning, stacklevel=2)
+            return parts
         raise ParameterError(
             f"even commands of {share:.0%} of the range are too wide: {reason}",
             remedy="give wider --angles, a smaller `strength` in --prior, or a valve closer to the real one",
@@ -128,16 +125,7 @@ class ValveExperiment:
         from scipy.signal import lfilter  # 1 s
 
         plant = part.model_copy(update={"joint": model, "load": load_of(part)}).plant()
-        ran = simulate(
-            plant,
-            part.control(),
-            part.reference(),
-            initial=part.initial(plant),
-            duration=part.duration,
-            control_period=part.control_period,
-            accuracy=part.accuracy,
-            substeps=part.substeps,
-        )
+        ran = simulate(plant, part.control(), part.reference(), initial=part.initial(plant), **part.timing)
         angle, share = ran["angle"], min(1.0, part.control_period / self.following)
         errors = (ran[f"pressure{i}"] - ran[f"command{i}"] for i in (1, 2))
         late = max(float(np.abs(lfilter([share], [1, share - 1], error)).max()) for error in errors)

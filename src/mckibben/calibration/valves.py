@@ -325,9 +325,9 @@ def _numbers(part: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
 def _with(valve: Any, values: dict[str, Any]) -> Any:
     """The valve with other numbers, named as by `_numbers`."""
     own = {name: value for name, value in values.items() if "." not in name}
-    for name in {name.partition(".")[0] for name in values if "." in name}:
-        inner = {path.partition(".")[2]: value for path, value in values.items() if path.startswith(f"{name}.")}
-        own[name] = _with(getattr(valve, name), inner)
+    inner = {name.partition(".")[::2]: value for name, value in values.items() if "." in name}
+    for part in {part for part, _ in inner}:
+        own[part] = _with(getattr(valve, part), {name: value for (of, name), value in inner.items() if of == part})
     return dataclasses.replace(valve, **own)
 
 

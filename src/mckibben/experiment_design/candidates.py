@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben import catalog
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError
 from mckibben.experiment_design.information import Floats, Indices
 from mckibben.experiment_design.prior import DIRECTION_SIGN, PriorData
@@ -29,11 +30,6 @@ class DesignRegion:
     pressure_step: float  # [Pa]
     force_min: float  # of a measurable state [N]
     force_max: float
-
-    def __post_init__(self) -> None:
-        for name, step, unit in (("contraction", self.contraction_step, ""), ("pressure", self.pressure_step, " Pa")):
-            if not (math.isfinite(step) and step > 0):
-                raise RangeError(f"the {name} step is {step:g}{unit}, not above 0", value=step, lower=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +119,7 @@ def design_region(
     default = 1 * mm / length if length else 0.5 * percent
     lowest = float(attrs["slack_force"]) + 3 * prior.noise.point
     step = default if contraction_step is None else contraction_step
+    check_positive("plan", contraction_step=step, pressure_step=pressure_step)
     return DesignRegion(domain, step, pressure_step, lowest, highest), notes
 
 

@@ -136,15 +136,15 @@ def plan(
     )
     force_rows = candidates.rows[:: REPEATS * len(candidates.directions)].copy()
     force_rows[:, len(prior.parameters) :] = 0.0  # the law's force, midway between the directions
-    maps = ErrorMap(
-        states, *(_mapped(states, estimator.errors(force_rows @ subspace.basis, more)) for more in (0.0, added[-1]))
-    )
+    maps = np.full((2, *states.allowed.shape), np.nan)
+    maps[:, states.allowed] = [estimator.errors(force_rows @ subspace.basis, more) for more in (0.0, added[-1])]
     free = np.concatenate([subspace.null_space, estimator.undetermined(subspace)], axis=1)
     planned = [
         PlannedPoint(*point, standard_error=error, gain=float(1 - np.nan_to_num(error / before, nan=1.0)))
         for point, before, error in zip(candidates.points(chosen), errors, errors[1:], strict=False)
     ]
     risky = estimator.errors(problem.rows[chosen])
+    overload = _overload_note([point.force for point in planned], risky, region.force_max)
     return ExperimentPlan(
         quantity=quantity,
         law=prior.law,
@@ -156,22 +156,11 @@ def plan(
         noise=prior.noise,
         half_width=prior.half_width if prior.friction and np.isfinite(now[-1]) else None,
         diagnostics=_diagnostics(prior, free),
-        notes=(
-            *prior.notes,
-            *notes,
-            *linear.warnings,
-            *_overload_note([point.force for point in planned], risky, region.force_max),
-        ),
+        notes=(*prior.notes, *notes, *linear.warnings, *overload),
         measured=prior.measured,
-        map=maps,
+        map=ErrorMap(states, *maps),
         target_states=linear.states,
     )
-
-
-def _mapped(states: StateGrid, errors: Floats) -> Floats:
-    mapped = np.full(states.allowed.shape, np.nan)
-    mapped[states.allowed] = errors
-    return mapped
 
 
 def _overload_note(force: list[float], errors: Floats, force_max: float) -> list[str]:
@@ -179,10 +168,8 @@ def _overload_note(force: list[float], errors: Floats, force_max: float) -> list
     over = [str(i + 1) for i in np.flatnonzero(np.isfinite(errors) & (np.array(force) + 2 * errors > force_max))]
     if not over:
         return []
-    return [
-        f"the force may exceed {force_max:.0f} N at point{'s' * (len(over) > 1)} {', '.join(over)}, given the present "
-        "uncertainty: approach slowly"
-    ]
+    places = f"point{'s' * (len(over) > 1)} {', '.join(over)}"
+    return [f"the force may exceed {force_max:.0f} N at {places}, given the present uncertainty: approach slowly"]
 
 
 def _diagnostics(prior: PriorData, free: Floats) -> tuple[str, ...]:

@@ -148,12 +148,9 @@ class _JointQuantity(QuantityOfInterest):
         muscles = self.joint.muscle1, self.joint.muscle2
         for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
             domain, name = muscle.specimen.domain, muscle.specimen.name
-            for one in contraction:
-                domain.check_contraction(
-                    float(one),
-                    f"{name} (muscle {number}, {self})",
-                    "choose a smaller angle, or other lengths of the joint",
-                )
+            remedy = "choose a smaller angle, or other lengths of the joint"
+            for value in contraction:
+                domain.check_contraction(float(value), f"{name} (muscle {number}, {self})", remedy)
             low, high = float(domain.pressure_min), float(domain.pressure_max)
             if not low <= pressure[0] <= high:
                 message = f"{pressure[0] / bar:g} bar is outside {low / bar:g}..{high / bar:g} bar of {name}"

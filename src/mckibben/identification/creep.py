@@ -38,7 +38,6 @@ _LARGEST = 0.5  # share of the form
 _FEWEST_LEVELS = 3  # of the pressure at a length
 _FEWEST_PLATEAUS = 6
 _MOVED = 0.001  # change of the contraction between two lengths [-]
-_BLOCKS = 16  # of a plateau, narrower at its start
 _LEVEL = 10 * kPa  # distance of two levels of the pressure
 _PARTS = 20  # of a plateau: the valve settles in the first, and no time constant is shorter
 _GRID = 61  # time constants of a search
@@ -245,10 +244,10 @@ class RecordedBins:
         return lags
 
 
-def _block_edges(plateau: PressurePlateau) -> Ints:
+def _block_edges(plateau: PressurePlateau, *, blocks: int = 16) -> Ints:
     """Edges of the blocks of a plateau, in bins; narrower at its start."""
     count = plateau.last - plateau.first
-    return plateau.first + np.unique(np.rint(count * np.linspace(0, 1, _BLOCKS + 1) ** 2).astype(np.int64))
+    return plateau.first + np.unique(np.rint(count * np.linspace(0, 1, blocks + 1) ** 2).astype(np.int64))
 
 
 def _bins_of(bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau], name: str) -> list[Floats]:

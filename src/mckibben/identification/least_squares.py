@@ -354,13 +354,13 @@ def grid_search(problem: FitProblem) -> Floats:
     return min(problem.cube.grid(), key=lambda position: project(problem, position).cost)
 
 
-_INSIDE = 1e-9  # a search starts off the faces of the cube
-_FACE = 1e-4  # it stays inside the cube: this close to a face counts as on the face
 _EQUAL = 1e-9  # relative difference of costs that is rounding
 
 
-def solve(problem: FitProblem, start: Floats) -> Solution:
+def solve(problem: FitProblem, start: Floats, *, face: float = 1e-4) -> Solution:
     """Least squares over the shape, from a start in the unit cube.
+
+    The search starts off its faces and stays inside: this close to a face counts as on the face.
 
     The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57). A shape parameter that the points do not
     determine is at a bound of its range, the lower one where the cost is equal at both.
@@ -375,11 +375,11 @@ def solve(problem: FitProblem, start: Floats) -> Solution:
     if len(start) and np.isfinite(best.cost):
         search = least_squares(
             lambda position: projection(position).residuals,
-            np.clip(start, _INSIDE, 1 - _INSIDE),
+            np.clip(start, 1e-9, 1 - 1e-9),
             lambda position: -projection(position).derivative,
             (np.zeros(len(start)), np.ones(len(start))),
         )
-        faces = np.where(search.values < _FACE, 0.0, np.where(search.values > 1 - _FACE, 1.0, search.values))
+        faces = np.where(search.values < face, 0.0, np.where(search.values > 1 - face, 1.0, search.values))
         inside, on_face = projection(search.values), projection(faces)
         best = on_face if on_face.cost * (1 - _EQUAL) <= inside.cost else inside
         best = _undetermined_at_bound(problem, best)

@@ -21,8 +21,6 @@ import numpy as np
 
 from mckibben.identification.estimator import Bools, Floats, tsqr_r
 
-_RANK = 1e-10  # of the largest singular value: fixed columns below it are combinations of the others
-
 Scales = Callable[[Floats], tuple[Floats, Floats]]
 """Logarithm of the scale of each random column, shape (m,), and its derivative, (m, hyperparameters)."""
 
@@ -95,10 +93,10 @@ class MixedModel:
 
     @cached_property
     def _fixed(self) -> Floats:
-        """Orthonormal basis of the fixed columns."""
+        """Orthonormal basis of the fixed columns, without those that are combinations of others to rounding."""
         lengths = np.linalg.norm(self.fixed, axis=0)
         u, sizes, _ = np.linalg.svd(self.fixed / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-        return u[:, sizes > _RANK * sizes[0]]
+        return u[:, sizes > 1e-10 * sizes[0]]
 
     @cached_property
     def _projected(self) -> Floats:

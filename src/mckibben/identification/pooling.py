@@ -26,8 +26,6 @@ from mckibben.muscle import ExponentialLaw, ForceLaw, Specimen, forces
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
-_BETTER = 0.95  # times the scatter without a dead length
-
 
 class LeftOutSpecimen(NamedTuple):
     """Prediction of a specimen from the others.
@@ -172,7 +170,7 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset], *,
         sum(pool.solved(dead, selected)[2] for dead, selected in zip(some, others, strict=True))
         for some in (deads, np.zeros(count))
     )
-    has_dead_length = with_dead < _BETTER**2 * without
+    has_dead_length = with_dead < 0.95**2 * without  # the scatter is less by 5 % or more
     deads, everything = deads * has_dead_length, np.ones(len(pool.force), bool)
     dead = pool.dead_length(everything) if has_dead_length else 0.0
     left_out, squares = [], 0.0

@@ -165,9 +165,6 @@ def cross_validate(
     return CrossValidation(residuals, by_block)
 
 
-_FEWEST_GROUPS = 5
-
-
 @dataclass(frozen=True, eq=False)
 class Regression:
     """Points of a fit and the least-squares solution.
@@ -203,7 +200,7 @@ class Regression:
         by = finest_grouping(self.points)
         labels = group_labels(self.points, by)
         count = int(labels.max()) + 1
-        if count < _FEWEST_GROUPS:
+        if count < 5:
             return Grouping.POINT, f"{by.counted(count)} are too few to estimate a common error"
         if 2 * count > len(labels):
             return Grouping.POINT, (

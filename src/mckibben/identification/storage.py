@@ -27,7 +27,6 @@ from mckibben.muscle import LAWS, ForceLaw
 from mckibben.result import Remark
 from mckibben.storage.files import atomic_write
 
-_MOST_POINTS = 5000
 _HEAD = "# A force law identified by mckibben. The numbers of its fit are in SI: N, Pa, and those of the parameters.\n"
 _COLUMNS = ("pressure", "contraction", "force", "set_pressure", "set_force", "direction", "phase", "repeat")
 
@@ -60,9 +59,9 @@ class _FitPoints(ConfigModel):
         return {name: getattr(self, name) for name in _COLUMNS if getattr(self, name) is not None}
 
     @classmethod
-    def of(cls, regression: Regression | None) -> _FitPoints | None:
+    def of(cls, regression: Regression | None, *, most: int = 5000) -> _FitPoints | None:
         """Points of a regression; None without it or with too many for a text file."""
-        if regression is None or len(regression.points) > _MOST_POINTS:
+        if regression is None or len(regression.points) > most:
             return None
         points, problem = regression.points, regression.problem
         columns = {name: points.table[name].to_numpy().tolist() for name in _COLUMNS if name in points.table}
