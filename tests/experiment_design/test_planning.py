@@ -63,6 +63,14 @@ def made(law, directions, *, noise=1.0, half_width=3.0, seed=0, specimen="MAS-10
     )
 
 
+def covariance(rows, noise, *labels):
+    """Covariance of the parameters by inverting that of the points; those with the same labels share an error."""
+    size = np.linalg.norm(rows, axis=0)
+    same = np.logical_and.reduce([label[:, None] == label for label in labels])
+    whole = noise.point**2 * np.eye(len(rows)) + noise.stroke**2 * same
+    return np.linalg.inv((rows / size).T @ np.linalg.solve(whole, rows / size)) / np.outer(size, size)
+
+
 # The algebra.
 
 
@@ -80,8 +88,8 @@ def candidates(stroke: float, seed: int = 1) -> ExchangeProblem:
 def brute(problem: ExchangeProblem, chosen) -> float:
     """The same by inverting the whole covariance of the points."""
     rows, strokes = problem.rows[list(chosen)], problem.strokes[list(chosen)]
-    covariance = 0.7**2 * np.eye(len(rows)) + problem.noise.stroke**2 * (strokes[:, None] == strokes)
-    known = problem.information + rows.T @ np.linalg.inv(covariance) @ rows
+    whole = 0.7**2 * np.eye(len(rows)) + problem.noise.stroke**2 * (strokes[:, None] == strokes)
+    known = problem.information + rows.T @ np.linalg.inv(whole) @ rows
     return np.log(np.trace(problem.gradients @ np.linalg.inv(known) @ problem.gradients.T) / 3)
 
 
@@ -145,10 +153,7 @@ def test_the_spread_of_points_and_strokes_is_found_without_bias():
 def test_the_errors_now_are_those_of_the_points_with_their_strokes(martens, fit):
     found, taut = plan(martens, Coefficient("c1"), ExponentialLaw, points=6), martens.taut
     rows = design_matrix(fit.law, NAMES, taut.contraction, taut.pressure)
-    size = np.linalg.norm(rows, axis=0)
-    same = taut.levels[:, None] == taut.levels
-    covariance = found.noise.point**2 * np.eye(len(rows)) + found.noise.stroke**2 * same
-    inverse = np.linalg.inv((rows / size).T @ np.linalg.solve(covariance, rows / size)) / np.outer(size, size)
+    inverse = covariance(rows, found.noise, taut.levels)
     now = dict(zip(NAMES, np.sqrt(np.diag(inverse)), strict=True))
     assert {name: errors[0] for name, errors in found.parameter_errors.items()} == pytest.approx(now, rel=1e-5)
     assert found.error_now == pytest.approx(now["c1"], rel=1e-5)
@@ -209,11 +214,7 @@ def test_planned_points_are_better_than_as_many_evenly_spaced_ones(law, as_print
         tests = np.append(np.full(len(taut), -1), [point[3] for point in points])
         sign = np.where(ways == "loading", 1.0, -1.0)
         rows = np.column_stack([design_matrix(data.law, NAMES, contraction, pressure), sign])
-        size = np.linalg.norm(rows, axis=0)
-        same = np.logical_and.reduce([a[:, None] == a for a in (pressure, ways, tests)])
-        covariance = found.noise.point**2 * np.eye(len(rows)) + found.noise.stroke**2 * same
-        inverse = np.linalg.inv((rows / size).T @ np.linalg.solve(covariance, rows / size))
-        return np.sqrt(np.diag(inverse)) / size
+        return np.sqrt(np.diag(covariance(rows, found.noise, pressure, ways, tests)))
 
     even = [
         (p, c, way, 0)
