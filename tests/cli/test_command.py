@@ -15,6 +15,7 @@ import typer
 import mckibben
 from mckibben import catalog
 from mckibben.cli import app, options
+from mckibben.errors import FileError
 from mckibben.muscle import LAWS
 
 
@@ -128,8 +129,23 @@ def test_a_log_gets_lines_of_progress_with_the_time_left(monkeypatch, capsys):
         for part in range(101):
             report("tuning", part / 100)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "3 % after 12 s, about 6 min 28 s left: tuning"
+    assert lines[0] == "3 % after 0:00:12, about 0:06:28 left: tuning"
     assert 8 < len(lines) < 20
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO])
+def test_a_disk_that_takes_no_more_says_what_is_kept(tmp_path, number):
+    (tmp_path / "old").touch()
+    os.utime(tmp_path / "old", (0, 0))
+    with pytest.raises(FileError) as caught, options.keeping(tmp_path):
+        (tmp_path / "new").touch()
+        raise OSError(number, os.strerror(number))
+    (problem,) = caught.value.problems
+    assert problem.message.endswith("; kept are new") and "--force" in problem.remedy
+    with pytest.raises(FileNotFoundError), options.keeping(tmp_path):
+        (tmp_path / "missing").read_bytes()
+    with pytest.raises(FileError, match="has disappeared"), options.keeping(tmp_path / "out"):
+        (tmp_path / "out" / "file").read_bytes()
 
 
 def test_a_full_disk_while_printing_is_one_line_and_exit_1():

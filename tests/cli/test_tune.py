@@ -97,7 +97,7 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method, e
     [
         (("--percentile", "50"), "--conditions"),
         (("--conditions", "load.mass2=0.5 kg"), "does not vary"),
-        (("--conditions", "load.mass2=+-20 %", "--percentile", "101"), "the percentile is 101"),
+        (("--conditions", "load.mass2=+-20 %", "--percentile", "101"), "percentile is 101"),
     ],
 )
 def test_conditions_that_mean_nothing_are_refused(cli, scenario, arguments, named):
@@ -155,7 +155,7 @@ def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, 
         ((*SMALL, "--over", "start.angle"), "zero, or not given: there is no range around it"),
         (
             (*SMALL, "--over", "start.angle=0..1 deg"),
-            "'start.angle=-5..8 deg' and 'start.angle=0..1 deg' are about the same parameter",
+            "start.angle is varied twice",
         ),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
         ((*SMALL, "--seed", "-1"), "seed is -1"),

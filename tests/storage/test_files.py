@@ -19,7 +19,6 @@ from mckibben.storage.files import (
     SIGNALS,
     atomic_write,
     check_free,
-    explain_write_errors,
     file_lock,
     handle_signals,
     json_ready,
@@ -112,22 +111,6 @@ def test_a_link_is_replaced_and_not_followed(tmp_path):
     with atomic_write(path, overwrite=True) as part:
         part.write_text("new")
     assert not path.is_symlink() and (path.read_text(), target.read_text()) == ("new", "mine")
-
-
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO])
-def test_a_disk_that_takes_no_more_says_what_is_kept(tmp_path, number):
-    with pytest.raises(FileError) as caught, explain_write_errors(tmp_path, lambda: "3 runs are kept", "make room"):
-        raise OSError(number, os.strerror(number))
-    (problem,) = caught.value.problems
-    assert problem.message.endswith("; 3 runs are kept") and problem.remedy == "make room"
-
-
-def test_a_missing_file_is_no_missing_folder(tmp_path):
-    gone = tmp_path / "out"
-    with pytest.raises(FileError, match="has disappeared"), explain_write_errors(gone, lambda: "all is kept", ""):
-        (gone / "file").read_bytes()
-    with pytest.raises(FileNotFoundError), explain_write_errors(tmp_path, lambda: "", ""):
-        (tmp_path / "missing").read_bytes()
 
 
 def test_json_has_no_nan_and_replaces_a_file_whole(tmp_path):

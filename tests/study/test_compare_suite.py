@@ -113,7 +113,7 @@ MISTAKES = {
     ),
     "condition twice": (
         ("sensors.delay=0, 1", "load.mass2=1..2 kg"),
-        ("conditions", "conditions:", "about the same parameter"),
+        ("conditions", "conditions:", "varied twice"),
     ),
     "reference over": (
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),

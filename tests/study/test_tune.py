@@ -256,7 +256,7 @@ def test_ranges_around_the_gains():
     ("texts", "message"),
     [
         (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
-        (["load.mass2", "load.mass2=1..2 kg"], "are about the same parameter"),
+        (["load.mass2", "load.mass2=1..2 kg"], "varied twice"),
     ],
 )
 def test_ranges_that_are_none(texts, message):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import re
 import shutil
@@ -9,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,8 +18,8 @@ import typer
 from typer import Argument
 from typer.core import TyperGroup
 
-from mckibben.errors import ON_COMMAND_LINE, ParameterError, UnitError, closest, printable, quoted
-from mckibben.storage.files import check_free, explain_write_errors, make_folder
+from mckibben.errors import ON_COMMAND_LINE, FileError, ParameterError, Problem, UnitError, closest, printable, quoted
+from mckibben.storage.files import check_free, make_folder
 from mckibben.units import parse_range, quantity
 
 Progress = Callable[[str, float], None] | None
@@ -184,22 +186,11 @@ def _log_lines() -> Callable[[str, float], None]:
         lines[:] = lines or [(now, part)]
         elapsed, done = now - lines[0][0], part - lines[0][1]
         if done > 0 and now - lines[-1][0] >= max(_LOG_INTERVAL, _LOG_SHARE * elapsed):
-            left = time_text(elapsed * (1 - part) / done)
-            echo(f"{100 * part:.0f} % after {time_text(elapsed)}, about {left} left: {what}", err=True)
+            spent, left = (timedelta(seconds=round(span)) for span in (elapsed, elapsed * (1 - part) / done))
+            echo(f"{100 * part:.0f} % after {spent}, about {left} left: {what}", err=True)
             lines.append((now, part))
 
     return report
-
-
-def time_text(seconds: float) -> str:
-    """A duration [s] in hours, minutes and seconds.
-
-    >>> time_text(59.6), time_text(7260)
-    ('1 min 00 s', '2 h 01 min')
-    """
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
 
 
 def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
@@ -210,17 +201,28 @@ def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
             check_free(out, names, "choose another folder, or replace it with --force")
 
 
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+
+
 @contextmanager
 def keeping(out: Path, again: str = "--force") -> Iterator[None]:
-    """Report which results are kept if writing fails: the disk is full, or the folder has disappeared."""
+    """Raise `FileError` that names the results on disk if that is full or fails, or if the folder has disappeared.
+
+    Other kinds of `OSError` pass unchanged.
+    """
     begun = time.time()
-
-    def kept() -> str:
-        names = [path.name for path in sorted(out.iterdir()) if path.is_file() and path.stat().st_mtime >= begun - 1]
-        return f"kept are {', '.join(names)}" if names else "nothing is kept"
-
-    with explain_write_errors(out, kept, f"make room, and run it again with {again}"):
+    try:
         yield
+    except OSError as error:
+        if isinstance(error, FileNotFoundError) and not out.is_dir():
+            problem = Problem("the folder has disappeared, together with its files", remedy="begin anew")
+        elif error.errno in _FULL:
+            names = [file.name for file in sorted(out.iterdir()) if file.is_file() and file.stat().st_mtime > begun - 1]
+            kept = f"kept are {', '.join(names)}" if names else "nothing is kept"
+            problem = Problem(f"{error.strerror}; {kept}", remedy=f"make room, and run it again with {again}")
+        else:
+            raise
+        raise FileError(str(out), [problem]) from error
 
 
 INTERRUPTED = 130

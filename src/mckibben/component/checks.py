@@ -24,20 +24,11 @@ def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: 
             ...
         mckibben.errors.RangeError: Joint: radius is -0.02 m; give a finite number above 0
     """
+    remedy = f"give a finite number {'0 or above' if zero else 'above 0'}"
     for name, value in values.items():
         numbers = known_numbers(owner, name, value, unit)
         right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
-        if not right.all():
-            kind = "0 or above" if zero else "above 0"
-            wrong = float(numbers[~right][0])
-            raise RangeError(
-                f"{owner}: {name} is {wrong:g} {unit}".rstrip(),
-                field=name,
-                value=wrong,
-                lower=0.0,
-                unit=unit,
-                remedy=f"give a finite number {kind}",
-            )
+        _refuse(owner, name, numbers[~right], f" {unit}".rstrip(), lower=0.0, unit=unit, remedy=remedy)
 
 
 def whole_periods(duration: float, period: float) -> int | None:
@@ -62,20 +53,17 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", *, reme
             ...
         mckibben.errors.RangeError: Joint: radius is 2, outside 0..1 m
     """
+    limits = f", outside {lower:g}..{upper:g} {unit}".rstrip()
     for name, value in values.items():
         numbers = known_numbers(owner, name, value, unit)
-        right = (numbers >= lower) & (numbers <= upper)
-        if not right.all():
-            wrong = float(numbers[~right][0])
-            raise RangeError(
-                f"{owner}: {name} is {wrong:g}, outside {lower:g}..{upper:g} {unit}".rstrip(),
-                field=name,
-                value=wrong,
-                lower=lower,
-                upper=upper,
-                unit=unit,
-                remedy=remedy,
-            )
+        wrong = numbers[~((numbers >= lower) & (numbers <= upper))]
+        _refuse(owner, name, wrong, limits, lower=lower, upper=upper, unit=unit, remedy=remedy)
+
+
+def _refuse(owner: str, name: str, wrong: NDArray[np.float64], text: str, **details: Any) -> None:
+    """Raise `RangeError` with the first of the wrong values of a field, if there is one."""
+    if wrong.size:
+        raise RangeError(f"{owner}: {name} is {wrong[0]:g}{text}", field=name, value=float(wrong[0]), **details)
 
 
 def check_count(field: str, given: int, count: int, each: str) -> None:

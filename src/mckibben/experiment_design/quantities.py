@@ -158,7 +158,7 @@ class _JointQuantity(QuantityOfInterest):
             if np.any(forces(law, contraction, pressure) <= 0):
                 warnings.append(f"muscle {number} is slack there and does not contribute to the {self._name}")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
-        return LinearizedQuantity(gradients[self._row].T, values[self._row], states=places, warnings=tuple(warnings))
+        return LinearizedQuantity(gradients[self._row], values[self._row], states=places, warnings=tuple(warnings))
 
 
 @dataclass(frozen=True)

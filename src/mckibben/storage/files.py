@@ -92,28 +92,6 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> It
         temporary.unlink(missing_ok=True)
 
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
-
-
-@contextmanager
-def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
-    """Turn a full or failing disk, or a folder that has disappeared, into a `FileError` that says what is safe.
-
-    `kept` returns the description of the records on disk, and is called after a failure only. Other kinds of `OSError`
-    pass unchanged.
-    """
-    try:
-        yield
-    except OSError as error:
-        if isinstance(error, FileNotFoundError) and not folder.is_dir():
-            problem = Problem("the folder has disappeared, together with its files", remedy="begin anew")
-        elif error.errno in _FULL:
-            problem = Problem(f"{error.strerror}; {kept()}", remedy=remedy)
-        else:
-            raise
-        raise FileError(str(folder), [problem]) from error
-
-
 def sync_folder(path: Path) -> None:
     """Sync the entries of a folder to disk, where the system supports it."""
     if hasattr(os, "O_DIRECTORY"):

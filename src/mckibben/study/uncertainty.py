@@ -92,8 +92,7 @@ def joint_bands(
         parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for fit, gradient in zip(pair, gradients, strict=True):
             regression = fit.require_regression()
-            columns = np.moveaxis(gradient[i], 0, -1)[..., regression.free]
-            parts.append(variance_of(regression.error_model(by), columns))
+            parts.append(variance_of(regression.error_model(by), gradient[i][..., regression.free]))
         bands.append(t_interval(level, answers_of_both[i], parts))
     doubtful = np.zeros(shape, bool)
     for contraction, pressure, fit in zip(contractions, where[1:], both, strict=True):
@@ -105,23 +104,15 @@ def joint_bands(
 @jit
 def torque_and_stiffness_gradients(
     joint: AntagonisticJoint, values: tuple[NDArray, ...], angle: NDArray, pressure1: NDArray, pressure2: NDArray
-) -> tuple[Array, list[Array], tuple[Array, Array]]:
-    """Torque and stiffness, shape (2, ...); gradients per fit, shape (2, parameters, ...); contractions."""
+) -> tuple[Array, tuple[Array, ...], tuple[Array, Array]]:
+    """Torque and stiffness, shape (2, ...); gradients per fit, shape (2, ..., parameters); contractions."""
 
     def answer(parameters: tuple[NDArray, ...]) -> Array:
         laws = _with(joint.muscle1.law, parameters[0]), _with(joint.muscle2.law, parameters[-1])
         changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, laws)
         return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
 
-    def gradient(i: int) -> Array:
-        def column(direction: Array) -> Array:
-            directions = tuple(direction if j == i else jnp.zeros_like(jnp.asarray(v)) for j, v in enumerate(values))
-            return jax.jvp(answer, (values,), (directions,))[1]
-
-        return jax.vmap(column, out_axes=1)(jnp.eye(jnp.size(values[i])))
-
-    gradients = [gradient(i) for i in range(len(values))]
-    return answer(values), gradients, joint.contractions(angle, (pressure1, pressure2))
+    return answer(values), jax.jacfwd(answer)(values), joint.contractions(angle, (pressure1, pressure2))
 
 
 def _with(law: ForceLaw, values: Array | NDArray) -> ForceLaw:

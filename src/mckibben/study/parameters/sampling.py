@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
 
@@ -118,8 +118,7 @@ def _truncated(parameter: ScenarioParameter, normal: Normal) -> Normal:
     return replace(normal, lower=max(normal.lower, lower), upper=min(normal.upper, upper))
 
 
-_POINTS = re.compile(r"(.*\S)\s+in\s+(\S+)", re.DOTALL)
-_LOG = re.compile(r"(.*\S)\s+log", re.DOTALL)
+_RANGE = re.compile(r"(.*?)(\s+log)?(?:\s+in\s+(\S+))?", re.DOTALL)
 _RELATIVE = re.compile(rf"({NUMBER.pattern})\s*(?:%|percent)")
 _QUANTITY = re.compile(rf"{NUMBER.pattern}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
 _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
@@ -174,20 +173,18 @@ def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParamet
 
     Raises `ParameterError` as well if a parameter is repeated.
     """
-    return parse_distinct(texts, lambda text: parse_sweep(text, scenario))
+    return distinct(parse_sweep(text, scenario) for text in texts)
 
 
-def parse_distinct(texts: Iterable[str], parse: Callable[[str], SweptParameter]) -> tuple[SweptParameter, ...]:
-    """Parse each text; raises ParameterError if a parameter is repeated."""
-    texts_of: dict[str, str] = {}
-    several = []
-    for text in texts:
-        swept = parse(text)
-        if swept.name in texts_of:
-            _fail(f"{quoted(texts_of[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
-        texts_of[swept.name] = text
-        several.append(swept)
-    return tuple(several)
+def distinct(swept: Iterable[SweptParameter]) -> tuple[SweptParameter, ...]:
+    """Return the parameters; raises `ParameterError` if one is repeated."""
+    parameters = {}
+    for parameter in swept:
+        if parameter.name in parameters:
+            message = f"{parameter.name} is varied twice"
+            raise ParameterError(message, field=parameter.name, remedy="keep one of them")
+        parameters[parameter.name] = parameter
+    return tuple(parameters.values())
 
 
 def _parse_distribution(text: str, parameter: ScenarioParameter) -> Distribution:
@@ -203,9 +200,10 @@ def _parse_distribution(text: str, parameter: ScenarioParameter) -> Distribution
 
 
 def _parse_range(text: str, parameter: ScenarioParameter) -> Distribution:
-    text, points = _split_ending(_POINTS, text)
-    text, log = _split_ending(_LOG, text)
-    low_text, high_text = split_range(text)
+    match = _RANGE.fullmatch(text)
+    assert match is not None  # the ends of the text are optional
+    ends, log, points = match.groups()
+    low_text, high_text = split_range(ends)
     high, low = _read(parameter.mark, high_text), _read(parameter.mark, low_text)
     if parameter.is_integer:
         if log is not None or points is not None:
@@ -260,12 +258,6 @@ def _read(mark: Any, text: str) -> Any:
         _fail(error.message, remedy or "give a finite one")
 
 
-def _split_ending(ending: re.Pattern[str], text: str) -> tuple[str, str | None]:
-    """Text without an ending, and the last group of the ending."""
-    match = ending.fullmatch(text)
-    return (match[1], match[match.lastindex or 1]) if match else (text, None)
-
-
 def _fail(message: str, remedy: str) -> NoReturn:
     raise ParameterError(message, remedy=remedy)
 
@@ -305,12 +297,8 @@ def sample(
     load.mass2 [1. 1. 1. 2. 2. 2.]
     load.mass1 [0.1 0.2 0.4 0.1 0.2 0.4]
     """
-    names = [parameter.name for parameter in swept]
-    if not names:
+    if not distinct(swept):
         raise ParameterError("nothing is varied", remedy="name a parameter, as in 'load.mass2=0.2 kg..1.0 kg'")
-    for name in names:
-        if names.count(name) > 1:
-            raise ParameterError(f"{name} is varied twice", remedy="keep one of them")
     if method == "grid":
         return _grid(swept)
     check_count("samples", samples, 1, MAX_ROWS)

@@ -5,25 +5,29 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.base import Checked
 from mckibben.component.columns import attributes
 from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.simulation import LEAST_DISK_MARGIN, Metrics
-from mckibben.units import quantity
+from mckibben.units import Quantity, quantity
 
 _PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not the sign of 1e+3
 _TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
 
 
+_Positive = Annotated[float, Quantity("1", "1", 0, 1e300, open_lower=True)]
+
+
 @dataclass(frozen=True)
-class Term:
+class Term(Checked):
     """A metric, its scale [SI] and its weight in a cost.
 
-    Raises `ParameterError` if there is no such metric, or scale or weight are not above 0.
+    Raises `ParameterError` if there is no such metric, `RangeError` if scale or weight are not above 0.
 
     >>> Term("angle_rms", 0.1)
     Traceback (most recent call last):
@@ -32,23 +36,19 @@ class Term:
     """
 
     metric: str
-    scale: float
-    weight: float = 1.0
+    scale: _Positive
+    weight: _Positive = 1.0
 
     def __post_init__(self) -> None:
         if self.metric not in Metrics._fields:
             raise ParameterError(
                 f"{self.metric!r} is not a metric", value=self.metric, remedy=suggest(self.metric, Metrics._fields)
             )
-        for name, value in (("scale", self.scale), ("weight", self.weight)):
-            if not (np.isfinite(value) and value > 0):
-                raise ParameterError(
-                    f"the {name} of {self.metric} is {value:g}", value=value, remedy="give a number above 0"
-                )
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
-class Cost:
+class Cost(Checked):
     """Weighted sum of metrics over their scales.
 
     Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of two: that of the
@@ -68,7 +68,9 @@ class Cost:
     Raises
     ------
     ParameterError
-        If there is no term, a metric appears twice, or a margin or percentile is out of range.
+        If there is no term, or a metric appears twice.
+    RangeError
+        If a margin or the percentile is out of range.
 
     Examples
     --------
@@ -79,9 +81,9 @@ class Cost:
     """
 
     terms: tuple[Term, ...]
-    gain_margin: float = 1.0  # factor by which the gains may increase; 1 for no margin
-    percentile: float | None = None  # of the cost over scenarios and conditions, 100 for the worst; None: their mean
-    disk_margin: float = LEAST_DISK_MARGIN
+    gain_margin: Annotated[float, Quantity("1", "1", 1, 1e6)] = 1.0
+    percentile: Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)] | None = None
+    disk_margin: Annotated[float, Quantity("1", "1", 0, 2, open_upper=True)] = LEAST_DISK_MARGIN
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -90,14 +92,7 @@ class Cost:
             raise ParameterError(
                 f"{twice[0]} appears twice" if twice else "the cost has no term", remedy="name each metric once"
             )
-        percentile = 100.0 if self.percentile is None else self.percentile
-        for what, value, holds, remedy in (
-            ("gain margin", self.gain_margin, 1 <= self.gain_margin < np.inf, "give 1 (none) or more"),
-            ("disk margin", self.disk_margin, 0 <= self.disk_margin < 2, "give 0 (none) to 2, which no loop has"),
-            ("percentile", percentile, 0 < percentile <= 100, "give a number above 0, up to 100"),
-        ):
-            if not holds:
-                raise ParameterError(f"the {what} is {value:g}", value=value, remedy=remedy)
+        super().__post_init__()
 
     @classmethod
     def of(cls, scales: Mapping[str, float], **options: Any) -> Self:
@@ -124,7 +119,7 @@ def parse_cost(text: str, **options: Any) -> Cost:
 
     A single metric needs no scale; each of several metrics needs one, since their units differ.
 
-    Raises `ParameterError` if a term is invalid, or its unit does not fit its metric.
+    Raises `ParameterError` if a term is invalid, or its unit does not fit its metric, and as `Cost` and `Term`.
 
     Examples
     --------

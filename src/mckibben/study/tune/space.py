@@ -10,7 +10,7 @@ import numpy as np
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
 from mckibben.study.parameters import LogUniform, Range, SweptParameter, parse_sweep, sweep_parameters
-from mckibben.study.parameters.sampling import parse_distinct
+from mckibben.study.parameters.sampling import distinct
 from mckibben.study.tune.search import Vector
 from mckibben.units import quantity
 
@@ -134,7 +134,7 @@ def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParamet
             raise ParameterError(f"{parameter.name} is {what}: there is no range around it", value=text, remedy=remedy)
         return SweptParameter(parameter, _range_around(parameter, 2.0))
 
-    return parse_distinct(texts, parse)
+    return distinct(map(parse, texts))
 
 
 def _range_around(parameter: ScenarioParameter, decades: float) -> LogUniform:
