@@ -1,7 +1,6 @@
 """Models made from runtime classes; classes of one's own in configuration files."""
 
 import json
-import pickle
 import textwrap
 from pathlib import Path
 
@@ -210,12 +209,6 @@ def test_an_extension_is_a_file(tmp_path):
         load_extension(tmp_path / "missing.py")
     with pytest.raises(ScenarioError, match=r"\.py"):
         load_extension(tmp_path / "lag.txt")
-
-
-def test_scenarios_go_to_other_processes():
-    for path in sorted((Path(__file__).parents[2] / "examples").glob("*.yaml")):
-        scenario = Scenario.read(path)
-        assert pickle.loads(pickle.dumps(scenario)) == scenario
 
 
 @pytest.mark.slow

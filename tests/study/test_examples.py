@@ -3,9 +3,11 @@
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mckibben import check_reference, identify, read_dataset
+from mckibben.control import Measurement
 from mckibben.muscle import ExponentialLaw
 from mckibben.scenario import Scenario, run_scenario
 
@@ -23,8 +25,16 @@ SMALLER = {  # numbers of scripts that take long
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
-def test_a_scenario_runs_without_a_warning(path):
-    assert run_scenario(Scenario.read(path)).outcome.usable
+def test_a_scenario_starts_at_rest_and_runs_without_a_warning(path):
+    scenario = Scenario.read(path)
+    plant = scenario.plant()
+    initial, setpoint = scenario.initial(plant), scenario.reference()(0.0)
+    assert abs(float(plant.rate(initial).velocity)) < 1e-6 and float(setpoint.angle) == float(initial.angle)
+    if True not in plant.joint.springs:  # else the angle determines it
+        assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(scenario.start.stiffness)
+    state = scenario.control().init(Measurement(initial.angle, initial.pressures))
+    assert np.isfinite(float(state.estimate))
+    assert run_scenario(scenario).outcome.usable
 
 
 @pytest.mark.slow

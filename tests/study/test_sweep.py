@@ -17,7 +17,6 @@ from mckibben.simulation import Outcome
 from mckibben.simulation.metrics import USUAL_METRICS
 from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, open_store, read_store
-from mckibben.study.study import InterruptedStudy
 from mckibben.study.sweep import Sweep, sweep
 from mckibben.study.sweep.sweep import _sizes
 
@@ -44,17 +43,6 @@ def begun(folder: Path) -> dict:
     """Settings of the sweep in a folder."""
     with read_store(folder / STUDY) as store:
         return store.about()
-
-
-class Stopping:
-    """Interrupts once so many runs are done."""
-
-    def __init__(self, at: int) -> None:
-        self.at = at
-
-    def __call__(self, step: str, part: float) -> None:
-        if int(step.split()[0]) >= self.at:
-            raise KeyboardInterrupt
 
 
 @pytest.mark.slow
@@ -105,18 +93,6 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         sweep(scenario, out=tmp_path, resume=True, model_follows=())
 
 
-def test_an_interrupted_sweep_goes_on_to_the_same_numbers(kept, scenario, tmp_path):
-    with pytest.raises(InterruptedStudy, match="of 72 runs are kept; continue with --resume"):
-        sweep(scenario, OVER, out=tmp_path, workers=1, progress=Stopping(16), **SOME)
-    calls = []
-    swept = sweep(scenario, out=tmp_path, resume=True, progress=lambda *call: calls.append(call))
-    assert 0 < swept.computed < 72
-    assert calls[0] == (f"{72 - swept.computed} of 72 runs", 1 - swept.computed / 72)
-    assert calls[-1][1] == 1
-    assert swept.table.identical(kept[0].table)
-    assert [path.name for path in tmp_path.iterdir()] == [STUDY]
-
-
 def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
     study = Sweep.of(scenario, OVER, **SOME)
     monkeypatch.setattr(sweep_module, "software", lambda engine: software(engine) | {"mckibben": "9.9"})
@@ -126,37 +102,27 @@ def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
         study.compute({})
 
 
-def stopped(scenario, folder, **asked):
-    """Begin a sweep and stop it after its first blocks."""
-    with pytest.raises(InterruptedStudy):
-        sweep(scenario, OVER, out=folder, workers=1, progress=Stopping(16), **SOME, **asked)
-
-
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_a_sweep_is_not_continued_by_another_engine_or_compiler(scenario, tmp_path, monkeypatch):
-    stopped(scenario, tmp_path)
-    kept = begun(tmp_path)["software"]
-    assert kept["engine"] == "native" and kept["compiler"]
-    with monkeypatch.context() as patch:
-        patch.setattr("mckibben.simulation.engine.compiler", lambda: None)
-        with pytest.raises(FileError) as caught:
-            sweep(scenario, out=tmp_path, resume=True)
-    found = {problem.field: problem.message for problem in caught.value.problems}
-    assert set(found) == {"software engine", "software compiler"}
-    assert "native" in found["software engine"] and "xla" in found["software engine"]
-    for change in ("compiler", "options"):
-        with monkeypatch.context() as patch:
-            if change == "compiler":
-                patch.setattr("mckibben.simulation.software.compiler_version", lambda path: "other 1.0")
-            else:
-                patch.setenv("MCKIBBEN_CFLAGS", "-O1")
-            with pytest.raises(FileError) as caught:
-                sweep(scenario, out=tmp_path, resume=True)
-        (problem,) = caught.value.problems
-        assert problem.field == "software compiler" and kept["compiler"] in problem.message
-        assert ("other 1.0" if change == "compiler" else "-O1") in problem.message
+@pytest.mark.parametrize(
+    ("change", "fields", "words"),
+    [
+        ({"mckibben.simulation.engine.compiler": lambda: None}, {"software engine", "software compiler"}, "not xla"),
+        ({"mckibben.simulation.software.compiler_version": lambda _: "other 1.0"}, {"software compiler"}, "other 1.0"),
+        ({"MCKIBBEN_CFLAGS": "-O1"}, {"software compiler"}, "-O1"),
+    ],
+)
+def test_a_sweep_is_not_continued_by_another_engine_or_compiler(kept, scenario, monkeypatch, change, fields, words):
+    _, folder = kept
+    assert begun(folder)["software"]["engine"] == "native"
+    assert sweep(scenario, out=folder, resume=True).computed == 0
     with pytest.raises(FileError):
-        sweep(scenario, out=tmp_path, resume=True, engine="xla")
+        sweep(scenario, out=folder, resume=True, engine="xla")
+    for name, value in change.items():
+        monkeypatch.setattr(name, value) if callable(value) else monkeypatch.setenv(name, value)
+    with pytest.raises(FileError) as caught:
+        sweep(scenario, out=folder, resume=True)
+    problems = {problem.field: problem.message for problem in caught.value.problems}
+    assert problems.keys() == fields and words in " ".join(problems.values())
 
 
 def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, tmp_path):
@@ -165,17 +131,7 @@ def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, 
     assert refused.value.upper == 500 and not (tmp_path / "out").exists()
 
 
-def test_a_folder_with_a_sweep_is_not_written_over_nor_computed_twice(kept, scenario, tmp_path):
-    with pytest.raises(FileError, match="a study exists already; continue it with --resume"):
-        sweep(scenario, OVER, out=kept[1])
-    with open_store(kept[1] / STUDY, resume=True), pytest.raises(FileError, match=r"another process \(pid \d+ on"):
-        sweep(scenario, out=kept[1], resume=True)
-    assert sweep(scenario, out=kept[1], resume=True).computed == 0
-
-
 def test_there_must_be_a_sweep_to_continue(scenario, tmp_path):
-    with pytest.raises(FileError, match="no study to continue; leave out --resume"):
-        sweep(scenario, OVER, out=tmp_path / "out", resume=True)
     with pytest.raises(ParameterError, match="give its folder"):
         sweep(scenario, OVER, resume=True)
     with open_store(tmp_path / STUDY) as store:

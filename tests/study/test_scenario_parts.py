@@ -1,0 +1,249 @@
+"""Parts of scenario files: valves with air, friction, real sensors, adaptation, and control by inversion."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mckibben.actuator import IdealValve, UnequalValves
+from mckibben.control import (
+    ActuatorAdaptation,
+    DecouplingControl,
+    ExtendedStateObserver,
+    LawAdaptation,
+    PolePlacement,
+    PressureObserver,
+)
+from mckibben.errors import RangeError, ScenarioError, SimulationError
+from mckibben.muscle import PressureAffineLaw
+from mckibben.plant import SampledSensors, TorquePulses
+from mckibben.reachability import check_trackability
+from mckibben.reachability.envelope import envelope
+from mckibben.scenario import Scenario, batched, find_parameter, run_many, run_scenario
+from mckibben.simulation import Outcome
+from mckibben.study.tune import gain_ranges
+from mckibben.units import bar, deg, ms
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BASE = (EXAMPLES / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+SHORT = BASE.replace("duration: 10 s", "duration: 0.4 s").replace("at: 5 s", "at: 0.2 s")
+BEFORE, LOOPS = BASE.split("controller:\n")
+AFTER = LOOPS[LOOPS.index("reference:") :]
+MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
+DECOUPLING = "  class: decoupling\n  feedback: {bandwidth: 50 rad/s}\n"
+
+
+def controlled(controller, before=BEFORE):
+    """A scenario with another controller."""
+    return Scenario.parse(f"{before}controller:\n{controller}{AFTER}")
+
+
+# Valves with air ------------------------------------------------------------------------------------------------------
+
+FLOW = (
+    "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar, "
+    "reservoir_volume: 500 cm^3, line_conductance: 0.2 L/(s*bar)}"
+)
+
+TUBES = (
+    "{class: unequal, muscle: {class: tube, valve: {from: smc-itv0050, supply: 7 bar, hysteresis: 0.05 bar}, "
+    "volume: 3 cm^3, conductance: 0.2 L/(s*bar)}, reservoir_volume: 500 cm^3, line_conductance: 0.2 L/(s*bar)}"
+)
+
+
+def with_valve(valve):
+    return Scenario.parse(re.sub(r"valve:.*", f"valve: {valve}", SHORT))
+
+
+@pytest.fixture(scope="module")
+def flow():
+    return with_valve(FLOW)
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("{class: FlowValv, conductance: 1 L/(s*bar), supply: 7 bar}", "valve"),
+        ("{class: FlowValve, conductance: 1 L/s, supply: 7 bar}", "valve.conductance"),
+        ("{class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, deadzone: 3 %}", "valve.deadzone"),
+        ("{class: FlowValve, conductance: 1 L/(s*bar)}", "valve.supply"),
+        ("{class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}", "controller"),
+        ("{from: festo-mh2, supply: 7 bar, period: 20 ms}", "valve"),
+    ],
+)
+def test_a_wrong_valve_is_named(text, field):
+    with pytest.raises(ScenarioError) as caught:
+        with_valve(text)
+    assert [problem.field for problem in caught.value.problems] == [field]
+
+
+def test_a_valve_too_fast_for_the_substeps_is_refused_with_their_number():
+    plant = with_valve("{class: FlowValve, conductance: 4 L/(s*bar), supply: 7 bar, band: 0.1 bar}").plant()
+    with pytest.raises(SimulationError) as caught:
+        plant.check_substeps([0.0, 0.1], 15.0, 1e-3, 4)
+    assert caught.value.field == "substeps"
+    plant.check_substeps([0.0, 0.1], 15.0, 1e-3, caught.value.lower)
+
+
+@pytest.mark.slow
+def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
+    result = run_scenario(flow)
+    assert result.outcome.name == "COMPLETED"
+    result.to_netcdf(tmp_path / "result.nc")
+    with xr.open_dataset(tmp_path / "result.nc") as saved:
+        assert float(abs(saved["opening1"]).max()) > 0.05
+        assert 6 * bar < float(saved["reservoir"].min()) < 6.999 * bar
+        assert saved["opening2"].attrs["units"] == "1" and saved["reservoir"].attrs["units"] == "Pa"
+
+
+@pytest.mark.slow
+def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
+    batch = run_many(flow, {"valve.conductance": np.array([2e-10, 4e-9])})
+    small, large = batch.table["angle_rmse"].values
+    assert small > 1.1 * large
+    trackable = {
+        conductance: check_trackability(
+            with_valve(FLOW.replace("0.4 L", f"{conductance} L")).plant(),
+            flow.reference(),
+            duration=0.4,
+            control_period=0.01,
+        ).verdict()
+        for conductance in (0.4, 0.005)
+    }
+    assert "trackable throughout" in trackable[0.4] and "at the rate limit" in trackable[0.005]
+
+
+@pytest.mark.slow
+def test_unequal_valves_with_tubes_are_a_file_parameters_and_columns():
+    read = with_valve(TUBES)
+    valve = read.plant().valve
+    assert isinstance(valve, UnequalValves) and valve.muscle1 == valve.muscle2
+    assert valve.muscle1.valve.conductance == pytest.approx(0.0091e-8) and valve.muscle2.volume == pytest.approx(3e-6)
+    assert Scenario.parse(read.dumps()).plant().valve == valve
+    batch = run_many(
+        read,
+        {
+            "valve.muscle.valve.supply": np.array([7e5, 6.5e5]),
+            "valve.muscle1.valve.conductance": np.array([0.9e-10, 2e-10]),
+            "valve.muscle2.conductance": np.array([2e-9, 1e-9]),
+            "valve.muscle2.valve.hysteresis": np.array([1e3, 1e4]),
+        },
+    )
+    assert np.ptp(batch.table["angle_rmse"].values) > 0
+    result = run_scenario(read)
+    assert not result.outcome.failed
+    assert float(np.abs(result["outlet1"] - result["pressure1"]).max()) > 100.0
+    assert float(result["reservoir"].min()) < 6.9999 * bar
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted((EXAMPLES / "valves").glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_gains_to_start_from_control_their_valves(path):
+    result = run_scenario(Scenario.read(path))
+    assert not result.outcome.failed and result.outcome is not Outcome.LIMIT_CYCLE
+    assert result.metrics["angle_rmse"] < 2 * deg
+
+
+# Control by inversion -------------------------------------------------------------------------------------------------
+
+
+def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
+    short = controlled(DECOUPLING)
+    control = short.control()
+    assert isinstance(control, DecouplingControl) and control.feedback == PolePlacement(50.0)
+    assert control.observer == ExtendedStateObserver() and control.pressure_observer == PressureObserver()
+    assert control.valve.time_constant == pytest.approx(20 * ms)
+    assert control.load == short.plant().load
+    assert control.minimum_tension == 5.0 and not control.friction_compensation
+    ideal = controlled(DECOUPLING, re.sub("valve:.*", "valve: ideal", BEFORE))
+    assert isinstance(ideal.control().valve, IdealValve)
+
+
+def test_bandwidths_count_as_gains():
+    assert "controller.feedback.bandwidth" in gain_ranges(controlled(DECOUPLING))
+    sliding = "  class: decoupling\n  feedback: {class: sliding, slope: 30 1/s, reach: 50 rad/s^2}\n"
+    assert "controller.feedback.reach" in gain_ranges(controlled(sliding))
+
+
+# Friction -------------------------------------------------------------------------------------------------------------
+
+RUBBING = BEFORE.replace(
+    MUSCLE,
+    MUSCLE.removesuffix("}")
+    + ", friction: {half_width: 12 N, presliding_length: 0.5 mm, growth: 1 N/bar, reference_pressure: 3 bar, "
+    "viscous: 20 N*s/m}}",
+)
+
+
+@pytest.mark.parametrize(
+    "loops", [LOOPS[: LOOPS.index("reference:")], DECOUPLING, "  class: predictive\n  bandwidth: 80 rad/s\n"]
+)
+def test_the_stiffness_of_a_motion_is_controlled_by_any_controller(loops):
+    scenario = controlled(f"  stiffness_amplitude: 1 deg\n{loops}", RUBBING)
+    assert Scenario.parse(scenario.dumps()) == scenario
+    assert scenario.control().stiffness_amplitude == pytest.approx(1 * deg)
+    assert find_parameter(scenario, "controller.stiffness_amplitude").unit == "rad"
+    assert controlled(loops).control().stiffness_amplitude is None
+
+
+def test_an_envelope_of_the_isobaric_stiffness_refuses_another():
+    with pytest.raises(RangeError) as refused:
+        envelope(controlled(f"  stiffness_amplitude: 1 deg\n{LOOPS[: LOOPS.index('reference:')]}", RUBBING))
+    assert refused.value.field == "controller.stiffness_amplitude"
+
+
+@pytest.mark.slow
+def test_a_loop_that_is_unstable_while_the_joint_sticks_oscillates_after_a_push():
+    text = BASE[: BASE.index("reference:")] + "reference: {angle: 5 deg, stiffness: 15 N*m/rad}\n"
+    text += "start: {angle: 0 deg, stiffness: 12 N*m/rad}\nduration: 30 s\ncontrol_period: 1 ms\n"
+    text += "friction: {torque: 1.5 N*m}\n"
+    push = "disturbance: {height: 0.02 N*m, width: 50 ms, interval: 200 s, start: 10 s}\n"
+    assert Scenario.parse(text).margins(2).radius[0] > 1
+    quiet, pushed = (Scenario.parse(one).simulate() for one in (text, text + push))
+    assert np.ptp(quiet["angle"][-2000:]) < 1e-6 * deg
+    assert 0.1 * deg < np.ptp(pushed["angle"][-2000:]) < 0.5 * deg
+
+
+# Real sensors, pushes, muscles of another strength, and a law corrected on line ---------------------------------------
+
+SENSORS = "sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 0.5, seed: 7}\n"
+PULSES = "disturbance: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}\n"
+ADAPTATION = """\
+  adaptation: {strength_spread: 0.08, mass_spread: 0.1 kg, friction_spread: 0.4, torque_error: 0.03 N*m,
+    bandwidth: 25 rad/s}
+  actuator_adaptation: {}
+"""
+
+
+@pytest.fixture(scope="module")
+def real():
+    weaker = BEFORE.replace(MUSCLE, MUSCLE.replace("}", ", strength: 0.93}"))
+    return controlled(DECOUPLING + ADAPTATION, f"{weaker}{SENSORS}{PULSES}")
+
+
+def test_it_builds_what_it_says(real):
+    plant, control = real.plant(), real.control()
+    assert plant.sensors == SampledSensors(0.022 * deg, 4e3, 0.5, 7)
+    assert plant.disturbance == TorquePulses(0.5, 100 * ms, 1.0, 250 * ms)
+    assert isinstance(control, DecouplingControl)
+    assert control.adaptation == LawAdaptation(0.08, 0.1, 0.4, 0.03, 25.0)
+    assert control.actuator_adaptation == ActuatorAdaptation()
+    plain = Scenario.parse(BASE).plant().joint
+    for muscle in (plant.joint.muscle1, plant.joint.muscle2, control.model.muscle1):
+        assert isinstance(muscle.law, PressureAffineLaw)
+        assert float(muscle.force(0.1, 3e5)) == pytest.approx(0.93 * float(plain.muscle1.force(0.1, 3e5)), rel=1e-12)
+
+
+def test_the_model_keeps_its_own_strength():
+    model = f"  model: {{geometry: {{from: knee-table-2, connector_length: 208 mm}}, muscle: {MUSCLE}}}\n"
+    own = controlled(model + LOOPS[: LOOPS.index("reference:")])
+    many = batched(own, {"joint.muscle.strength": [0.9, 1.1], "controller.model.muscle.strength": [1, 1]})
+    np.testing.assert_array_equal(many.plant().joint.muscle1.strength, [0.9, 1.1])
+    np.testing.assert_array_equal(many.control().model.muscle1.strength, [1.0, 1.0])
+    assert batched(own, {"joint.muscle.strength": [0.9, 1.1]}).control().model.muscle1.strength is None
+
+
+def test_what_an_adaptation_takes_for_true_is_no_gain(real):
+    assert not [name for name in gain_ranges(real) if ".adaptation." in name]
