@@ -103,29 +103,6 @@ def test_a_weight_that_turns_the_joint_by_less_than_its_friction_is_warned_of(re
     assert any("weight" in str(warning.message) for warning in recwarn.list) == light
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("--weight", "0.5 kg"),
-        ("--duration", "5 s"),
-        ("--weighted", "w.csv"),
-        ("--weight", "20 kg, 200 mm"),
-        ("--weight", "-0.5 kg, -200 mm"),
-        (*WEIGHT, "--angles", "5..5 deg"),
-        ("--angles", "-1..1 deg"),
-        ("--prior", "missing.yaml"),
-        ("--valves", *WEIGHT),
-        ("--valves", "--held-out", "x.csv"),
-        ("--valves", "--duration", "5 s"),
-    ],
-)
-@pytest.mark.slow
-def test_mistakes_are_refused_before_anything_moves(cli, tmp_path, arguments):
-    found = cli("calibrate", str(EXAMPLE), *arguments, "--out", "x")
-    assert found.code == 2
-    assert not list(tmp_path.glob("x/*/record*"))
-
-
 @pytest.mark.slow
 def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(cli, tmp_path):
     text = EXAMPLE.parents[1] / "pre-contracted-step-pid.yaml"

@@ -56,11 +56,6 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
     assert float(estimates["decay"]) == pytest.approx(0.340, abs=5e-4)
 
 
-def test_bad_input_ends_with_2_and_nothing_but_the_message(cli):
-    said = "error: nowhere.csv: 1 problem\n  there is no such file\n"
-    assert cli("identify", "nowhere.csv") == (2, "", said)
-
-
 @pytest.mark.parametrize("arguments", [["identify"], ["identify", "x", "--lw", "y"]])
 def test_bad_usage_ends_with_2(cli, arguments):
     found = cli(*arguments)

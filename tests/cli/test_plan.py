@@ -75,24 +75,3 @@ def test_too_few_points_for_a_fit(cli, tmp_path, loading):
         "plan", "few.csv", "--points", "12", "--noise", "1 N", "--read", "accept=rows", "--law", "lei-mas-10-180n"
     )
     assert given.code == 0 and "linearised about the guess" in given.out
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--for", "happiness"), "'happiness' is not a quantity of interest; give stiffness, torque, force"),
-        (("--law", "newton"), "there is no law 'newton'"),
-        (("--for", "stiffness at 50 deg"), "contraction -12.8 % is outside -3..25 %"),
-        (("--for", "stiffness at 3 bar"), "unit 'bar' does not have the dimensions of 'rad'"),
-        (("--for", "torque", "--joint", "elbow"), "there is no joint 'elbow'"),
-        (("--points", "0"), "0 points are not within 1..200"),
-        (("--limits", "0..20 %"), "--limits '0..20 %' is not a pair"),
-        (("--limits", "0..20 %, 1..2 mm"), "--limits: unit 'mm'"),
-        (("--step", "1 bar, 0.5 bar"), "--step: unit 'bar'"),
-        (("--noise", "3"), "--noise: '3' has no unit"),
-    ],
-)
-def test_wrong_input_is_one_sentence(cli, options, said):
-    found = cli("plan", MARTENS, *options)
-    assert (found.code, found.out) == (2, "")
-    assert said in found.err and found.err.startswith("error: ")

@@ -76,27 +76,6 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
     assert json.loads((tmp_path / "run" / "results.json").read_text())["ended"] == "stopped"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("short.yaml",), "give one with --out DIR"),
-        (("nowhere.yaml", "--out", "run"), "nowhere.yaml: 1 problem"),
-        (
-            ("short.yaml", "--out", "run", "--rig", "wrong.yaml"),
-            "line 2, rig.simulated.angle_step: unit 'bar'",
-        ),
-        (("short.yaml", "--out", "run", "--rig", "none.yaml"), "rig: is missing; add it, such as `rig: simulated`"),
-        (("short.yaml", "--out", "short.yaml"), "it is a file"),
-    ],
-)
-def test_what_is_wrong_is_said_before_anything_moves(cli, short, tmp_path, arguments, text):
-    (tmp_path / "wrong.yaml").write_text("rig:\n  simulated: {angle_step: 5 bar}\n", encoding="utf-8")
-    (tmp_path / "none.yaml").write_text("name: none\n", encoding="utf-8")
-    found = cli("rig", "control", *arguments)
-    assert found.code == 2 and text in found.err, found.err
-    assert not list(tmp_path.glob("run/record*"))
-
-
 _OWN = """from dataclasses import dataclass
 from mckibben.rig import JointHardware, SimulatedJoint
 

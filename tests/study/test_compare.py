@@ -20,6 +20,11 @@ from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
 KP = "controller.position.kp"
+OF_AIR = (
+    TEXT[TEXT.index("other_joints:") : TEXT.index("load: knee")],
+    "other_joints: {air: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}}\n",
+)
+"""Valves that let air in, in place of another joint."""
 
 
 def changed(*pairs):
@@ -68,25 +73,14 @@ class TestRuns:
 
     @pytest.mark.slow
     def test_runs_of_plants_of_several_kinds_come_back_in_their_order(self):
-        """With valves that let air in, in a group of their own; and a true model is that of either plant."""
-        start, end = TEXT.index("other_joints:"), TEXT.index("load: knee")
-        valves = "other_joints: {air: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}}\n"
-        text = (TEXT[:start] + valves + TEXT[end:]).replace("substeps: 1", "substeps: 8")
-        mixed = Suite.parse(text.replace("tuning: {", "true_model: [decoupling]\ntuning: {"))
-        runs = draw(mixed, 8, 1)
+        """With valves that let air in, in a group of their own."""
+        runs = draw(changed(OF_AIR, ("substeps: 1", "substeps: 8")), 8, 1)
         batch = evaluate(runs, "PID 3", {KP: 2e5})
         assert batch.count == 8
         for run in (runs.joint.index("nominal"), runs.joint.index("air")):
             alone = run_scenario(runs.scenario("PID 3", run, {KP: 2e5})).metrics
             for name in ("angle_rmse", "stiffness_rmse", "air"):
                 assert batch.metrics[name][run] == pytest.approx(alone[name], rel=1e-7), (run, name)
-        for group in runs.groups:
-            control = controller_of(runs, group, "decoupling", {}, 1)
-            models = [runs.scenario("decoupling", int(row)).control().valve for row in group.rows]
-            assert {type(model) for model in models} == {type(control.valve)}
-            leaves = np.broadcast_arrays(*jax.tree.leaves(control.valve), np.zeros(group.count))[:-1]
-            expected = np.array([jax.tree.leaves(model) for model in models], float)
-            np.testing.assert_allclose(np.array(leaves, float).T, expected)
 
 
 def mean_cost(runs, kp):
@@ -278,18 +272,10 @@ class TestTuning:
             assert again.training_cost == contest.training_cost
 
     @pytest.mark.slow
-    def test_nothing_is_overwritten_or_taken_for_another(self, tmp_path):
-        compare(changed(*ALONE), out=tmp_path)
-        with pytest.raises(FileError, match="a study exists already"):
-            compare(changed(*ALONE), out=tmp_path)
-        for other in (
-            changed(*ALONE, ("load.mass2=+-50 %", "load.mass2=+-40 %")),
-            changed(*ALONE, ("duration: 120 ms", "duration: 140 ms")),
-        ):
+    def test_a_study_of_other_runs_is_not_continued(self, kept, contest):
+        for other in (("load.mass2=+-50 %", "load.mass2=+-40 %"), ("duration: 120 ms", "duration: 140 ms")):
             with pytest.raises(FileError):
-                compare(other, out=tmp_path, resume=True)
-        more = changed(*ALONE, ("evaluation: {runs: 16", "evaluation: {runs: 20"))
-        assert compare(more, out=tmp_path, resume=True).runs.count == 20
+                compare(changed(other), out=kept, resume=True)
 
     def test_lost_runs_cost_a_million(self):
         alone = TEXT[: TEXT.index("  PID 3:")] + TEXT[TEXT.index("  as it is:") :]
@@ -310,25 +296,26 @@ class TestTuning:
             compare(changed(slow, ALONE[0], ("untuned: [as it is]", "untuned: [PID 3]")))
 
 
-@pytest.mark.parametrize("friction", ["", ", friction: {half_width: 6 N, presliding_length: 0.5 mm}"])
-def test_a_true_model_is_the_plant_of_each_run(friction):
-    compensated = "feedback: {bandwidth: 40 rad/s}" + ("\n    friction_compensation: true" if friction else "")
-    suite = changed(
-        ("tuning: {", "true_model: [decoupling]\ntuning: {"),
-        ("strength: 1}", f"strength: 1{friction}}}"),
-        ("strength: 1.05}", f"strength: 1.05{friction}}}"),
-        ("feedback: {bandwidth: 40 rad/s}", compensated),
-    )
-    runs = draw(suite, 8, 1)
-    assert len(set(runs.joint)) == 2
+FRICTION = ", friction: {half_width: 6 N, presliding_length: 0.5 mm}}"
+RUBBING = (
+    ("strength: 1}", f"strength: 1{FRICTION}"),
+    ("strength: 1.05}", f"strength: 1.05{FRICTION}"),
+    ("feedback: {bandwidth: 40 rad/s}", "feedback: {bandwidth: 40 rad/s}\n    friction_compensation: true"),
+)
+
+
+@pytest.mark.parametrize("plants", [(), RUBBING, (OF_AIR, ("substeps: 1", "substeps: 8"))])
+def test_a_true_model_is_the_plant_of_each_run(plants):
+    runs = draw(changed(("tuning: {", "true_model: [decoupling]\ntuning: {"), *plants), 8, 1)
+    assert len(runs.groups) == 2
     bandwidths = {"controller.feedback.bandwidth": [30.0, 50.0]}
-    group = runs.groups[-1]
-    control = controller_of(runs, group, "decoupling", bandwidths, 2)
-    for row in range(2 * group.count):
-        values = {name: column[row // group.count] for name, column in bandwidths.items()}
-        alone = runs.scenario("decoupling", int(group.rows[row % group.count]), values).control()
-        for own, single in zip(jax.tree.leaves(control), jax.tree.leaves(alone), strict=True):
-            np.testing.assert_allclose(np.asarray(own)[row] if np.ndim(own) else own, single, rtol=1e-12)
+    for group in runs.groups:
+        control = controller_of(runs, group, "decoupling", bandwidths, 2)
+        for row in range(2 * group.count):
+            values = {name: column[row // group.count] for name, column in bandwidths.items()}
+            alone = runs.scenario("decoupling", int(group.rows[row % group.count]), values).control()
+            for own, single in zip(jax.tree.leaves(control), jax.tree.leaves(alone), strict=True):
+                np.testing.assert_allclose(np.asarray(own)[row] if np.ndim(own) else own, single, rtol=1e-12)
 
 
 def test_too_much_air_or_stiffness_error_raises_the_error_that_is_searched():

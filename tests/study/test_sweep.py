@@ -1,6 +1,7 @@
-"""Sweeps in Python: the numbers are those of single runs, whoever computes them, however often they are interrupted."""
+"""Sweeps in Python: the numbers are those of single runs, whoever computes them; their statistics and figure."""
 
 import json
+import re
 import signal
 import sys
 from pathlib import Path
@@ -8,27 +9,32 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+import scipy.stats
 import xarray as xr
 
+from mckibben import report
 from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, ParameterError, SimulationError
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Outcome
-from mckibben.simulation.metrics import USUAL_METRICS
+from mckibben.simulation import Metrics, Outcome
+from mckibben.simulation.metrics import METRICS, USUAL_METRICS
+from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.software import software
+from mckibben.storage.files import to_json
 from mckibben.storage.store import STUDY, open_store, read_store
-from mckibben.study.sweep import Sweep, sweep
+from mckibben.study.sweep import Sweep, SweepResult, sweep
 from mckibben.study.sweep.sweep import _sizes
+from mckibben.units import deg
 
 sweep_module = sys.modules[Sweep.__module__]
-ROOT = Path(__file__).parents[2]
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 OVER = ("load.mass2=0.2 kg..1.0 kg", "reference.stiffness.after=15..22 N*m/rad", "controller.position.kp=+-50 %")
 SOME = {"samples": 72, "seed": 1}
 
 
 @pytest.fixture(scope="module")
 def scenario():
-    text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+    text = EXAMPLE.read_text(encoding="utf-8")
     return Scenario.parse(text.replace("duration: 10 s", "duration: 100 ms").replace("at: 5 s", "at: 50 ms"))
 
 
@@ -207,3 +213,121 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_
         there = sweep(scenario, OVER, out=tmp_path, dask=address, progress=kill, **asked)
     assert killed
     assert there.table.identical(here.table)
+
+
+# Statistics and figure, of tables that are made up --------------------------------------------------------------------
+
+INPUTS = {
+    "load.mass2": ("kg", "kg", "load.mass2=0.2 kg..1 kg"),
+    "controller.position.kp": ("Pa/rad", "bar/rad", "controller.position.kp=1 bar/rad..100 bar/rad log"),
+    "reference.stiffness.after": ("N*m/rad", "N*m/rad", "reference.stiffness.after=15 N*m/rad, 17 N*m/rad"),
+    "start.angle": ("rad", "deg", "start.angle=-5 deg..5 deg"),
+    "valve.time_constant": ("s", "ms", "valve.time_constant=1 ms..9 ms"),
+}
+
+
+def made_up(count=400, lost=0.1, inputs=5, metrics=Metrics._fields):
+    """A sweep in which mass makes the angle's error, and the gain that of the stiffness."""
+    random = np.random.default_rng(0)
+    mass, gain = random.uniform(0.2, 1.0, count), 1e5 * 10 ** random.uniform(0, 2, count)
+    after, angle = random.choice([15.0, 17.0], count), random.uniform(-5, 5, count) * deg
+    columns = (mass, gain, after, angle, random.uniform(1e-3, 9e-3, count))
+    codes = np.where(random.random(count) < lost, OUTCOMES.index(Outcome.DIVERGED), 0).astype(np.int8)
+    codes[random.random(count) < lost / 3] = OUTCOMES.index(Outcome.NO_START)
+    answers = {name: random.random(count) for name in metrics}
+    made = {"angle_rmse": mass**3 * deg, "stiffness_rmse": 1e7 / gain + 0.01 * random.random(count)}
+    answers |= {name: values for name, values in made.items() if name in metrics}
+    for name, values in answers.items():
+        values[(codes != 0) | ((name == "stiffness_settling") & (random.random(count) < 0.3))] = np.nan
+    table = {}
+    for (name, (unit, shown, text)), values in list(zip(INPUTS.items(), columns, strict=True))[:inputs]:
+        table[name] = "run", values, {"units": unit, "shown_units": shown, "over": text, "role": "input"}
+    table |= {name: ("run", values) for name, values in (answers | {"outcome": codes}).items()}
+    steps = {"substeps": 2, "error_estimate": 1e-9, "chaotic": np.int8(0)}
+    table |= {name: ("run", np.full(count, value)) for name, value in steps.items()}
+    return SweepResult(xr.Dataset(table, attrs={"title": "made up"}), Scenario.read(EXAMPLE))
+
+
+def tables(swept):
+    return {listing.title.split(",")[0]: listing for listing in swept.listings()}
+
+
+@pytest.mark.slow
+def test_the_statistics_are_those_of_numpy():
+    swept = made_up()
+    codes = swept["outcome"]
+    outcomes = tables(swept)["Outcomes"].columns
+    assert list(outcomes["runs"][1]) == [np.sum(codes == 0), np.sum(codes == 4), np.sum(codes == 5)]
+    rows = {row[0]: row for row in swept.statistics()}
+    assert len(rows) == len(METRICS)
+    for metric, unit, scale in METRICS.values():
+        values = swept[metric] / scale
+        _, shown, median, low, high, worst, run, count = rows[metric.replace("_", " ")]
+        assert shown == unit
+        assert (median, low, high) == pytest.approx(np.nanpercentile(values, (50, 5, 95)))
+        assert (worst, run, count) == (np.nanmax(values), np.nanargmax(values), np.isfinite(values).sum())
+    assert json.loads(to_json(swept.to_dict()))["verdict"] == swept.verdict()
+
+
+def test_numbers_of_failed_runs_count_for_nothing():
+    swept = made_up()
+    lively = swept.table.copy()
+    for name in Metrics._fields:
+        lively[name] = ("run", np.where(swept.failed, 1e9, swept[name]))
+    assert SweepResult(lively, swept.nominal).to_dict() == swept.to_dict()
+
+
+def test_what_matters_comes_first():
+    """With mean ranks for ties, as SciPy has them."""
+    swept = made_up()
+    ranks, good = swept.correlations(), ~swept.failed
+    assert ranks.shape == (5, 1 + 3)
+    for name in INPUTS:
+        expected = scipy.stats.spearmanr(swept[name][good], swept["angle_rmse"][good]).statistic
+        assert ranks.loc[name, "angle_rmse"] == pytest.approx(expected, abs=1e-12)
+    assert ranks.loc["load.mass2", "angle_rmse"] == pytest.approx(1)
+    assert ranks.loc["controller.position.kp", "stiffness_rmse"] == pytest.approx(-1, abs=1e-3)
+    rows = tables(swept)["Rank correlations"].columns
+    sizes = [abs(rank) for rank in rows["Spearman"][1]]
+    assert sizes == sorted(sizes, reverse=True) and len(sizes) == 10
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_all_runs_failed(count):
+    swept = made_up(count, lost=1.1)
+    assert swept.statistics() == [] and swept.main_metrics == ()
+    assert sum(tables(swept)["Outcomes"].columns["runs"][1]) == count
+    assert f"{count} of them failed" in swept.verdict()
+    swept.to_text(), to_json(swept.to_dict())
+
+
+@pytest.mark.parametrize(
+    ("made", "panels"),
+    [
+        ({"count": 400}, 4 * 4),
+        ({"count": 1, "inputs": 1, "lost": 0.0}, 3),
+        ({"count": 1, "inputs": 1, "lost": 1.1}, 1),
+        ({"count": 50, "metrics": ("force_max", "angle_max")}, 3 * 4),
+    ],
+)
+@pytest.mark.slow
+def test_the_figure(made, panels, tmp_path):
+    figure = report.sweep(made_up(**made))
+    png, svg = report.save(figure, tmp_path, "sweep")
+    assert png.stat().st_size > 3000 and svg.stat().st_size < 3_000_000
+    assert len(figure.axes) == panels
+    for axes in figure.axes:
+        assert axes.lines or axes.collections, "an empty panel"
+        low, high = axes.get_ylim()
+        assert np.isfinite([low, high]).all() and low < high
+    labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+    assert labels and all(re.search(r"\[.+\]$", label) for label in labels), labels
+
+
+@pytest.mark.slow
+def test_the_figure_shows_the_four_inputs_that_matter_most():
+    figure = report.sweep(made_up(count=2000))
+    shown = " ".join(axes.get_xlabel().replace("\n", "") for axes in figure.axes)
+    assert "load.mass2 [kg]" in shown
+    assert "controller.position.kp [bar/rad]" in shown
+    assert "1 input with weaker correlation" in figure._suptitle.get_text()

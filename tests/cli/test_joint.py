@@ -1,5 +1,6 @@
-"""mckibben simulate: our examples, mistakes, warnings, and what is kept."""
+"""`mckibben simulate`, `envelope`, `stiffness` and `size`: our examples, warnings, and what is kept."""
 
+import csv
 import errno
 import json
 import os
@@ -158,3 +159,68 @@ def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli
     found = cli("simulate", "short.yaml", "--out", "kept", "--force")
     assert found.code == 2
     assert "the folder has disappeared" in found.err
+
+
+INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequency: 5 Hz")
+
+
+@pytest.mark.slow
+def test_an_infeasible_reference_and_what_would_be_trackable(cli, tmp_path, shortened):
+    text = shortened("as-printed-constant-pid").replace(*INFEASIBLE)
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    found = cli("envelope", "s.yaml", "--out", "kept")
+    assert found.code == 0
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    assert "not even statically trackable" in numbers["verdict"]
+    amplitude = numbers["scalars"]["amplitude"]["value"]
+    assert 0 < amplitude < 0.2 and numbers["scalars"]["speed"]["value"] is None
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"results.json", "envelope.png", "envelope.svg"}
+    for factor, trackable in ((amplitude, True), (amplitude + 0.002, False)):
+        (tmp_path / "less.yaml").write_text(text.replace("20 deg", f"{20 * factor} deg"), encoding="utf-8")
+        verdict = json.loads(cli("envelope", "less.yaml", "--json").out)["verdict"]
+        assert ("trackable throughout" in verdict) == trackable
+
+
+FRICTION = "law: lei-mas-10-180n, friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}"
+
+
+@pytest.mark.slow
+def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
+    text = shortened("pre-contracted-step-pid").replace("law: lei-mas-10-180n}", FRICTION)
+    text = text.replace("before: 13 N*m/rad", "before: 38 N*m/rad").replace(
+        "  stiffness: {kp:", "  stiffness_amplitude: 1 deg\n  stiffness: {kp:"
+    )
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    found = cli("stiffness", "s.yaml", "--motion", "0.01..1 deg, 10 Hz", "--out", "kept")
+    assert found.code == 0, found.err
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    held = {name: entry["value"] for name, entry in numbers["scalars"].items()}
+    secant, closed = (numbers["columns"][name]["values"] for name in ("secant", "closed_secant"))
+    # asked for in motion of 1 deg, the last amplitude; without friction it is less, with less motion more
+    assert secant[-1] == pytest.approx(held["setpoint"], rel=5e-3) == 38.0
+    assert held["isobaric"] < 20 < held["closed_valve"]
+    assert secant[0] == pytest.approx(held["isobaric"] + 46.1, abs=0.5)
+    tests = {table["title"]: table["columns"]["10 Hz"]["values"] for table in numbers["tables"]}
+    assert tests["Simulated: constant pressures"] == pytest.approx(secant, rel=1e-4)
+    assert tests["Simulated: closed valves"] == pytest.approx(closed, rel=1e-4)
+    # these valves hold the pressure, whatever the motion: no test with constant commands
+    assert set(tests) == {f"Simulated: {name}" for name in ("constant pressures", "closed valves", "controller active")}
+    assert re.search(rf"\n +1 +{secant[-1]:.4g} +{closed[-1]:.4g}\n", found.out)
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"results.json", "stiffness.png", "stiffness.svg"}
+
+
+@pytest.mark.usefixtures("optimized")
+@pytest.mark.slow
+def test_a_joint_is_sized_kept_and_runs(cli, tmp_path):
+    found = cli("size", str(ROOT / "examples" / "sizing" / "pulleys.yaml"), "--out", "kept")
+    assert found.code == 0, found.err
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    candidates, parts, checks = (table["columns"] for table in numbers["tables"])
+    torque = [candidates[name]["values"][0] for name in ("least torque", "torque beyond gravity", "highest torque")]
+    assert torque == sorted(torque) and candidates["muscle"]["values"][0] in found.out
+    assert all(checks["met"]["values"])
+    with (tmp_path / "kept" / "parts.csv").open(encoding="utf-8") as file:
+        assert [row["part"] for row in csv.DictReader(file)] == parts["part"]["values"]
+    assert (tmp_path / "kept" / "selection.png").stat().st_size > 5000
+    assert Scenario.read(tmp_path / "kept" / "scenario.yaml").name.startswith("sized")
+    assert cli("simulate", "kept/scenario.yaml").code == 0
