@@ -19,7 +19,7 @@ leg = LegScenario.parse(
     """
 )
 study = study_landing(leg)
-for landing in study.records()["landings"]:
+for landing in study.to_dict()["landings"]:
     low, high = landing["best_stiffness_interval"]
     print(f"{landing['valve']}, {landing['drop_mm']:g} mm: {landing['best_stiffness']:.1f} ({low:.1f} to {high:.1f})")
 

@@ -181,6 +181,20 @@ class Listing:
     detail: bool = False
     vertical: bool = False
 
+    @classmethod
+    def of(cls, title: str, headings: Sequence[str], rows: Iterable[Sequence[object]], digits: int = 4) -> Listing:
+        """Return a table from its rows; all columns have the same digits.
+
+        >>> print(Listing.of("Masses", ("load", "kg"), [("first", 0.5), ("second", 0.25)]).to_text())
+        Masses
+        load    kg
+        first   0.5
+        second  0.25
+        """
+        cells, column = list(rows), Column(digits=digits)
+        columns = zip(*cells, strict=True) if cells else ((),) * len(headings)
+        return cls(title, {name: (column, list(values)) for name, values in zip(headings, columns, strict=True)})
+
     def header(self) -> list[tuple[str, str]]:
         """Title and shown unit of each column."""
         return [

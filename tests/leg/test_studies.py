@@ -164,9 +164,9 @@ def test_landing_study(scenario, study):
         assert (forces[v, 0, :at, 0] > forces[v, 0, :, 0].min() * 1.02).all()
     deflection = study.table["deflection"].to_numpy()[:, 0, -1, 0]
     assert deflection[2] < deflection[1] < deflection[0]  # closed valves are the stiffest
-    assert len(study.listing().rows()) == 3 and len(study.records()["landings"]) == 3
+    assert len(next(study.listings()).rows()) == 3 and len(study.to_dict()["landings"]) == 3
     assert study.table["substeps"].shape == study.table["chaotic"].shape == forces.shape
-    integration = study.records()["integration"]
+    integration = study.to_dict()["integration"]
     assert integration["substeps"] == study.table["substeps"].max() >= 1
     errors = study.table["error_estimate"].to_numpy()
     assert scenario.accuracy >= integration["error_estimate_rad"] == np.nanmax(errors) > 0
@@ -175,13 +175,13 @@ def test_landing_study(scenario, study):
     finer = study_landing(scenario.model_copy(update={"substeps": 16}))
     apart = np.abs(coarse.table["deflection"] - finer.table["deflection"]).max()
     assert np.abs(study.table["deflection"] - finer.table["deflection"]).max() < apart
-    assert coarse.records()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
+    assert coarse.to_dict()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
 
 
 @pytest.mark.slow
 def test_the_robust_stiffness_has_the_least_quantile_over_the_draws(study):
     quantile = np.percentile(study.trunk_weights()[..., 1:], 95, axis=-1)
-    for record, (v, d) in zip(study.records()["landings"], np.ndindex(quantile.shape[:2]), strict=True):
+    for record, (v, d) in zip(study.to_dict()["landings"], np.ndindex(quantile.shape[:2]), strict=True):
         at = quantile[v, d].argmin()
         assert record["robust_stiffness"] == study.table["stiffness"][at]
         assert record["robust_trunk_force_95_weights"] == quantile[v, d, at] <= record["best_trunk_force_95_weights"]
@@ -195,9 +195,9 @@ def test_a_best_stiffness_that_bottoms_out_is_said(study):
     torque = study.table["stop_torque"] * 0.0
     torque[0, 0, at], torque[1] = 1.0, 1.0
     said = dataclasses.replace(study, table=study.table.assign(stop_torque=torque))
-    found = [(record["avoids_stop"], record["best_bottoms_out"]) for record in said.records()["landings"]]
+    found = [(record["avoids_stop"], record["best_bottoms_out"]) for record in said.to_dict()["landings"]]
     assert found == [(True, True), (False, True), (True, False)]
-    marked = ["bottoms out" in row[-1] or "stop" in row[-1] for row in said.listing().rows()]
+    marked = ["bottoms out" in row[-1] or "stop" in row[-1] for row in next(said.listings()).rows()]
     assert marked == [True, True, False]
 
 
@@ -337,7 +337,7 @@ def test_a_landing_of_a_draw_is_that_with_its_air(scenario):
     found, expected = (one.table["peak_trunk_force"].sel(valve=landing.CLOSED) for one in (drawn, alone))
     np.testing.assert_allclose(found.sel(draw=draw), expected.sel(draw=0), rtol=1e-5)
     assert np.ptp(found.to_numpy(), axis=-1).max() > 100 * np.ptp(expected.to_numpy(), axis=-1).max()
-    low, high = drawn.records()["landings"][-1]["peak_trunk_force_interval"]
+    low, high = drawn.to_dict()["landings"][-1]["peak_trunk_force_interval"]
     assert high > low
 
 
@@ -393,14 +393,14 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
     assert 0 < jumps.timed.work < jumps.timed.air_energy
     assert (jumps.timed.rises[0] > 0) and jumps.timed.work < 20
     assert jumps.constant.run.engine == "native"
-    record = jumps.records()
+    record = jumps.to_dict()
     for jump in (record["constant"], record["timed"]):
         assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
         assert jump["integration"]["substeps"] >= 1
     for jump in jumps.jumps.values():
         assert abs(jump.balance.residual) < 0.01  # J
     assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
-    assert len(jumps.listing().rows()) == 2
+    assert len(next(jumps.listings()).rows()) == 2
 
 
 @pytest.mark.slow
@@ -421,7 +421,7 @@ def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeyp
     again = study_jump(scenario, out=tmp_path, resume=True)
     np.testing.assert_array_equal(again.timed.heights, jumps.timed.heights)
     before = len(computed)
-    assert study_jump(scenario, out=tmp_path, resume=True).records() == jumps.records()
+    assert study_jump(scenario, out=tmp_path, resume=True).to_dict() == jumps.to_dict()
     assert len(computed) == before
     with pytest.raises(FileError):
         study_jump(scenario.model_copy(update={"step": 0.2e-3}), out=tmp_path, resume=True)

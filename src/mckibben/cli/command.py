@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.options import echo, keeping, long_job, notify, results_folder, text_width
+from mckibben.cli.options import echo, keeping, long_job, results_folder, text_width
 from mckibben.cli.reading import read_options
 from mckibben.errors import ParameterError
 from mckibben.result import Result
@@ -147,6 +147,6 @@ def present(
     finally:
         echo(to_json(result.to_dict()) if json else result.to_text(width=text_width(), details=details))
     if out:
-        notify(f"wrote {', '.join(names)} to {out}", json)
+        echo(f"wrote {', '.join(names)} to {out}", err=json)
     if not result.ok:
         raise typer.Exit(1)

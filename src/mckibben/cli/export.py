@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mckibben.cli.command import plain_command, present
-from mckibben.cli.options import keeping, notify, required_folder
+from mckibben.cli.options import echo, keeping, required_folder
 from mckibben.errors import ParameterError
 
 
@@ -60,4 +60,4 @@ def export(
     if to in CONTROLLERS and isinstance(read, Scenario):
         exported = replace(exported, margins=read.margins())
     present(exported, json=json)
-    notify(f"wrote {', '.join(exported.contents)} to {folder}", json)
+    echo(f"wrote {', '.join(exported.contents)} to {folder}", err=json)

@@ -68,14 +68,14 @@ def stiffness(
     motion : RANGES
         Amplitudes and rates of the motion.
     """
-    units = "rad", "Hz"
-    texts = parse_pair("--motion", motion, "0.01..10 deg, 0.1..10 Hz")
-    amplitudes, rates = (parse_limits("--motion", text, unit) for text, unit in zip(texts, units, strict=True))
+    first, second = parse_pair("--motion", motion, "0.01..10 deg, 0.1..10 Hz")
+    amplitudes, rates = parse_limits("--motion", first, "rad"), parse_limits("--motion", second, "Hz")
+    import numpy as np
+
     from mckibben.component.checks import check_positive
 
-    for (low, _), unit in zip((amplitudes, rates), units, strict=True):
-        check_positive("--motion", unit, lowest=low)
-    import numpy as np
+    check_positive("--motion", "rad", amplitude=amplitudes[0])
+    check_positive("--motion", "Hz", rate=rates[0])
 
     from mckibben.scenario import Scenario
     from mckibben.study.stiffness import stiffness_tests

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, check_unused, required_folder
+from mckibben.cli.options import Progress, check_results, check_unused, required_folder
 from mckibben.cli.report import Report
-from mckibben.errors import FileError, Problem
-from mckibben.result import Listing
-from mckibben.storage.files import check_free, make_folder
-from mckibben.storage.store import STUDY
+from mckibben.storage.store import STUDY, check_study
 
 if TYPE_CHECKING:
     from mckibben.leg.scenario import LegScenario
+    from mckibben.result import Result
 
 
 @command
@@ -26,7 +23,7 @@ def leg(
     out: Path | None,
     resume: bool,
     progress: Progress = None,
-) -> Report:
+) -> Result:
     """Study a leg: drop landings over stiffness, height and valve; the highest jumps; pressures for a stiffness of its
     foot. Landings and jumps are kept in DIR, and can be resumed.
 
@@ -39,63 +36,23 @@ def leg(
     """
     if study == "stiffness":
         check_unused("leg stiffness", resume=resume)
-    if resume and not (file_of_study := required_folder(out, "study to be continued") / STUDY).is_file():
-        problem = Problem("there is no study to continue", remedy="leave out --resume")
-        raise FileError(str(file_of_study), [problem])
+    elif out or resume:
+        check_study(required_folder(out, "study to be continued") / STUDY, resume=resume)
+    from mckibben.leg.jumping import JumpStudy, study_jump
+    from mckibben.leg.landing import LandingStudy, study_landing
     from mckibben.leg.scenario import LegScenario
 
-    if out and not resume:
-        names = ("results.json", *Report.files, STUDY)
-        check_free(make_folder(out), names, "choose another folder, or continue the study with --resume")
-    settings = {"out": out, "resume": resume, "progress": progress}
+    kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, Report)
+    if out:
+        check_results(out, kind, resume)
     read = LegScenario.read(file)
-    done = _STUDIES[study](read, str(file), settings)
-
-    def write(folder: Path) -> None:
-        read.to_yaml(folder / "leg.yaml")
-        done.write(folder)
-
-    return Report(done.text, (done.table,), (), write, done.numbers)
+    if study == "stiffness":
+        return _stiffness(read, str(file))
+    run = study_landing if study == "land" else study_jump
+    return run(read, source=str(file), out=out, resume=resume, progress=progress)
 
 
-class _Done(NamedTuple):
-    """A finished study: its verdict, its table, data for JSON, and the function that writes its files."""
-
-    text: str
-    table: Listing
-    numbers: dict[str, object]
-    write: Callable[[Path], None]
-
-
-def _land(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
-    from mckibben import report
-    from mckibben.dataset.schema import write_netcdf
-    from mckibben.leg.landing import study_landing
-
-    study = study_landing(read, source=source, **settings)
-
-    def write(folder: Path) -> None:
-        write_netcdf(study.table, folder / "landing.nc")
-        report.save(report.landing_forces(study), folder, "landing")
-
-    return _Done(study.describe(), study.listing(), study.records(), write)
-
-
-def _jump(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
-    from mckibben import report
-    from mckibben.leg.jumping import study_jump
-
-    study = study_jump(read, source=source, **settings)
-
-    def write(folder: Path) -> None:
-        for name, jump in study.jumps.items():
-            jump.run.to_netcdf(folder / f"{name}.nc")
-        report.save(report.jump_traces(study), folder, "jump")
-
-    return _Done(study.describe(), study.listing(), study.records(), write)
-
-
-def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
+def _stiffness(read: LegScenario, source: str) -> Report:
     from mckibben import report
     from mckibben.leg.foot_pressures import solve_foot_stiffness
     from mckibben.report.leg import foot_ellipses
@@ -105,9 +62,7 @@ def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> _Don
     angles = read.leg.posture_angles(read.stiffness.posture)
 
     def write(folder: Path) -> None:
+        read.to_yaml(folder / "leg.yaml")
         report.save(foot_ellipses(read.leg, angles, found=solved), folder, "foot_stiffness")
 
-    return _Done(solved.describe(), solved.listing(read.leg), solved.record(read.leg), write)
-
-
-_STUDIES = {"land": _land, "jump": _jump, "stiffness": _stiffness}
+    return Report(solved.describe(), (solved.listing(read.leg),), (), write, solved.record(read.leg))

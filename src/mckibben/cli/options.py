@@ -19,7 +19,9 @@ from typer import Argument
 from typer.core import TyperGroup
 
 from mckibben.errors import ON_COMMAND_LINE, FileError, ParameterError, Problem, UnitError, closest, printable, quoted
+from mckibben.result import Result
 from mckibben.storage.files import check_free, make_folder
+from mckibben.storage.store import STUDY
 from mckibben.units import parse_range, quantity
 
 Progress = Callable[[str, float], None] | None
@@ -59,11 +61,6 @@ def on_command_line(text: str) -> str:
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
     """Print text; control characters, such as escape sequences in names, are escaped."""
     print(printable(text), file=sys.stderr if err else sys.stdout, end="\n" * nl, flush=True)
-
-
-def notify(text: str, json: bool) -> None:
-    """Print a message, on standard error if standard output is JSON."""
-    echo(text, err=json)
 
 
 def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False) -> float:
@@ -252,6 +249,12 @@ def long_job(*, quiet: bool, kept: str) -> Iterator[Progress]:
     except KeyboardInterrupt as interrupt:
         echo(f"interrupted: {str(interrupt) or kept or 'nothing is kept'}", err=True)
         raise typer.Exit(INTERRUPTED) from None
+
+
+def check_results(out: Path, kind: type[Result], resume: bool, *further: str) -> None:
+    """Raise `FileError` if a new study would replace results; an existing study is reported by the study itself."""
+    if not resume and not (out / STUDY).exists():
+        check_free(out, (*kind.file_names(), *further))
 
 
 def required_folder(out: Path | None, job: str) -> Path:

@@ -14,12 +14,8 @@ class Report(Result):
 
     files: ClassVar = (
         *("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "fits"),
-        *("leg.yaml", "landing.nc", "constant.nc", "timed.nc"),
-        *(
-            f"{name}.{end}"
-            for name in ("fit", "bands", "loops", "ranking", "landing", "jump", "foot_stiffness")
-            for end in ("png", "svg")
-        ),
+        "leg.yaml",
+        *(f"{name}.{end}" for name in ("fit", "bands", "loops", "ranking", "foot_stiffness") for end in ("png", "svg")),
     )
 
     text: str

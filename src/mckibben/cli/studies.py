@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, ScenarioFile, echo, keeping, required_folder
+from mckibben.cli.options import Progress, ScenarioFile, check_results, echo, keeping, required_folder
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.storage.files import atomic_write, check_free, make_folder
+from mckibben.storage.files import atomic_write, make_folder
 from mckibben.storage.store import STUDY
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def sweep(
     from mckibben.study.sweep import SweepResult
     from mckibben.study.sweep import sweep as run
 
-    _check_results(out, SweepResult, resume)
+    check_results(out, SweepResult, resume)
     return run(
         Scenario.read(scenario),
         over or None,
@@ -155,7 +155,7 @@ def tune(
             raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
     out = required_folder(out, "search")  # after the mistakes of other options
     names = _tuned_names(scenarios)
-    _check_results(out, TuneResult, resume, *names)
+    check_results(out, TuneResult, resume, *names)
     tuned = run(
         read,
         ranges,
@@ -206,7 +206,7 @@ def compare(
         read = short
     suites = {name: read.of_setup(name) if name else read for name in folders}
     for name, folder in folders.items():
-        _check_results(folder, CompareResult, resume)
+        check_results(folder, CompareResult, resume)
         if not (make_folder(folder) / "suite.yaml").exists():  # before the search, which may be interrupted
             suites[name].to_yaml(folder / "suite.yaml")
     results = {}
@@ -223,12 +223,6 @@ def compare(
     for name, result in results.items():
         result.save(folders[name], force=True)
     return PooledResult(read.name, results)
-
-
-def _check_results(out: Path, kind: type[Result], resume: bool, *further: str) -> None:
-    """Raise `FileError` if a new study would replace results; an existing study is reported by the study itself."""
-    if not resume and not (out / STUDY).exists():
-        check_free(out, (*kind.file_names(), *further))
 
 
 def _followed(names: list[str] | None) -> list[str] | str:

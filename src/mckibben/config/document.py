@@ -18,6 +18,7 @@ LONGEST_TEXT = 262_144
 
 _DEEPEST = 12
 _NULL = ("null", "~")
+_TAGS = {f"tag:yaml.org,2002:{name}" for name in "str int float bool null map seq timestamp merge value".split()}
 
 
 @dataclass
@@ -27,22 +28,19 @@ class Document:
     Attributes
     ----------
     data
-        Mappings, tuples and text; scalars are not converted.
+        Mappings, tuples and text; scalars are not converted. None if the text is not YAML at all.
     lines
         Line of each key and item, by its place.
     problems
         Mistakes of the text, such as aliases, tags and repeated keys.
     rejected
         Places of values that are among the problems, and not in `data`.
-    readable
-        Whether the text is YAML at all.
     """
 
     data: Any = None
     lines: dict[Place, int] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
     rejected: set[Place] = field(default_factory=set)
-    readable: bool = True
 
     def value(self, place: Place) -> object:
         """Return the value at a place; None if there is none."""
@@ -82,10 +80,50 @@ class Document:
         self.rejected.add(place)
 
     def fail(self, message: str, *, line: int | None = None, remedy: str = "") -> Document:
-        """Mark the whole document as unreadable."""
+        """Add a problem for which nothing can be read."""
         self.problems.append(Problem(message, line, remedy=remedy))
-        self.readable = False
         return self
+
+    def _read(self, node: Any, place: Place) -> object:
+        """Return the value of a node; None, and a problem of the document, if it is not allowed."""
+        line = self.line(place) or node.start_mark.line + 1
+        if len(place) > _DEEPEST:
+            return self.reject(place, line, f"is nested more than {_DEEPEST} deep", "use fewer levels")
+        if node.anchor is not None:  # of this node, or of the one that an alias repeats
+            return self.reject(place, line, f"{_short(node.anchor)} is an anchor", "write the value out where it is")
+        if node.tag not in _TAGS:
+            self.reject(place, line, f"{_short(str(node.tag))} is a tag", "leave it out")
+        if node.id == "mapping":
+            return self._read_mapping(node, place)
+        if node.id == "sequence":
+            return tuple(self._read_item(item, (*place, number)) for number, item in enumerate(node.value))
+        if not node.value.isascii() and any("\ud800" <= char <= "\udfff" for char in node.value):
+            self.reject(place, line, "has an escape of half a character", "write the character itself")
+        if not node.style and node.value.lower() in _NULL:
+            self.reject(place, line, "has no value", "write one, or leave the key out")
+        return node.value
+
+    def _read_item(self, node: Any, place: Place) -> object:
+        """Return the value of an item of a list."""
+        self.lines[place] = node.start_mark.line + 1
+        return self._read(node, place)
+
+    def _read_mapping(self, node: Any, place: Place) -> dict[str, object]:
+        """Return the values of a mapping by their keys, without rejected ones."""
+        items: dict[str, object] = {}
+        for key, item in node.value:
+            line, here = key.start_mark.line + 1, (*place, key.value if key.id == "scalar" else "?")
+            if key.id != "scalar":
+                self.reject(here, line, "a key is not text", "write `key: value`")
+            elif key.value in items:
+                message = f"is given twice, first in line {self.lines[here]}"
+                self.problems.append(Problem(message, line, dotted(here), "keep one of them"))
+            else:
+                self.lines[here] = line
+                value = self._read(item, here)
+                if here not in self.rejected:
+                    items[key.value] = value
+        return items
 
 
 def dotted(place: Place) -> str:
@@ -122,7 +160,7 @@ def read_document(text: str) -> Document:
         if node is None or node.value == "":
             return document.fail("is empty", remedy="see examples/ for files to start from")
         document.lines[()] = node.start_mark.line + 1
-        document.data = _Reader(document).read(node, ())
+        document.data = document._read(node, ())
     except YAMLError as error:
         _explain(error, text, document)
     except RecursionError:
@@ -130,57 +168,6 @@ def read_document(text: str) -> Document:
     except (ValueError, ArithmeticError, AssertionError, LookupError) as error:  # malformed directives and escapes
         document.fail(f"not YAML: {error}", line=yaml.reader.line + 1)
     return document
-
-
-_TAGS = {f"tag:yaml.org,2002:{name}" for name in "str int float bool null map seq timestamp merge value".split()}
-
-
-@dataclass
-class _Reader:
-    """Conversion of YAML nodes to the data of a document."""
-
-    document: Document
-
-    def read(self, node: Any, place: Place) -> object:
-        """Return the value of a node; None, and a problem of the document, if it is not allowed."""
-        reject, line = self.document.reject, self.document.line(place) or node.start_mark.line + 1
-        if len(place) > _DEEPEST:
-            return reject(place, line, f"is nested more than {_DEEPEST} deep", "use fewer levels")
-        if node.anchor is not None:  # of this node, or of the one that an alias repeats
-            return reject(place, line, f"{_short(node.anchor)} is an anchor", "write the value out where it is")
-        if node.tag not in _TAGS:
-            reject(place, line, f"{_short(str(node.tag))} is a tag", "leave it out")
-        if node.id == "mapping":
-            return self.read_mapping(node, place)
-        if node.id == "sequence":
-            return tuple(self.read_item(item, (*place, number)) for number, item in enumerate(node.value))
-        if not node.value.isascii() and any("\ud800" <= char <= "\udfff" for char in node.value):
-            reject(place, line, "has an escape of half a character", "write the character itself")
-        if not node.style and node.value.lower() in _NULL:
-            reject(place, line, "has no value", "write one, or leave the key out")
-        return node.value
-
-    def read_item(self, node: Any, place: Place) -> object:
-        """Return the value of an item of a list."""
-        self.document.lines[place] = node.start_mark.line + 1
-        return self.read(node, place)
-
-    def read_mapping(self, node: Any, place: Place) -> dict[str, object]:
-        """Return the values of a mapping by their keys, without rejected ones."""
-        items: dict[str, object] = {}
-        for key, item in node.value:
-            line, here = key.start_mark.line + 1, (*place, key.value if key.id == "scalar" else "?")
-            if key.id != "scalar":
-                self.document.reject(here, line, "a key is not text", "write `key: value`")
-            elif key.value in items:
-                message = f"is given twice, first in line {self.document.lines[here]}"
-                self.document.problems.append(Problem(message, line, dotted(here), "keep one of them"))
-            else:
-                self.document.lines[here] = line
-                value = self.read(item, here)
-                if here not in self.document.rejected:
-                    items[key.value] = value
-        return items
 
 
 def _explain(error: Any, text: str, document: Document) -> None:

@@ -268,7 +268,7 @@ def validated(
 
     Raises `ScenarioError` with every problem, or with one if the `keys` show that another kind of file is `expected`.
     """
-    if not document.readable:
+    if document.data is None:
         raise ScenarioError(source, document.problems)
     try:
         value = validate(document.data, context=context)

@@ -44,7 +44,7 @@ from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
 from mckibben.errors import CompilerError, ExportError, McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Listing, Remark, Result
 from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
 UNITS = Units(
@@ -110,13 +110,8 @@ class ContractReport(Result):
 
     def listings(self) -> Iterator[Listing]:
         words = {True: "passed", False: "failed", None: "not checked"}
-        columns = {
-            "class": [finding.kind for finding in self.findings],
-            "check": [finding.check for finding in self.findings],
-            "result": [words[finding.passed] for finding in self.findings],
-            "reason": [finding.found for finding in self.findings],
-        }
-        yield Listing("Contract", {name: (Column(), values) for name, values in columns.items()})
+        rows = [(finding.kind, finding.check, words[finding.passed], finding.found) for finding in self.findings]
+        yield Listing.of("Contract", ("class", "check", "result", "reason"), rows)
 
 
 def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | None = None) -> list[Finding]:

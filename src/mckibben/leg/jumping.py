@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from mckibben.notebook import Progress
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.spatial import Z
 from mckibben.plant.base import MOST_SUBSTEPS
-from mckibben.result import Column, Listing
+from mckibben.result import Column, Listing, Result
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import STUDY, open_store
 from mckibben.units import bar, deg, mm, ms
@@ -90,8 +90,7 @@ def interval(values: Floats) -> list[float]:
     return np.nanpercentile(values[1:], EDGES).tolist()
 
 
-@dataclass(frozen=True)
-class JumpStudy:
+class JumpStudy(Result):
     """The best jump with constant pressures from the start on, and the best with timed ones.
 
     Attributes
@@ -105,6 +104,9 @@ class JumpStudy:
     leg_length
         Height of the hip [m] in that posture.
     """
+
+    figures = ("jump_traces",)
+    files = ("leg.yaml", "constant.nc", "timed.nc")
 
     scenario: LegScenario
     constant: Jump
@@ -123,7 +125,7 @@ class JumpStudy:
         low, high = interval(added)
         return float(added[0]), low, high
 
-    def records(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The results as plain data; intervals are 5 to 95 % of the draws."""
         assert self.scenario.jump is not None
         gain = self.gain()
@@ -138,8 +140,8 @@ class JumpStudy:
             "gain_interval_mm": [gain[1] / mm, gain[2] / mm],
         }
 
-    def listing(self) -> Listing:
-        """Table with a row for each jump; intervals are 5 to 95 % of the draws."""
+    def listings(self) -> Iterator[Listing]:
+        """Yield a table with a row for each jump; intervals are 5 to 95 % of the draws."""
         jumps = [jump.record() for jump in self.jumps.values()]
 
         def intervals(quantity: str, unit: str = "") -> list[str]:
@@ -159,16 +161,18 @@ class JumpStudy:
             "efficiency": (Column("1", "of the air's energy", "%", digits=2), values("efficiency")),
             "stops": (Column("J", "into the stops", digits=2), values("stop_energy_J")),
         }
-        return Listing(f"{self.scenario.name}; intervals are 5 to 95 % of the draws", columns)
+        yield Listing(f"{self.scenario.name}; intervals are 5 to 95 % of the draws", columns)
 
-    def describe(self) -> str:
-        """Gain in height by timing, as text."""
+    def write(self, folder: Path) -> None:
+        """Write the file of the leg, and both jumps over time."""
+        self.scenario.to_yaml(folder / "leg.yaml")
+        for name, jump in self.jumps.items():
+            jump.run.to_netcdf(folder / f"{name}.nc")
+
+    def verdict(self) -> str:
+        """Return the gain in height by timing."""
         gain, low, high = (height / mm for height in self.gain())
         return f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
-
-    def __repr__(self) -> str:
-        heights = ", ".join(f"{name} {jump.heights[0] / mm:.0f} mm" for name, jump in self.jumps.items())
-        return f"<JumpStudy of {self.scenario.name!r}: {heights}>"
 
 
 def _with_interval(value: float, bounds: list[float]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import AirActuator, IdealValve
 from mckibben.component.columns import attributes
+from mckibben.dataset.schema import write_netcdf
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LegMetrics
@@ -23,7 +24,7 @@ from mckibben.leg.simulate import simulate_legs
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, take
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
-from mckibben.result import Column, Listing
+from mckibben.result import Column, Listing, Result
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
@@ -45,8 +46,7 @@ EDGES = (5.0, 95.0)
 """Percentiles of the draws that are an interval."""
 
 
-@dataclass(frozen=True)
-class LandingStudy:
+class LandingStudy(Result):
     """Landings of a leg.
 
     Attributes
@@ -61,6 +61,9 @@ class LandingStudy:
     attainable
         Attainable stiffness [N*m/rad] of the joint at touchdown.
     """
+
+    figures = ("landing_forces",)
+    files = ("leg.yaml", "landing.nc")
 
     scenario: LegScenario
     table: xr.Dataset
@@ -104,13 +107,13 @@ class LandingStudy:
         """Quantile of 95 % over the draws of the force on the trunk [its weight], shape (valve, drop, stiffness)."""
         return np.percentile(self.trunk_weights()[..., 1:], EDGES[1], axis=-1)
 
-    def listing(self) -> Listing:
-        """Table with a row for each valve and drop, at the robust and at the nominal best stiffness.
+    def listings(self) -> Iterator[Listing]:
+        """Yield a table with a row for each valve and drop, at the robust and at the nominal best stiffness.
 
         Forces are 95 % quantiles on the trunk in its weights, shares those of the draws in which the joint meets a
         stop.
         """
-        landings = self.records()["landings"]
+        landings = self.to_dict()["landings"]
 
         def column(name: str, key: str, unit: str, title: str, shown: str = "") -> dict[str, tuple[Column, Any]]:
             return {name: (Column(unit, title, shown, digits=3), [landing[key] for landing in landings])}
@@ -122,9 +125,14 @@ class LandingStudy:
             columns |= column(f"{kind}_share", f"{kind}_bottoms_out_share", "1", "bottoms out", "%")
         remarks = [_remark(landing) for landing in landings]
         title = f"{self.scenario.name}: force on the trunk in its weights"
-        return Listing(title, columns | {"remark": (Column(), remarks)})
+        yield Listing(title, columns | {"remark": (Column(), remarks)})
 
-    def records(self) -> dict[str, Any]:
+    def write(self, folder: Path) -> None:
+        """Write the file of the leg, and the landings."""
+        self.scenario.to_yaml(folder / "leg.yaml")
+        write_netcdf(self.table, folder / "landing.nc")
+
+    def to_dict(self) -> dict[str, Any]:
         """The results as plain data; intervals are 5 to 95 % of the draws."""
         best, robust, table = self.best(), self.robust(), self.table
         stiffness, quantile = table["stiffness"].to_numpy(), self.trunk_quantile()
@@ -177,8 +185,8 @@ class LandingStudy:
         """Whether the joint whose stiffness varies meets a stop, shape (valve, drop, stiffness, draw)."""
         return self.table["stop_torque"].to_numpy() > 0
 
-    def describe(self) -> str:
-        """Integration error of all landings, as text."""
+    def verdict(self) -> str:
+        """Return the integration error of all landings."""
         return integration_sentence(self._integration())
 
     def _integration(self) -> dict[str, Any]:
@@ -187,9 +195,6 @@ class LandingStudy:
     @property
     def _landing(self) -> Any:
         return self.scenario.landing
-
-    def __repr__(self) -> str:
-        return f"<LandingStudy of {self.scenario.name!r}: {self.table['peak_force'].size} landings>"
 
 
 def _remark(landing: dict[str, Any]) -> str:

@@ -117,12 +117,9 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
         path.mkdir(parents=True, exist_ok=True)
         for folder in new:
             sync_folder(folder.parent)
-    except FileExistsError as error:
-        raise FileError(str(path), [Problem("it is a file", remedy="give a folder")]) from error
     except OSError as error:
-        raise FileError(
-            str(path), [Problem(f"it cannot be made: {error.strerror}", remedy="choose another")]
-        ) from error
+        text = "it is a file" if isinstance(error, FileExistsError) else f"it cannot be made: {error.strerror}"
+        raise FileError(str(path), [Problem(text, remedy="choose another folder")]) from error
     return path
 
 

@@ -6,7 +6,7 @@ import abc
 import hashlib
 import os
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import map_chunks
-from mckibben.result import Column, Listing
 from mckibben.storage.store import STUDY, Job, open_store
 
 Table = Mapping[str, NDArray]
@@ -176,20 +175,6 @@ class Study(abc.ABC):
         with closing(finished):  # type: ignore[arg-type]  # it is a generator
             for _, number in finished:
                 yield number
-
-
-def listing_of(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4) -> Listing:
-    """Return a table from its rows; all columns have the same digits.
-
-    >>> print(listing_of("Masses", ("load", "kg"), [("first", 0.5), ("second", 0.25)]).to_text())
-    Masses
-    load    kg
-    first   0.5
-    second  0.25
-    """
-    column = Column(digits=digits)
-    columns = zip(*rows, strict=True) if rows else ((),) * len(headings)
-    return Listing(title, {name: (column, list(values)) for name, values in zip(headings, columns, strict=True)})
 
 
 def digest(tree: PyTree) -> str:

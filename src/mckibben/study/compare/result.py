@@ -22,7 +22,6 @@ from mckibben.study.compare.checks import filename
 from mckibben.study.compare.runs import Runs, started
 from mckibben.study.compare.statistics import Ratio, comparable, median, ratio_of_medians
 from mckibben.study.compare.suite import Suite
-from mckibben.study.study import listing_of
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.trials import Trial
@@ -128,7 +127,7 @@ class CompareResult(Result):
             tuned = "; ".join(f"{p.name} {p.show(values[p.name])}" for p in parameters)
             rows.append((name, before, after, tuned or "not tuned"))
         titles = ("controller", "cost before", "cost tuned", "parameters")
-        yield replace(listing_of("Tuned on the training runs", titles, rows), detail=True)
+        yield replace(Listing.of("Tuned on the training runs", titles, rows), detail=True)
 
     @functools.cached_property
     def _tables(self) -> list[Listing]:
@@ -235,4 +234,4 @@ def error_table(
     first = next(iter(tuned[0].batches))
     titles = ("controller", "angle rmse, deg", "angle, 95 %", f"x {first}", "95 % interval")
     titles = (*titles, "stiffness rmse", "stiffness, 95 %", "air, L", "diverged + limit cycles")
-    return listing_of(title, titles, rows, digits=3)
+    return Listing.of(title, titles, rows, digits=3)

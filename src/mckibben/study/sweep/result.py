@@ -23,7 +23,7 @@ from mckibben.simulation.batch import RunTable, outcome_variable
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import SweptParameter
-from mckibben.study.study import Table, listing_of
+from mckibben.study.study import Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -140,13 +140,13 @@ class SweepResult(RunTable):
         share = Column("1", "share", "%", digits=3), [count / self.count for count in runs]
         yield Listing("Outcomes", {"outcome": (Column(), names), "runs": (Column(), runs), "share": share})
         statistics = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "runs")
-        yield listing_of("Runs that did not fail", statistics, self.statistics())
+        yield Listing.of("Runs that did not fail", statistics, self.statistics())
         ranks = self.correlations().rename_axis("parameter").reset_index()
         ranks = ranks.melt("parameter", var_name="metric", value_name="Spearman").dropna()
         ranks = ranks.sort_values("Spearman", key=abs, ascending=False, kind="stable").head(10)
         ranks["metric"] = ranks["metric"].str.replace("_", " ")
         if ranks.size:
-            yield listing_of("Rank correlations, strongest first", list(map(str, ranks)), ranks.to_numpy().tolist())
+            yield Listing.of("Rank correlations, strongest first", list(map(str, ranks)), ranks.to_numpy().tolist())
 
     def statistics(self) -> list[tuple[object, ...]]:
         """Return metric, unit, median, 5th and 95th percentile, worst value and its run, and number of runs.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import field
 
 import numpy as np
 
 from mckibben.errors import McKibbenError
-from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.result import Listing, Remark, Result, column
 from mckibben.scenario import Scenario, find_parameter, run_scenario
 from mckibben.simulation import margin_remarks
 from mckibben.simulation.metrics import METRICS, in_shown_units
@@ -91,16 +91,12 @@ class TuneResult(Result):
         parameters = [find_parameter(self.before[0], name) for name in self.values]
         nominal = ["-" if p.nominal is None else p.show(p.nominal) for p in parameters]
         tuned = [p.show(value) for p, value in zip(parameters, self.values.values(), strict=True)]
-        yield _table("Parameters", parameter=list(self.values), before=nominal, tuned=tuned)
+        rows = zip(self.values, nominal, tuned, strict=True)
+        yield Listing.of("Parameters", ("parameter", "before", "tuned"), rows)
         for scenario, (old, new) in zip(self.before, self.effects, strict=True):
             title = f"{scenario.name}{', without the conditions' if self.conditions else ''}"
-            before, after = ([effect[name] for name in _UNITS] for effect in (old, new))
-            yield _table(title, metric=list(_UNITS), before=before, tuned=after, unit=list(_UNITS.values()))
-
-
-def _table(title: str, **columns: Sequence[object]) -> Listing:
-    """Return a table of columns by their headings, in shown units."""
-    return Listing(title, {name: (Column(title=name), values) for name, values in columns.items()})
+            rows = [(name, old[name], new[name], unit) for name, unit in _UNITS.items()]
+            yield Listing.of(title, ("metric", "before", "tuned", "unit"), rows)
 
 
 def _metrics_and_margins(scenario: Scenario) -> dict[str, float]:
