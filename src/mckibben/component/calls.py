@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import wraps
 from numbers import Number
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from mckibben.component.checks import as_number
 from mckibben.errors import CallError, McKibbenError, described, suggest, with_article
@@ -102,27 +102,48 @@ def _explain(function: Callable[..., object], arguments: Arguments, error: Excep
                 raise CallError(text, field=field, value=item, remedy=remedy) from error
 
 
+class _Parameters(NamedTuple):
+    """Names of the parameters of a function: all, those that may be given by position, and those without a default."""
+
+    names: list[str]
+    places: list[str]
+    needed: list[str]
+
+    @classmethod
+    def of(cls, parameters: list[inspect.Parameter]) -> _Parameters:
+        named = [parameter for parameter in parameters if parameter.kind in _BY_NAME]
+        places = [parameter.name for parameter in named if parameter.kind is _BY_POSITION]
+        needed = [parameter.name for parameter in named if parameter.default is parameter.empty]
+        return cls([parameter.name for parameter in named], places, needed)
+
+    def suggest(self, unknown: str, named: Mapping[str, object]) -> str:
+        """Return the remedy for an unknown name: the one in Python of an option, or the closest that is not given."""
+        if (option := _OPTIONS.get(unknown, "")) and option.partition("=")[0] in self.names:
+            return f"write {option}"
+        return suggest(unknown, [name for name in self.names if name not in named])
+
+    def call(self, function: str) -> str:
+        """Return the call with the arguments that it needs."""
+        shown = [name if name in self.places else f"{name}=..." for name in self.needed]
+        return f"{function}({', '.join([*shown, '...'] if len(self.names) > len(self.needed) else shown)})"
+
+
 def _unbound(
     function: Callable[..., object], parameters: list[inspect.Parameter], arguments: Arguments, reason: str
 ) -> CallError:
     """Return the error of arguments that are unknown, too many or missing."""
-    of, (args, named) = function.__name__, arguments
-    kinds = {parameter.name: parameter.kind for parameter in parameters if parameter.kind in _BY_NAME}
-    places = [name for name, kind in kinds.items() if kind is _BY_POSITION]
-    needed = [other.name for other in parameters if other.name in kinds and other.default is other.empty]
-    shown = [name if name in places else f"{name}=..." for name in needed]
-    write = f"write {of}({', '.join([*shown, '...'] if len(kinds) > len(needed) else shown)})"
+    of, (args, named), known = function.__name__, arguments, _Parameters.of(parameters)
+    write = f"write {known.call(of)}"
     if args and (reading := _reading(function, args[0])):
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
-    if unknown := next((name for name in named if name not in kinds), ""):
-        option, free = _OPTIONS.get(unknown, ""), [name for name in kinds if name not in named]
-        meant = f"write {option}" if option and option.partition("=")[0] in kinds else suggest(unknown, free)
-        return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=meant if kinds else write)
-    if len(args) > len(places):
-        others = ", ".join(f"{name}=..." for name in kinds if name not in places)
-        text = f"{of} takes {len(places)} arguments by position, not {len(args)}"
+    if unknown := next((name for name in named if name not in known.names), ""):
+        remedy = known.suggest(unknown, named) if known.names else write
+        return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
+    if len(args) > len(known.places):
+        others = ", ".join(f"{name}=..." for name in known.names if name not in known.places)
+        text = f"{of} takes {len(known.places)} arguments by position, not {len(args)}"
         return CallError(text, value=args, remedy=f"give others by name: {others}" if others else write)
-    missing = [name for name in needed if name not in [*places[: len(args)], *named]]
+    missing = [name for name in known.needed if name not in [*known.places[: len(args)], *named]]
     if not args and not named and (other := getattr(function, "suggestions", {}).get("()", "")):
         write = f"{write}; {other.format(of)}"
     text = f"{of} needs {' and '.join(missing)}" if missing else f"{of}: {reason}"
