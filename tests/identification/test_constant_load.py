@@ -11,6 +11,7 @@ from mckibben.errors import DomainWarning, IdentificationError
 from mckibben.identification import identify, identify_with_friction, inverse_table, shows_hysteresis
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.muscle import ExponentialLaw, forces
+from mckibben.report.identification import loops
 from mckibben.units import bar, deg, mm
 
 
@@ -46,10 +47,15 @@ def hanging_weights(friction, *, loads=(30, 60, 90, 120), noise=5e-4, seed=0):
 
 @pytest.mark.parametrize("friction", [3.0, 8.0])
 def test_law_and_friction_of_a_test_with_weights(friction):
-    found = identify_with_friction(ExponentialLaw, hanging_weights(friction))
+    data = hanging_weights(friction)
+    found = identify_with_friction(ExponentialLaw, data)
     assert found.hysteresis.friction.half_width == pytest.approx(friction, abs=0.3)
     points = np.array([0.24, 0.23, 0.2]), np.array([5, 4, 3]) * bar
     np.testing.assert_allclose(forces(found.fit.law, *points), force_at(*points), atol=1.0)
+    figure = loops(data, found.hysteresis)
+    assert [axes.get_title(loc="left").split()[1:3] for axes in figure.axes[1:]] == [
+        [f"{n}", "N,"] for n in (30, 60, 90, 120)
+    ]
 
 
 def test_measured_loads_are_recognised_by_the_set_ones_and_asked_for_without_them(tmp_path):

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
+from mckibben.identification.grouping import held_values
 from mckibben.report.palette import BLACK, BLUE, ORANGE
 from mckibben.report.style import (
     DOUBLE,
@@ -179,7 +180,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         draw_points(grid[1, i], points, points.force - there.confidence.value, **look)
         inside = np.mean(there.prediction.contains(points.force))
         half = np.median(there.prediction.upper - there.prediction.value)
-        beside(grid[1, i], f"{100 * inside:.0f} % within ±{half:.2g} N")
+        grid[1, i].set_title(f"{100 * inside:.0f} % within ±{half:.2g} N", fontsize=7, loc="left")
         letter(grid[0, i], i, f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")
     grid[0, 0].set(ylabel="force [N]", ylim=(min(0.0, float(taut.force.min())), 1.06 * float(taut.force.max())))
@@ -199,7 +200,7 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 
 @styled
 def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
-    """Hysteresis loops, measured and modelled: force [N] (top), and friction force [N] by pressure (bottom).
+    """Hysteresis loops, measured and modelled: force [N], and friction force [N] by pressure, or by load if it is held.
 
     Parameters
     ----------
@@ -219,19 +220,21 @@ def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
             f"the hysteresis was identified from {len(fit.residuals)} points, the dataset has {len(means)}",
             remedy="use the dataset of the identification",
         )
-    shown = _spread(np.unique(means.levels[fit.tension > 0]))
+    held = held_values(means)
+    scale, unit = (bar, "bar") if np.array_equal(held, means.levels) else (1.0, "N")
+    shown = _spread(np.unique(held[fit.tension > 0]))
     columns = min(3, len(shown))
     below = 1.75 * -(-len(shown) // columns)
     figure = blank(DOUBLE, 3.0 + below)
     parts: Any = figure.subfigures(2, 1, height_ratios=[3.0, below])
     upper, lower = parts
     curves = upper.subplots()
-    _forces(curves, means, fit)
+    _forces(curves, means, fit, held)
     letter(curves, 0, "force")
     grid = panels(lower, len(shown), columns, sharex=True, sharey=True)
     for i, (axes, level) in enumerate(zip(grid, shown, strict=True)):
-        error = _loop(axes, means, fit, level)
-        letter(axes, i + 1, f"{level / bar:g} bar, RMSE {error:.2g} N")
+        error = _loop(axes, means, fit, held, level)
+        letter(axes, i + 1, f"{level / scale:.4g} {unit}, RMSE {error:.2g} N")
         axes.set(xlabel=_CONTRACTION, ylabel="friction [N]")
         axes.label_outer()
     return figure
@@ -242,11 +245,11 @@ def _spread(levels: NDArray[np.float64]) -> NDArray[np.float64]:
     return levels[np.linspace(0, len(levels) - 1, min(len(levels), _MOST)).round().astype(int)]
 
 
-def _forces(axes: Axes, means: IsobaricDataset, fit: HysteresisFit) -> None:
+def _forces(axes: Axes, means: IsobaricDataset, fit: HysteresisFit, held: NDArray[np.float64]) -> None:
     """Draw all points, and the modelled force of each pass."""
     force, model = means.force - fit.offset, fit.tension + fit.friction_force
     draw_points(axes, means, force, markersize=_size(means))
-    for rows in _passes(means):
+    for rows in _passes(means, held):
         axes.plot(means.contraction[rows] / percent, model[rows], label="law and friction", **_MODEL)
     friction = fit.friction
     title = f"half width {friction.half_width:.3g} N at {friction.reference_pressure / bar:.3g} bar"
@@ -257,11 +260,11 @@ def _forces(axes: Axes, means: IsobaricDataset, fit: HysteresisFit) -> None:
     axes.set(xlabel=_CONTRACTION, ylabel="force [N]")
 
 
-def _loop(axes: Axes, means: IsobaricDataset, fit: HysteresisFit, level: float) -> float:
-    """Draw the friction force at a pressure, measured and modelled; return the RMSE [N]."""
-    here = np.isclose(means.levels, level, rtol=0, atol=1.0) & (fit.tension > 0)
+def _loop(axes: Axes, means: IsobaricDataset, fit: HysteresisFit, held: NDArray[np.float64], level: float) -> float:
+    """Draw the friction force at a held pressure or load, measured and modelled; return the RMSE [N]."""
+    here = (held == level) & (fit.tension > 0)
     draw_points(axes, means.select(here), (fit.residuals + fit.friction_force)[here], markersize=_size(means))
-    for rows in _passes(means):
+    for rows in _passes(means, held):
         if here[rows].any():
             rows = rows[here[rows]]
             axes.plot(means.contraction[rows] / percent, fit.friction_force[rows], **_MODEL)
@@ -269,8 +272,8 @@ def _loop(axes: Axes, means: IsobaricDataset, fit: HysteresisFit, level: float) 
     return float(np.sqrt(np.mean(fit.residuals[here] ** 2)))
 
 
-def _passes(means: IsobaricDataset) -> list[NDArray[np.int64]]:
-    """Rows of each pass at constant pressure, in temporal order."""
+def _passes(means: IsobaricDataset, held: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Rows of each pass at a held pressure or load, in temporal order."""
     time = means.table["time"].to_numpy() if "time" in means.table else np.arange(len(means))
     order = np.argsort(time, kind="stable")
-    return np.split(order, np.flatnonzero(np.abs(np.diff(means.levels[order])) > 1.0) + 1)
+    return np.split(order, np.flatnonzero(np.diff(held[order])) + 1)

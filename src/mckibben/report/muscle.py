@@ -129,7 +129,7 @@ def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
     if not hasattr(dataset, "plateau_means"):
         remedy = "write isobaric(dataset, fit), or fit.plot()"
         raise RangeError(f"isobaric draws a dataset, not a {type(dataset).__name__}", remedy=remedy)
-    return measured_muscles({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
+    return measured_muscles({dataset.table.attrs["specimen"] or "measured points": (dataset, fit)})
 
 
 def fit(result: FitWithFriction) -> Figure:

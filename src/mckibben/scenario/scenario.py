@@ -26,9 +26,11 @@ from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, mar
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
-_MEANT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"} | dict.fromkeys(
-    ("run", "plot", "result"), "simulate()"
-)
+_MEANT = {
+    "stiffness": "joint.stiffness(angle, pressures)",
+    "muscle": "joint.muscle1",
+    "sweep": "mk.sweep(scenario, ['load.mass2=+-10 %'])",
+} | dict.fromkeys(("run", "plot", "result"), "simulate()")
 """What is meant by names that users try."""
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
