@@ -181,7 +181,8 @@ def test_an_emulated_cortex_m7_does_the_same(session, folder, digest):
     sources = "qemu.c simulated.c firmware.c link.c knee.c plant.c -o firmware.elf -lm".split()
     subprocess.run(["arm-none-eabi-gcc", *CROSS, *sources], cwd=folder, check=True, capture_output=True)
     (child_in, write), (read, child_out) = os.pipe(), os.pipe()
-    emulated = Session(["timeout", "-s", "KILL", "120", *QEMU], folder, read, write, (child_in, child_out))
+    limited = ["sh", "-c", 'ulimit -t 120; exec "$@"', "sh", *QEMU]  # an emulator without a host runs at full speed
+    emulated = Session(limited, folder, read, write, (child_in, child_out))
     try:
         for number in range(400):
             kind = {100: MessageKind.SETPOINT, 101: MessageKind.ARM}.get(number, MessageKind.HEARTBEAT)
