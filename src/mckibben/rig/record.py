@@ -10,6 +10,7 @@ import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -181,9 +182,10 @@ class RigRecord:
     def samples(self, name: str, point: Point) -> np.ndarray:
         """Samples of a point by the name of a column, shape (samples,); NaN where they are lost."""
         wanted = point.first + point.every * np.arange(point.samples)
-        at = np.minimum(np.searchsorted(self.rows, wanted), max(len(self.rows) - 1, 0))
-        there = np.append(self.rows, -1)[at] == wanted
-        return np.where(there, np.append(self.columns[name], np.nan)[at], np.nan)
+        if not len(self.rows):
+            return np.full(wanted.shape, np.nan)
+        at = np.minimum(np.searchsorted(self.rows, wanted), len(self.rows) - 1)
+        return np.where(self.rows[at] == wanted, self.columns[name][at], np.nan)
 
 
 def read_record(folder: str | os.PathLike[str]) -> RigRecord:
@@ -331,10 +333,11 @@ def _complete_points(folder: Path) -> tuple[list[Point], dict[str, list[np.ndarr
     kept = [point for point in record.points if point.keep]
     if not kept:
         raise DatasetError(str(folder), [Problem("contains no point yet", remedy="resume it")])
-    complete = [point for point in kept if np.isfinite(record.samples("force", point)).all()]
+    whole = [bool(np.isfinite(record.samples("force", point)).all()) for point in kept]
+    complete = list(compress(kept, whole))
     if not complete:
         raise DatasetError(str(folder), [Problem("contains no complete point", remedy="record again")])
-    if lost := ", ".join(str(point.number) for point in kept if point not in complete):
+    if lost := ", ".join(str(point.number) for point, there in zip(kept, whole, strict=True) if not there):
         message = f"{folder}: samples of the points {lost} are missing; they are left out"
         warnings.warn(message, McKibbenWarning, stacklevel=3)
     return complete, {name: [record.samples(name, point) for point in complete] for name in ("force", "pressure")}
