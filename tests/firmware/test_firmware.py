@@ -14,6 +14,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, ScenarioError
 from mckibben.export import export
 from mckibben.firmware import Hardware
+from mckibben.rig.serial_line import SerialBackend
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import (
     CommandSource,
@@ -232,3 +233,30 @@ def test_a_missing_part_is_asked_for(tmp_path):
     with pytest.raises(ScenarioError):
         Hardware.parse(f"board: esp32\n{PARTS}".replace("A0", "A0); system(1"))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_serial_backend_runs_the_firmware(folder, digest):
+    """Both ends of the protocol, in real time: samples, arming, commands, and the vent."""
+    pytest.importorskip("serial", reason="needs the extra rig")
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    with subprocess.Popen(["./firmware"], cwd=folder, stdin=master, stdout=master) as process:
+        try:
+            backend = SerialBackend(os.ttyname(slave), digest=digest, period=1e-3)
+            assert [channel.name for channel in backend.inputs] == ["angle", "pressure1", "pressure2"]
+            with backend.opened():
+                backend.read(2500, timeout=5.0)
+                backend.set_valves([1e5, 2e5])
+                for _ in range(150):
+                    block = backend.read(20)
+                    backend.set_valves([1e5, 2e5])
+                    backend.heartbeat()
+                np.testing.assert_allclose(block.values[-1, 1:], [1e5, 2e5], rtol=0.05)
+                assert block.first + len(block.time) > 5000
+                backend.vent()
+                assert backend.read(1000).values[-1, 1:].max() < 2e4
+        finally:
+            process.kill()
+            os.close(master)
+            os.close(slave)

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.constants import g
 
 from mckibben import catalog
 from mckibben.muscle import Muscle
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.by_hand import GRAVITY, HandBench
+from mckibben.rig.by_hand import HandBench
 from mckibben.rig.document import RigTest
 from mckibben.rig.modbus import RegisterMap
 from mckibben.rig.record import assemble
@@ -59,7 +60,7 @@ def test_weights_are_hung_and_lengths_are_asked_for(tmp_path):
     answers = ["", "171 mm", "what?", "160.2 mm", "", "15.3 cm"]
     inner = PressureAlone(SimulatedRig(MUSCLE, seed=1, patience=100.0), 1)
     asked, data = run(tmp_path, inner, steps, answers, weights=True)
-    assert [f"{100 / GRAVITY:.4g} kg" in text or f"{50 / GRAVITY:.4g} kg" in text for text in asked] == [
+    assert [f"{100 / g:.4g} kg" in text or f"{50 / g:.4g} kg" in text for text in asked] == [
         True, False, False, False, True, False,
     ]  # fmt: skip
     np.testing.assert_allclose(data.force, [100, 100, 50])

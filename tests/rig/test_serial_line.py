@@ -40,7 +40,7 @@ class Board:
         tty.setraw(self.end)
         self.port, self.damage = os.ttyname(self.end), damage
         self.hello = Hello("test 1", round(PERIOD * 1e6), digest, MEASURED, VALVES)
-        self.state, self.commands, self.sequence = FirmwareState.DISARMED, (0.0, 0.0), 0
+        self.state, self.commands, self.sequence = FirmwareState.DISARMED, None, 0
         self.heard = time.monotonic()
         self.begun, self.running = time.monotonic(), True
         self.thread = threading.Thread(target=self.run)
@@ -66,24 +66,25 @@ class Board:
             armed = self.state == FirmwareState.RUNNING
             if armed and time.monotonic() - self.heard > 0.5:  # on a busy machine
                 self.vent(FaultCode.HOST_SILENT)
-            numbers = (0.1, *self.commands, *self.commands)
+            commands = self.commands if self.state == FirmwareState.RUNNING else (0.0, 0.0)
+            numbers = (0.1, *commands, *commands)
             self.send(MessageKind.SAMPLE, Sample(self.state, 0, 0, 0, receiver.lost, numbers).pack())
 
     def take(self, message):
         self.heard = time.monotonic()
         if message.kind == MessageKind.HELLO:
             self.send(MessageKind.HELLO, self.hello.pack())
-        elif message.kind == MessageKind.ARM and self.state == FirmwareState.DISARMED:
+        elif message.kind == MessageKind.ARM and self.state == FirmwareState.DISARMED and self.commands is not None:
             self.state = FirmwareState.RUNNING
         elif message.kind == MessageKind.DISARM:
-            self.state, self.commands = FirmwareState.DISARMED, (0.0, 0.0)
+            self.state, self.commands = FirmwareState.DISARMED, None
         elif message.kind == MessageKind.VENT:
             self.vent(FaultCode.VENT_ASKED)
-        elif message.kind == MessageKind.COMMAND and self.state == FirmwareState.RUNNING:
+        elif message.kind == MessageKind.COMMAND:
             self.commands = unpack_numbers(message.body, "f")
 
     def vent(self, fault):
-        self.state, self.commands = FirmwareState.VENTED, (0.0, 0.0)
+        self.state, self.commands = FirmwareState.VENTED, None
         self.send(MessageKind.FAULT, FaultReport(fault, 255, float("nan")).pack())
 
     def close(self):

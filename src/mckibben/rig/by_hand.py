@@ -12,9 +12,6 @@ from mckibben.errors import UnitError
 from mckibben.rig.backend import Backend, Block, Channel, MovingBackend
 from mckibben.units import quantity
 
-GRAVITY = 9.80665
-"""Standard gravity [m/s^2]."""
-
 
 class HandBench(MovingBackend):
     """A backend of sensors and a valve, and an operator in place of a motor.

@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from mckibben.codegen.native import compile_native, warn_of_fallback
 from mckibben.control.base import Controller, Measurement, Setpoint
@@ -23,20 +24,10 @@ from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.oscillation import Oscillation, Oscillations, Signals
 
-_FURTHEST = np.pi / 2  # rad
-_POINTS = 721
-
 
 def vented_angle(plant: JointPlant) -> float:
     """Equilibrium angle [rad] of the vented joint without friction and creep, nearest to 0 within +-90 deg."""
-    coarse = _zero(plant, -_FURTHEST, _FURTHEST)
-    width = 2 * _FURTHEST / (_POINTS - 1)
-    return _zero(plant, coarse - width, coarse + width)
-
-
-def _zero(plant: JointPlant, low: float, high: float) -> float:
-    """Angle at which the torque crosses zero from above."""
-    angles = np.linspace(low, high, _POINTS)
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 721)
     torque = np.asarray(_torque(plant, angles))
     stable = np.flatnonzero((torque[:-1] >= 0) & (torque[1:] <= 0))
     if not stable.size:
@@ -45,9 +36,8 @@ def _zero(plant: JointPlant, low: float, high: float) -> float:
             remedy="give it a load with a stable equilibrium",
         )
     at = stable[np.argmin(np.abs(angles[stable]))]
-    drop = float(torque[at] - torque[at + 1])
-    part = float(torque[at]) / drop if drop > 0 else 0.0
-    return float(angles[at] + part * (angles[at + 1] - angles[at]))
+    zero: Any = brentq(lambda angle: float(_torque(plant, angle)), angles[at], angles[at + 1], xtol=1e-12)
+    return float(zero)
 
 
 @jit

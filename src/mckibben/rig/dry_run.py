@@ -14,7 +14,7 @@ from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.protocol import MOST_POINTS, MOST_STEPS
 from mckibben.rig.runner import StepInterpreter
-from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Walk, count_steps
+from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, Walk, count_steps
 from mckibben.units import bar, mm, percent
 
 
@@ -55,7 +55,7 @@ class DryRun(StepInterpreter):
         self.estimated = self.shuts = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
-        self._acquired = 0
+        self._acquired, self._domain = 0, bench.of.domain
         self._reported: set[str] = set()
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
@@ -75,11 +75,11 @@ class DryRun(StepInterpreter):
         name, rated = bench.specimen.name, float(bench.specimen.force_limit)
         if limits.force > rated:
             self._report(f"{limits.force:g} N is above the rated {rated:g} N of {name}", "limits.force", "lower it")
-        highest = float(bench.of.domain.pressure_max)
+        highest = float(self._domain.pressure_max)
         if limits.pressure > 1.1 * highest:
             message = f"{limits.pressure / bar:g} bar is more than a tenth above the {highest / bar:g} bar of {name}"
             self._report(message, "limits.pressure", "lower it")
-        if self.duration > 365 * 86400:
+        if self.duration > 365 * 86400 and self._acquired <= MOST_POINTS:
             message = f"the test takes {self.duration / 86400:.3g} days, more than a year"
             self._report(message, self._place, "raise the speed or rate, or split it into several tests")
         self._check_law()
@@ -100,18 +100,6 @@ class DryRun(StepInterpreter):
             self._report(message, self._place, "lengthen the step of walks, or repeat less often")
 
     # what the steps do
-
-    def _do_again(self, repeat: Repeat, number: int, place: str) -> bool:
-        """Do the steps; if that leads back to where they began, add all further repeats, which are the same."""
-        names = ("duration", "plateaus", "samples", "pulses", "rows", "_acquired")
-        begin, counts = (self.position, self._set_pressure, self._walked_from), [getattr(self, name) for name in names]
-        self._do(repeat.steps, place)
-        if (self.position, self._set_pressure, self._walked_from) != begin:
-            return False
-        for name, count in zip(names, counts, strict=True):
-            now = getattr(self, name)
-            setattr(self, name, now + (repeat.times - number - 1) * (now - count))
-        return True
 
     def _begin(self, step: ProtocolStep, place: str) -> None:
         """Check the numbers of a step."""
@@ -197,7 +185,7 @@ class DryRun(StepInterpreter):
             self._report(f"{force:g} N is above the limit of {bench.limits.force:g} N", self._place, "lower it")
         if not isinstance(bench.of, Muscle):
             return
-        domain = bench.of.domain
+        domain = self._domain
         grid = np.linspace(float(domain.contraction_min), float(domain.contraction_max), 512)
         there = forces(bench.of, grid, self._set_pressure)
         if not there.min() <= force <= there.max():
@@ -227,7 +215,7 @@ class DryRun(StepInterpreter):
             self._report(error.message, f"{self._place}.speed", error.remedy)
 
     def _check_reach(self, contraction: float) -> None:
-        bench, limits, domain = self.bench, self.bench.limits, self.bench.of.domain
+        bench, limits, domain = self.bench, self.bench.limits, self._domain
         low, high = float(domain.contraction_min), float(domain.contraction_max)
         place = f"{self._place}.to"
         if not low - 1e-9 <= contraction <= high + 1e-9:
@@ -243,7 +231,7 @@ class DryRun(StepInterpreter):
                 self._report(message, place, f"raise limits.{key}, if the rig has this travel")
 
     def _check_pressure(self, pressure: float) -> None:
-        domain, highest, place = self.bench.of.domain, self.bench.limits.pressure, f"{self._place}.pressure"
+        domain, highest, place = self._domain, self.bench.limits.pressure, f"{self._place}.pressure"
         low, high = float(domain.pressure_min), float(domain.pressure_max)
         if not low - 1e-3 <= pressure <= high + 1e-3:
             allowed = f"{low / bar:g}..{high / bar:g} bar of {self.bench.specimen.name}"
@@ -315,7 +303,7 @@ def dry_run(
     Returns
     -------
     DryRun
-        With all problems; repeats are counted without going through each.
+        With all problems.
 
     Examples
     --------

@@ -48,8 +48,7 @@ class StepInterpreter(abc.ABC):
                     around = self._repeat
                     for number in range(step.times):
                         self._repeat = number
-                        if self._do_again(step, number, f"{here}.repeat.steps"):
-                            break
+                        self._do(step.steps, f"{here}.repeat.steps")
                     self._repeat = around
                 case Move():
                     self._move_to(self.bench.pulses_at(step.to), step.speed)
@@ -65,11 +64,6 @@ class StepInterpreter(abc.ABC):
                     self._walk(step)
                 case Vent():
                     self._vent()
-
-    def _do_again(self, repeat: Repeat, number: int, place: str) -> bool:
-        """Do the steps of a repeat with a given count; return whether it was the last."""
-        self._do(repeat.steps, place)
-        return False
 
     def _walk(self, walk: Walk) -> None:
         begin = self.position

@@ -24,10 +24,8 @@ from mckibben.serial_protocol import (
     Sample,
     pack_numbers,
 )
-from mckibben.units import ms, s
+from mckibben.units import ms
 
-_PATIENCE = 2 * s  # within which a board answers
-_AGAIN = 20 * ms  # after which a message that must be acknowledged is repeated
 _REMEDIES = {
     FaultCode.NOT_FINITE: "check the sensor's wiring and supply",
     FaultCode.OUT_OF_RANGE: "check the sensor, its calibration and the stops of the rig",
@@ -78,7 +76,6 @@ class SerialBackend(Backend):
         self._device, self._latest = 0, -1  # time [us] and number of its latest sample
         self._arrived = (0.0, 0.0)  # times of the latest sample, by host and board [s]
         self._armed = False
-        self._commands: Sequence[float] = ()
 
     @property
     def inputs(self) -> Sequence[Channel]:
@@ -139,7 +136,7 @@ class SerialBackend(Backend):
 
     def _ask(self) -> Hello:
         """Description of the firmware, which is asked for repeatedly: a board may just be starting."""
-        if not self._until(lambda: self._answer is not None, MessageKind.HELLO):
+        if not self._until(lambda: self._answer is not None, (MessageKind.HELLO, b"")):
             received = "only other data come" if self._receiver.corrupted else "nothing comes"
             raise RigError(
                 f"no firmware of mckibben answers at {self.port}: {received}",
@@ -150,13 +147,14 @@ class SerialBackend(Backend):
         assert self._answer is not None
         return self._answer
 
-    def _until(self, done: Callable[[], bool], kind: MessageKind | None = None, body: bytes = b"") -> bool:
-        """Take messages until something is done, for 2 s at most, and send one again and again meanwhile."""
-        end, again = time.monotonic() + _PATIENCE, 0.0
+    def _until(self, done: Callable[[], bool], *sent: tuple[MessageKind, bytes], again: float = 20 * ms) -> bool:
+        """Take messages until something is done, for 2 s at most, and send some again and again [s] meanwhile."""
+        end, due = time.monotonic() + 2.0, 0.0
         while not done() and time.monotonic() < end:
-            if kind is not None and time.monotonic() > again:
-                self._send(kind, body)
-                again = time.monotonic() + _AGAIN
+            if time.monotonic() > due:
+                for kind, body in sent:
+                    self._send(kind, body)
+                due = time.monotonic() + again
             self._take(self._received())
             time.sleep(0.5 * ms)
         return done()
@@ -205,26 +203,26 @@ class SerialBackend(Backend):
         return Block(first, times, values, np.zeros(len(rows), np.int64))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
-        """Send commands [Pa], and arm the board before the first one."""
+        """Send commands [Pa], and arm the board after the first ones."""
         self._check_open()
         self._take(self._received())
-        self._commands = [float(pressure) for pressure in pressures]
+        command = MessageKind.COMMAND, pack_numbers([float(pressure) for pressure in pressures], "f")
         if not self._armed:
-            self._arm()
-        self._send(MessageKind.COMMAND, pack_numbers(self._commands, "f"))
+            self._arm(command)
+        self._send(*command)
 
-    def _arm(self) -> None:
-        """Arm the board; messages are repeated until its samples show the state."""
+    def _arm(self, command: tuple[MessageKind, bytes]) -> None:
+        """Arm the board, with its first command; messages are repeated until its samples show the state."""
         ready = FirmwareState.RAMPING, FirmwareState.RUNNING, FirmwareState.HOLDING
-        body = bytes([CommandSource.COMMANDS]) + self._known.digest
-        for kind, content, states in (
-            (MessageKind.DISARM, b"", (FirmwareState.DISARMED,)),
-            (MessageKind.ARM, body, ready),
+        arm = MessageKind.ARM, bytes([CommandSource.COMMANDS]) + self._known.digest
+        for sent, states in (
+            (((MessageKind.DISARM, b""),), (FirmwareState.DISARMED,)),
+            ((command, arm), ready),
         ):
-            if not self._until(lambda states=states: self._state in states, kind, content):
+            if not self._until(lambda states=states: self._state in states, *sent):
                 fault = FaultCode(self._newest.fault) if self._newest is not None else FaultCode.NONE
                 raise RigError(
-                    f"the board does not follow {kind.name}: {fault.name.lower().replace('_', ' ')}",
+                    f"the board does not follow {sent[-1][0].name}: {fault.name.lower().replace('_', ' ')}",
                     remedy=_REMEDIES.get(fault, "check its cable and supply"),
                 )
         self._armed = True
@@ -287,7 +285,9 @@ class SerialBackend(Backend):
                 if self._begun is not None:
                     raise RigError("the board was reset", remedy="check its supply and cable, and reopen the rig")
             if message.kind == MessageKind.FAULT and self._armed:
-                self._refuse(FaultReport.unpack(message.body))
+                report = FaultReport.unpack(message.body)
+                if report.code != FaultCode.REFUSED:  # such as of a repeated message: the board has not vented
+                    self._refuse(report)
             if message.kind == MessageKind.SAMPLE and self._answer is not None:
                 self._keep(message)
 

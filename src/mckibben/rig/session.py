@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import g
 
 from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
 from mckibben.rig.backend import Block, MovingBackend
 from mckibben.rig.bench import Bench
-from mckibben.rig.by_hand import GRAVITY, HandBench, length_of
+from mckibben.rig.by_hand import HandBench, length_of
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import BlockMeans, RigMonitor, StopFlag
 from mckibben.rig.steps import SPEED
@@ -177,7 +178,7 @@ class RigSession:
         if not isinstance(bench, HandBench) or not bench.weights:
             return False
         if bench.weight != force:
-            self.ask(f"hang {force / GRAVITY:.4g} kg on the muscle ({force:g} N), then press Enter")
+            self.ask(f"hang {force / g:.4g} kg on the muscle ({force:g} N), then press Enter")
             bench.weight = force
             self._cycle()
         return True
