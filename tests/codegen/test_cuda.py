@@ -1,8 +1,5 @@
 """CUDA kernels: compiled by NVRTC without a GPU, and run on this processor as C++; what is missing is named."""
 
-import shutil
-import subprocess
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -100,23 +97,17 @@ def test_in_32_bits_only_numbers_of_all_runs_have_64(cuda_here):
 @each_function
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.slow
-def test_nvrtc_compiles_them(nvrtc, function, given, single, tmp_path):
+def test_nvrtc_compiles_them(nvrtc, function, given, single):
     shared, lanes = jax.tree.map(np.asarray, given[0]), given[1]
     written = CudaFunction(function).written(Split.of(shared), Split.of(lanes, lanes=True), single=single)
-    program = nvrtc.compile(written.source, ARCHITECTURE)
-    assert program.image.startswith(b"\x7fELF") and program.registers > 0
-    assert ".entry run" in program.ptx
-    if (assembler := shutil.which("ptxas")) is not None:
-        (tmp_path / "run.ptx").write_text(program.ptx.rstrip("\0"))
-        command = [assembler, "-v", f"-arch=sm_{ARCHITECTURE}", "run.ptx", "-o", "run.cubin"]
-        assert "registers" in subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stderr
+    assert nvrtc.compile(written.source, ARCHITECTURE).startswith(b"\x7fELF")
 
 
 @pytest.mark.slow
 def test_a_device_newer_than_nvrtc_gets_ptx_and_an_older_one_an_error(nvrtc):
     written = CudaFunction(loops).written(Split.of(np.asarray(0.3)), Split.of(X, lanes=True), single=True)
     newer = nvrtc.compile(written.source, 990)
-    assert newer.image == newer.ptx.encode() and newer.image.endswith(b"\0")
+    assert b".entry run" in newer and newer.endswith(b"\0")
     with pytest.raises(DeviceError) as caught:
         nvrtc.compile(written.source, 20)
     assert caught.value.value == 20 and caught.value.lower == min(nvrtc.architectures)

@@ -198,7 +198,7 @@ def test_every_operation_of_the_built_in_classes_has_the_same_numbers_in_cuda(cu
         with jax.enable_x64(False):  # some probes have numbers of their own
             in_32_bits = function.written(shared, given, single=True)
         for source in (cuda_here.compiler.sources[-1], in_32_bits.source):
-            assert ".entry run" in nvrtc.compile(source, 90).ptx
+            assert nvrtc.compile(source, 90).startswith(b"\x7fELF")
 
 
 class _Valve(Valve):

@@ -8,8 +8,6 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from mckibben.codegen.cuda import Kernel
-
 HERE = Path(__file__).parent
 COMPILER = shutil.which("c++")
 OPTIONS = ("-std=c++17", "-O0", "-w", "-shared", "-fPIC", f"-I{HERE}")
@@ -37,10 +35,10 @@ class Compiler:
         header = [*OPTIONS, "-x", "c++-header", HERE / "before.h", "-o", folder / "before.h.gch"]
         subprocess.run([COMPILER, *header], check=True)
 
-    def compile(self, source: str, architecture: int) -> Kernel:
+    def compile(self, source: str, architecture: int) -> bytes:
         self.sources.append(source)
         library = build(f'#include "before.h"\n{source}\n#include "after.h"\n', f"-I{self.folder}")
-        return Kernel(struct.pack("q", len(library)) + library, "", 0, 0)
+        return struct.pack("q", len(library)) + library
 
 
 def driver(folder: Path) -> ctypes.CDLL:

@@ -87,7 +87,7 @@ def test_legs_on_cuda_are_those_of_the_c_compiler(plant, start, cuda_device, nvr
     for name in tables[0].metrics:
         assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
     if cuda_device is not None:
-        assert 0 < nvrtc.compile(cuda_device.sources[0], 90).registers <= 255
+        assert nvrtc.compile(cuda_device.sources[0], 90).startswith(b"\x7fELF")
 
 
 @pytest.mark.slow

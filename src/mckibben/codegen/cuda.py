@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import importlib.util
-import re
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -27,7 +26,6 @@ _DRIVER = "libcuda.so.1"
 _OPTIONS = (
     "--std=c++17",
     "--device-as-default-execution-space",
-    "--ptxas-options=-v",
     "--prec-div=false",  # in 32 bits, an error of two units in the last place
     "--prec-sqrt=false",
 )
@@ -36,15 +34,6 @@ _NO_DEVICE = 100
 _OUT_OF_MEMORY = 2
 _MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability
 _OTHER_ENGINE = "use engine='native' or 'xla'"
-
-
-class Kernel(NamedTuple):
-    """A compiled kernel: its binary or PTX, the registers per thread, and the bytes per thread that spill to memory."""
-
-    image: bytes
-    ptx: str
-    registers: int
-    spilled: int
 
 
 class DeviceProgram(NamedTuple):
@@ -77,8 +66,8 @@ class Nvrtc:
         self._call("nvrtcGetSupportedArchs", known)
         self.architectures = list(known)
 
-    def compile(self, source: str, architecture: int) -> Kernel:
-        """Compile for a compute capability, such as 90; as PTX if it is newer than the compiler.
+    def compile(self, source: str, architecture: int) -> bytes:
+        """Compile to the binary for a compute capability, such as 90, or to PTX if that is newer than the compiler.
 
         Raises `DeviceError` for a capability older than all that the compiler knows, `CompilerError`, with the first
         error of its log, for a source that does not compile.
@@ -102,13 +91,9 @@ class Nvrtc:
             if status:
                 first = next((line for line in log.splitlines() if "error" in line), self._error(status))
                 raise CompilerError(f"NVRTC {self.name} does not compile the program: {first}", value=status)
-            ptx = self._text(program, "PTX")
-            image = self._text(program, "CUBIN") if known else ptx
+            return self._text(program, "CUBIN" if known else "PTX")
         finally:
             self._call("nvrtcDestroyProgram", byref(program))
-        log = log.partition("'run'")[2]  # without the kernel that computes the constants
-        registers, spilled = (re.search(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
-        return Kernel(image, ptx.decode(), *(int(match[1]) if match else 0 for match in (registers, spilled)))
 
     @property
     def name(self) -> str:
@@ -304,7 +289,7 @@ class CudaFunction(NativeFunction):
         return repr((device().compiler, device().architecture, _OPTIONS)), "cuda"
 
     def _built(self, source: str, many: bool) -> bytes:
-        return nvrtc().compile(source, device().architecture).image
+        return nvrtc().compile(source, device().architecture)
 
     def _loaded(self, program: bytes, leaves: Sequence[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         return _OnDevice(device().load(program), 1, list(leaves), tree)

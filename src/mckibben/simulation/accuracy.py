@@ -238,11 +238,6 @@ def resolution_of(refined: Refinement, accuracy: float) -> Resolution:
     return Resolution(substeps, error, unresolved_from, not converges)
 
 
-def nominal_substeps(refined: Refinement, accuracy: float) -> int:
-    """Integration steps per control period of one run that reach the accuracy; 4 or more if the run is chaotic."""
-    return resolution_of(refined, accuracy).batch_substeps(refined.first)
-
-
 class StepCounts(NamedTuple):
     """Integration steps per control period of the runs of a batch, and their estimated errors [rad]."""
 

@@ -143,13 +143,11 @@ def attainable_band(
     )
 
 
-def _band_at(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Array) -> tuple[Array, Array]:
+@BatchFunction
+def static_bands(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Array) -> tuple[Array, Array]:
     """`attainable_band` at one angle."""
     plant, amplitude, tension = shared
     return attainable_band(plant, angle, amplitude, tension)
-
-
-static_bands = BatchFunction(_band_at)
 
 
 def static_band(

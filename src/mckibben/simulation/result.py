@@ -371,12 +371,10 @@ class SimulationResult(RunResult):
         )
 
 
-def _trajectory_at(shared: tuple[JointPlant, ArrayLike | None], lane: tuple[Setpoint, Record, Array]) -> Trajectory:
+@BatchFunction
+def _trajectories(shared: tuple[JointPlant, ArrayLike | None], lane: tuple[Setpoint, Record, Array]) -> Trajectory:
     """Trajectory at one control period."""
     return trajectory(shared[0], *lane, shared[1])
-
-
-_trajectories = BatchFunction(_trajectory_at)
 
 
 def compute_trajectory(

@@ -25,7 +25,6 @@ from mckibben.simulation.accuracy import (
     Resolution,
     Runs,
     check_accuracy,
-    nominal_substeps,
     refine,
     resolution_of,
 )
@@ -199,7 +198,8 @@ def needed_substeps(
 
 def episode_substeps(*parts: Any, accuracy: float) -> int:
     """`needed_substeps` of an episode of `numeric` plant, controller, setpoints, start and control period [s]."""
-    return nominal_substeps(_Run(*parts).refined(accuracy, {}), accuracy)
+    refined = _Run(*parts).refined(accuracy, {})
+    return resolution_of(refined, accuracy).batch_substeps(refined.first)
 
 
 class _Run(NamedTuple):
