@@ -1,7 +1,6 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from mckibben.control import Constant
 from mckibben.numerics.compiled import jit, numeric
@@ -39,14 +38,3 @@ def test_a_new_value_compiles_nothing_and_a_new_structure_does():
     assert len(traced) == 1
     double(Constant(1.0), time=jnp.zeros(3))
     assert len(traced) == 2
-
-
-def test_the_compiled_function_keeps_its_name():
-    @jit
-    def named(x):
-        """Documented."""
-        return x
-
-    assert named.__name__ == "named"
-    assert named.__doc__ == "Documented."
-    assert float(named(2.0)) == pytest.approx(2.0)

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.numerics.calculus import derivative, value_and_derivative
+from mckibben.numerics.calculus import derivative
 
 
 @pytest.mark.parametrize("x", [0.7, [0.1, 0.2, 0.3], [[0.1], [0.9]]])
@@ -11,11 +11,6 @@ def test_it_is_the_derivative_at_every_element_in_the_arguments_shape(x):
     got = derivative(lambda v: jnp.sin(v) * v**2, x)
     assert got.shape == x.shape
     np.testing.assert_allclose(got, np.cos(x) * x**2 + 2 * x * np.sin(x), rtol=1e-14)
-
-
-def test_the_value_comes_along():
-    value, slope = value_and_derivative(lambda v: v**3, 2.0)
-    assert (float(value), float(slope)) == (8.0, 12.0)
 
 
 def test_it_nests():
