@@ -18,7 +18,6 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = sorted(p.stem for p in (ROOT / "examples").glob("*.yaml"))
 
 
 @pytest.mark.slow
@@ -36,8 +35,8 @@ def test_an_example_in_full(cli):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, shortened, name):
+@pytest.mark.parametrize("name", ["pre-contracted-step-pid", "linear-axis"])  # tests/study/test_examples.py runs all
+def test_the_numbers_of_an_example_are_those_of_the_run(cli, tmp_path, shortened, name):
     (tmp_path / "short.yaml").write_text(shortened(name), encoding="utf-8")
     found = cli("simulate", "short.yaml")
     determined = name == "linear-axis"  # by the place: no stiffness can be asked for

@@ -34,7 +34,8 @@ def test_a_scenario_starts_at_rest_and_runs_without_a_warning(path):
         assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(scenario.start.stiffness)
     state = scenario.control().init(Measurement(initial.angle, initial.pressures))
     assert np.isfinite(float(state.estimate))
-    assert run_scenario(scenario).outcome.usable
+    result = run_scenario(scenario)
+    assert result.outcome.usable and not result.poor_tracking
 
 
 @pytest.mark.slow

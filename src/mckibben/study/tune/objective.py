@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.control import RandomSteps, Samples, Step
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import cores
 from mckibben.scenario import (
@@ -99,9 +98,6 @@ class TuningProblem:
                 followed_names(scenario, model_follows, [*names, *drawn])
             except ParameterError as error:
                 raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
-            if "coupling" in cost.metrics and not isinstance(scenario.signals.stiffness, Step | RandomSteps | Samples):
-                message, remedy = f"coupling is not defined for {scenario.name!r}", "give its stiffness a step"
-                raise ParameterError(message, value="coupling", remedy=f"leave it out of the cost, or {remedy}")
             if drawn:
                 check_frequencies(batched(scenario, drawn).reference(), scenario.control_period)
         return cls(tuple(scenarios), space, cost, model_follows, drawn)
