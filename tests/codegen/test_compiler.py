@@ -37,8 +37,7 @@ def programs(tmp_path, monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
     monkeypatch.setattr(native, "_FAILED", [])
     monkeypatch.setattr(native, "_WARNED", [])
-    yield tmp_path / "programs"
-    native._compiler_state.cache_clear()
+    return tmp_path / "programs"
 
 
 @pytest.fixture
@@ -50,7 +49,6 @@ def use(tmp_path, monkeypatch, programs):
         path.write_text(f'#!/bin/sh\nOUT=library.so REAL={REAL}\necho "$$" >> {tmp_path}/started\n{script}\n')
         path.chmod(0o755)
         monkeypatch.setenv("CC", str(path))
-        native._compiler_state.cache_clear()
         return lambda: len((tmp_path / "started").read_text().split()) if (tmp_path / "started").exists() else 0
 
     return use

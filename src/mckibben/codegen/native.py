@@ -145,7 +145,7 @@ class NativeFunction:
         at every later call, without another try.
         """
         common, varying = Split.of(shared), Split.of(lanes, lanes=True)
-        key = common.key, varying.key, single
+        key = common.key, varying.key, single, *own_flags()  # which may change in a notebook
         with self._lock:
             if (program := self._known.get(key)) is None:
                 try:
@@ -557,7 +557,6 @@ def load_library(library: bytes) -> tuple[Any, int]:
     return run, width
 
 
-@functools.cache
 def _compiler_state() -> str:
     """Identity of the compiler, and its options, for the program cache."""
     name = compiler()
