@@ -204,7 +204,7 @@ def test_commands_are_narrowed_by_the_limits_of_the_joint_alone():
     scenario = Scenario.read("examples/calibration/valves.yaml")
 
     def span(strength):
-        parts = ValveExperiment(-10 * deg, 10 * deg, 10.0, strength=strength).scenarios(scenario)
+        parts = ValveExperiment(-10 * deg, 10 * deg, 5.0, strength=strength).scenarios(scenario)
         steps = parts["steps"].controller.pressure1
         return steps.high - steps.low
 

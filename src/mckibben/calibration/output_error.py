@@ -235,7 +235,7 @@ def _motion(recording: JointRecording, *, longest: float = 0.05, gap: int = 10) 
     return _Motion(grid, angle, commands, np.float64(period), *weight)
 
 
-def _padded(motion: _Motion, *, block: int = 1024) -> _Motion:
+def _padded(motion: _Motion, *, block: int = 512) -> _Motion:
     """A motion padded with rest to whole blocks of samples: each length needs its own program."""
     more = -motion.angle.size % block
     columns = motion[:3]

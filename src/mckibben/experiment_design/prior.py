@@ -61,13 +61,10 @@ class PriorData:
         points = measured.taut
         law = fit.law if isinstance(fit, Fit) else fit
         if any(p.penalised for p in type(law).parameters()):
-            raise ParameterError(
-                f"{type(law).__name__} has deviations with a prior: points cannot be planned for them",
-                remedy="plan for ExponentialLaw, which it extends",
-            )
+            message = f"{type(law).__name__} has deviations with a prior: points cannot be planned for them"
+            raise ParameterError(message, remedy="plan for ExponentialLaw, which it extends")
         friction = bool(len(points.directions))
-        names = [p.name for p in type(law).parameters()]
-        rows = design_matrix(law, names, points.contraction, points.pressure)
+        rows = design_matrix(law, [p.name for p in type(law).parameters()], points.contraction, points.pressure)
         if friction:
             signs = [DIRECTION_SIGN.get(str(d), 0.0) for d in points.table["direction"].to_numpy()]
             rows = np.concatenate([rows, np.array(signs)[:, None]], axis=1)
@@ -91,9 +88,8 @@ def _fit(
 ) -> Fit | ForceLaw:
     """The fit to the points, or the guess if they determine none."""
     if law_type is None:
-        raise ParameterError(
-            "a plan needs the kind of law", field="law_type", remedy="give one, such as ExponentialLaw"
-        )
+        remedy = "give one, such as ExponentialLaw"
+        raise ParameterError("a plan needs the kind of law", field="law_type", remedy=remedy)
     try:
         return identify(law_type, data)
     except IdentificationError as error:

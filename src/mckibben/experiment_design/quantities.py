@@ -101,10 +101,8 @@ class Force(QuantityOfInterest):
             with np.errstate(invalid="ignore"):
                 taut = (force > 0) & np.asarray(type(law).formula_domain.contains(contraction, pressure))
             if not taut.any():
-                raise RangeError(
-                    f"the law has no force anywhere in the region {box}",
-                    remedy="choose a region where the muscle is taut",
-                )
+                remedy = "choose a region where the muscle is taut"
+                raise RangeError(f"the law has no force anywhere in the region {box}", remedy=remedy)
             contraction, pressure, force = contraction[taut], pressure[taut], force[taut]
             region = np.stack([contraction, pressure], axis=1)
         names = [p.name for p in type(law).parameters()]

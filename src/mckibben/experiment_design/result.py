@@ -111,10 +111,8 @@ class ExperimentPlan(Result):
 
     def remarks(self) -> list[Remark]:
         """Assumptions of the plan, and limits of the prior data."""
-        return [
-            *(Remark.warning("plan", text) for text in self.notes),
-            *(Remark.warning("data", text) for text in self.diagnostics),
-        ]
+        fields = [("plan", text) for text in self.notes] + [("data", text) for text in self.diagnostics]
+        return [Remark.warning(field, text) for field, text in fields]
 
     def listings(self) -> list[Listing]:
         """Points in order of gain, and the standard errors of the parameters."""
@@ -142,12 +140,11 @@ class ExperimentPlan(Result):
 
     def write(self, folder: Path) -> None:
         """Write the points in test order; add a column ``force_N`` of measured forces to make it a data file."""
-        ordered = sorted(range(len(self.points)), key=lambda i: _rig_order(self.points[i]))
         lines = ["pressure_bar,contraction_percent,direction,repeat"]
-        for i in ordered:
-            p = self.points[i]
-            numbers = f"{p.pressure / bar:.9g},{p.contraction / percent:.9g}"
-            lines.append(f"{numbers},{p.direction or 'unknown'},{p.repeat}")
+        lines += [
+            f"{p.pressure / bar:.9g},{p.contraction / percent:.9g},{p.direction or 'unknown'},{p.repeat}"
+            for p in sorted(self.points, key=_rig_order)
+        ]
         with atomic_write(folder / "plan.csv", overwrite=True) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
