@@ -52,7 +52,7 @@ class Around:
 def start(folder, rig, steps, **given):
     bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
-        stop_flag = getattr(given.get("report"), "stop_flag", None)
+        stop_flag = getattr(given.get("report"), "stop_flag", StopFlag())
         Runner(RigSession(rig, bench, recorder, stop_flag=stop_flag, **given)).run(steps)
 
 

@@ -290,25 +290,23 @@ def _note(recorder: Recorder, kind: str, text: str) -> None:
         recorder.event(kind, text)
 
 
+@dataclass(eq=False)
 class ControlLoop:
     """One run on an open backend; arguments as for `control`."""
 
-    def __init__(
-        self,
-        backend: Backend,
-        program: ControlProgram,
-        plan: RunPlan,
-        limits: JointLimits,
-        recorder: Recorder,
-        stop_flag: StopFlag,
-        progress: Callable[[RunProgress], None] | None,
-    ) -> None:
-        self._columns, self._valves = _channels(backend, plan)
-        self.monitor = JointMonitor(backend, limits, plan.period)
-        self.recorder = recorder
-        self._no_command = [math.nan] * (len(columns(program.telemetry)) - REFERENCE.start)
-        self._backend, self._program, self._plan = backend, program, plan
-        self._stop_flag, self._progress = stop_flag, progress
+    backend: Backend
+    program: ControlProgram
+    plan: RunPlan
+    limits: JointLimits
+    recorder: Recorder
+    stop_flag: StopFlag
+    progress: Callable[[RunProgress], None] | None
+
+    def __post_init__(self) -> None:
+        plan = self.plan
+        self._columns, self._valves = _channels(self.backend, plan)
+        self.monitor = JointMonitor(self.backend, self.limits, plan.period)
+        self._no_command = [math.nan] * (len(columns(self.program.telemetry)) - REFERENCE.start)
         self._next = 0  # number of the next sample
         self._delay = math.inf  # shortest delay of a sample [s]
         self._missed = 0
@@ -323,10 +321,10 @@ class ControlLoop:
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
-        total, backend, plan = self._plan.periods, self._backend, self._plan
+        total, backend, plan = self.plan.periods, self.backend, self.plan
         silence = self.monitor.limits.silence
         while self._next < total:
-            self._stop_flag.check()
+            self.stop_flag.check()
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
             clock = backend.clock()
             rows = self._rows(block, clock)
@@ -335,25 +333,25 @@ class ControlLoop:
             finally:  # also of a sample that stops the run
                 self.recorder.append(rows)
         end = self._next * plan.period
-        while backend.clock() < end and not self._stop_flag.signal:  # the last command lasts for its period
+        while backend.clock() < end and not self.stop_flag.signal:  # the last command lasts for its period
             block = backend.read(self._waiting(), timeout=silence)
             self._next += len(block.time)
             self.record_venting(block)
 
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""
-        self.recorder.append(self._rows(block, self._backend.clock(), venting=True))
+        self.recorder.append(self._rows(block, self.backend.clock(), venting=True))
 
     def _waiting(self) -> int:
         """Number of samples that can be read now; at least the next one, for which to wait."""
         if not math.isfinite(self._delay):
             return 1
-        due = math.floor((self._backend.clock() - self._delay) / self._plan.period + 1e-6) + 1
+        due = math.floor((self.backend.clock() - self._delay) / self.plan.period + 1e-6) + 1
         return min(max(due - self._next, 1), _MOST)
 
     def _step(self, block: Block, rows: list[list[float]], clock: float) -> None:
         """Check samples, act on the newest, send the heartbeat."""
-        plan, monitor, times = self._plan, self.monitor, block.time.tolist()
+        plan, monitor, times = self.plan, self.monitor, block.time.tolist()
         lost, last = block.first - self._next, len(times) - 1
         if lost < 0:
             raise RigError(f"sample {block.first} came when {self._next} was due", remedy="check the device")
@@ -367,15 +365,15 @@ class ControlLoop:
         reading = JointReading(*rows[-1][READING])
         reference = self._act(number, rows[-1], reading)
         monitor.heartbeat()
-        commanded = rows[-1][COMMANDED_AT] = self._backend.clock()
+        commanded = rows[-1][COMMANDED_AT] = self.backend.clock()
         self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
         self._report(times[last], number, reading, reference)
 
     def _report(self, time: float, number: int, reading: JointReading, reference: float) -> None:
         """Report the progress after a period."""
-        if self._progress is not None:
-            duration, phase = self._plan.periods * self._plan.period, self._plan.phase(number)
-            self._progress(RunProgress(time, duration, phase, reading, reference, self._missed, self._limit_cycle))
+        if self.progress is not None:
+            duration, phase = self.plan.periods * self.plan.period, self.plan.phase(number)
+            self.progress(RunProgress(time, duration, phase, reading, reference, self._missed, self._limit_cycle))
 
     def _rows(self, block: Block, clock: float, *, venting: bool = False) -> list[list[float]]:
         """Rows of samples, without commands."""
@@ -383,14 +381,14 @@ class ControlLoop:
         for number, (time, signals) in enumerate(
             zip(block.time.tolist(), block.values.tolist(), strict=True), start=block.first
         ):
-            phase = Phase.VENTING if venting else self._plan.phase(number)
+            phase = Phase.VENTING if venting else self.plan.phase(number)
             reading = [signals[column] for column in self._columns]
             rows.append([time, number, phase, clock, math.nan, *reading, *self._no_command])
         return rows
 
     def _act(self, number: int, row: list[float], reading: JointReading) -> float:
         """Set the valves; return the reference angle [rad]."""
-        plan = self._plan
+        plan = self.plan
         angle, pressure1, pressure2 = reading
         if number < plan.raising:
             if self._ramp_start is None:
@@ -402,14 +400,14 @@ class ControlLoop:
             return math.nan
         reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
-            self._state = self._program.init(*reading)
+            self._state = self.program.init(*reading)
             self._stepped, self._first = number - 1, number
         inputs = self._inputs
         inputs[0:2] = reference
         inputs[2], inputs[3], inputs[4] = angle, pressure1, pressure2
         inputs[5] = (number - self._stepped) * plan.period
         self._stepped = number
-        self._state, values = self._program.step(self._state, inputs)
+        self._state, values = self.program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
         row[REFERENCE.start :] = [*reference.tolist(), *commands, float(limited), *values[2:].tolist()]
         self._note(self._detection.after(angle, float(reference[0]), commands, number - self._first))
@@ -434,8 +432,8 @@ class ControlLoop:
             raise StoppedError(
                 f"the controller commands {first:g} and {second:g} Pa", remedy="simulate the scenario first"
             )
-        (low1, high1), (low2, high2) = self._plan.command_limits
+        (low1, high1), (low2, high2) = self.plan.command_limits
         commands = min(max(first, low1), high1), min(max(second, low2), high2)
-        self._backend.set_valves([commands[i] for i in self._valves])
+        self.backend.set_valves([commands[i] for i in self._valves])
         self._commands = commands
         return commands, commands != (first, second)

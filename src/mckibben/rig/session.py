@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,7 @@ ProgressCallback = Callable[[Progress], None]
 """Called once per cycle."""
 
 
+@dataclass(eq=False)
 class RigSession:
     """One session of a test: each cycle reads a block, checks it, sends the heartbeat and records the block.
 
@@ -71,29 +73,22 @@ class RigSession:
         Stops the test when a signal has set it.
     """
 
-    def __init__(
-        self,
-        backend: MovingBackend,
-        bench: Bench,
-        recorder: Recorder,
-        *,
-        origin: int = 0,
-        since: float = 0.0,
-        report: ProgressCallback | None = None,
-        stop_flag: StopFlag | None = None,
-    ) -> None:
-        self.backend = backend
-        self.bench = bench
-        self.recorder = recorder
-        self.pulses = origin
-        self.monitor = RigMonitor(backend, bench.limits, bench.drive.pulses_per_metre, origin)
-        self._origin = origin
-        self._since = since
-        self._report = report
-        self._names = [channel.name for channel in backend.inputs]
+    backend: MovingBackend
+    bench: Bench
+    recorder: Recorder
+    _: KW_ONLY
+    origin: int = 0
+    since: float = 0.0
+    report: ProgressCallback | None = None
+    stop_flag: StopFlag = field(default_factory=StopFlag)
+
+    def __post_init__(self) -> None:
+        self.pulses = self.origin
+        per_metre = self.bench.drive.pulses_per_metre
+        self.monitor = RigMonitor(self.backend, self.bench.limits, per_metre, self.origin)
+        self._names = [channel.name for channel in self.backend.inputs]
         self._expected = 0
         self._latest: BlockMeans | None = None
-        self._stop_flag = stop_flag or StopFlag()
         self._set_pressure = 0.0
         self._points = 0
 
@@ -124,7 +119,7 @@ class RigSession:
             left -= len(block.time)
         self._points = plateau + 1
         means = dict(zip(self._names, (sums / count).tolist(), strict=True))
-        return self._since + (begun or 0.0), means
+        return self.since + (begun or 0.0), means
 
     @property
     def now(self) -> float:
@@ -161,7 +156,7 @@ class RigSession:
             self.ask(
                 f"turn the screw to {self.bench.contraction_at(pulses) / percent:.4g} % contraction, then press Enter"
             )
-            bench.position = pulses - self._origin
+            bench.position = pulses - self.origin
             self._cycle()
 
     def ask(self, text: str) -> str:
@@ -191,7 +186,7 @@ class RigSession:
         while length is None:
             length = length_of(self.ask("length of the muscle, such as 163.5 mm"))
         contraction = float(self.bench.specimen.contraction_at(length))
-        bench.position = self.bench.pulses_at(contraction) - self._origin
+        bench.position = self.bench.pulses_at(contraction) - self.origin
         self._cycle()
 
     def step_towards(self, force: float, speed: float) -> None:
@@ -325,11 +320,11 @@ class RigSession:
                 with contextlib.suppress(RigError):  # the reason for the stop is more informative
                     self._record(block, 1, plateau)
             raise
-        self.pulses = int(block.pulses[-1]) + self._origin
+        self.pulses = int(block.pulses[-1]) + self.origin
         self._record(block, 1 if plateau >= 0 else bench.decimation, plateau)
-        self._stop_flag.check()
-        if self._report is not None:
-            self._report(
+        self.stop_flag.check()
+        if self.report is not None:
+            self.report(
                 Progress(latest.time, latest, bench.contraction_at(self.pulses), self._set_pressure, self._points)
             )
         return block
@@ -338,10 +333,10 @@ class RigSession:
         if block.first != self._expected:
             lost = block.first - self._expected
             text = f"{lost} samples were dropped"
-            self.recorder.event(DROPPED, text, samples=lost, time=self._since + float(block.time[0]))
+            self.recorder.event(DROPPED, text, samples=lost, time=self.since + float(block.time[0]))
         self._expected = block.first + len(block.time)
         kept = slice(-block.first % every, None, every)
-        times, pulses = (block.time[kept] + self._since).tolist(), (block.pulses[kept] + self._origin).tolist()
+        times, pulses = (block.time[kept] + self.since).tolist(), (block.pulses[kept] + self.origin).tolist()
         values = block.values[kept].astype(np.float32).tolist()
         self.recorder.append([(time, *row, at, plateau) for time, row, at in zip(times, values, pulses, strict=True)])
 
@@ -358,8 +353,8 @@ class RigSession:
         StoppedError
             Of a signal a `SignalledError`.
         """
-        if isinstance(error, KeyboardInterrupt) and self._stop_flag.signal:  # a second signal
-            error = self._stop_flag.error()
+        if isinstance(error, KeyboardInterrupt) and self.stop_flag.signal:  # a second signal
+            error = self.stop_flag.error()
         reason = str(error) if isinstance(error, McKibbenError) else f"{type(error).__name__}: {error}".rstrip(": ")
         reported: list[str] = []
         bench = self.bench
@@ -379,7 +374,7 @@ class RigSession:
             vented = f"{found.pressure / bar:.3g} bar ARE LEFT IN THE MUSCLE: shut the supply by hand"
         data: dict[str, float] = {} if found.pressure is None else {"pressure": found.pressure}
         if found.pulses is not None:
-            data["pulses"] = found.pulses + self._origin
+            data["pulses"] = found.pulses + self.origin
         self._note(lambda: self.recorder.event(VENTED, vented, **data), reported)
         self._note(self.recorder.flush, reported)
         text = "; ".join([f"stopped: {reason}", vented, *(text for text in reported if text not in reason)])
