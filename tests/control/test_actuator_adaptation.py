@@ -161,7 +161,7 @@ def test_a_pair_is_estimated_as_its_valves_are(knee, load):
             actuator_adaptation=ActuatorAdaptation(),
         ).with_period(PERIOD)
         state = control.init(measured)
-        for _ in range(3):
+        for _ in range(2):
             state, sent = control.step(state, setpoint, measured, PERIOD)
         found.append([*sent, state.estimates.actuation.speed, state.estimates.actuation.delay])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-12)

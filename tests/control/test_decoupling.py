@@ -1,6 +1,7 @@
 """Control by inversion in closed loop: exact where the model is, and what is left where nothing is as it believes."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,6 @@ from mckibben.control import (
     PositionStiffnessControl,
     Reference,
     Setpoint,
-    Sine,
     SlidingMode,
     Step,
     VelocityObserver,
@@ -28,9 +28,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg, mm
-
-PERIOD, PERIODS = 1e-3, 2000
-SINE = Sine(10 * deg, 0.5, 0.0, np.pi / 2)  # it starts at rest
+from tests.control.conftest import PERIOD, SINE, off, rmse
 
 
 def eso(knee, load, bandwidth=60.0, observed=200.0, **more):
@@ -47,26 +45,8 @@ def controllers(knee, load):
 
 
 @pytest.fixture(scope="module")
-def run(short_episode):
-    """Two seconds of a setpoint from rest at its start; one program for each structure of a controller."""
-
-    def run(plant, control, angle=SINE, stiffness=15.0, start=None):
-        setpoints = sampled(Reference(angle=angle, stiffness=stiffness), PERIODS * PERIOD, PERIOD)[1]
-        start = numeric(plant.equilibrium(float(setpoints.angle[0]), stiffness=start))
-        plant, control = numeric((plant, control))
-        return short_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 2)[1], setpoints
-
-    return run
-
-
-def off(answer, after=0):
-    """The error of the angle [deg]."""
-    record, setpoints = answer
-    return (np.asarray(record.state.angle) - np.asarray(setpoints.angle))[after:] / deg
-
-
-def rmse(answer, after=0):
-    return float(np.sqrt(np.mean(off(answer, after) ** 2)))
+def run(follow):
+    return functools.partial(follow, 2.0)
 
 
 @pytest.fixture(scope="module")

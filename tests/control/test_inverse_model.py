@@ -15,7 +15,6 @@ from mckibben.control import (
     InverseModelControl,
     Measurement,
     PositionStiffnessControl,
-    Reference,
     Sine,
     Step,
 )
@@ -25,10 +24,10 @@ from mckibben.control.reference import ReferenceDerivatives
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
-from mckibben.simulation import sampled
 from mckibben.units import deg
+from tests.control.conftest import PERIOD, off
 
-PERIOD, SECONDS, CYCLE = 1e-3, 10.0, 1000
+CYCLE = 1000  # periods
 SINE = Sine(8 * deg, 1.0, 0.0, np.pi / 2)  # it starts at rest
 SOFT = PID(3e5, 4e6, 5e4), PID(3e4, 1.1e6, 0.0)
 
@@ -48,23 +47,16 @@ def modelled(knee, load):
 
 
 @pytest.fixture(scope="module")
-def run(short_episode):
-    """Some seconds of a setpoint from rest at its start; one program for each structure of a controller."""
-
+def run(follow):
     def run(plant, control, angle=SINE, stiffness=15.0, start=15.0):
-        setpoints = sampled(Reference(angle=angle, stiffness=stiffness), SECONDS, PERIOD)[1]
-        start = numeric(plant.equilibrium(float(setpoints.angle[0]), stiffness=start))
-        plant, control = numeric((plant, control))
-        return short_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 2)[1], setpoints
+        return follow(10.0, plant, control, angle, stiffness, start)
 
     return run
 
 
 def by_cycle(answer):
     """The RMSE of the angle in each cycle of the sine [deg]."""
-    record, setpoints = answer
-    off = (np.asarray(record.state.angle) - np.asarray(setpoints.angle)) / deg
-    return np.sqrt(np.mean(off.reshape(-1, CYCLE) ** 2, axis=1))
+    return np.sqrt(np.mean(off(answer).reshape(-1, CYCLE) ** 2, axis=1))
 
 
 @jax.jit

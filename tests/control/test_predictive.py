@@ -1,6 +1,7 @@
 """Predictive control in closed loop: the designed linear loop without limits, and its advantage at limits."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -13,16 +14,15 @@ from mckibben.control import (
     ExtendedStateObserver,
     PredictiveControl,
     Reference,
-    Sine,
     Step,
 )
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg
+from tests.control.conftest import PERIOD, SINE, off, rmse
 
-PERIOD, PERIODS = 1e-3, 1500
-SINE = Sine(10 * deg, 0.5, 0.0, np.pi / 2)  # it starts at rest
+SECONDS = 1.5
 
 
 def predictive(knee, load, bandwidth=60.0, observed=200.0, **more):
@@ -30,26 +30,8 @@ def predictive(knee, load, bandwidth=60.0, observed=200.0, **more):
 
 
 @pytest.fixture(scope="module")
-def run(short_episode):
-    """A setpoint from rest at its start; one program for each structure of a controller."""
-
-    def run(plant, control, angle=SINE, stiffness=15.0, start=None):
-        setpoints = sampled(Reference(angle=angle, stiffness=stiffness), PERIODS * PERIOD, PERIOD)[1]
-        start = numeric(plant.equilibrium(float(setpoints.angle[0]), stiffness=start))
-        plant, control = numeric((plant, control))
-        return short_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 2)[1], setpoints
-
-    return run
-
-
-def off(answer, after=0):
-    """The error of the angle [deg]."""
-    record, setpoints = answer
-    return (np.asarray(record.state.angle) - np.asarray(setpoints.angle))[after:] / deg
-
-
-def rmse(answer, after=0):
-    return float(np.sqrt(np.mean(off(answer, after) ** 2)))
+def run(follow):
+    return functools.partial(follow, SECONDS)
 
 
 @jax.jit
@@ -87,7 +69,7 @@ def test_it_stands_still_where_it_stands(run, plant, knee, load):
 
 
 def test_where_both_cannot_be_had_they_are_given_up_as_their_errors_weigh(run, plant, knee, load):
-    setpoint = sampled(Reference(angle=SINE, stiffness=15.0), PERIODS * PERIOD, PERIOD)[1]
+    setpoint = sampled(Reference(angle=SINE, stiffness=15.0), SECONDS, PERIOD)[1]
     knee = numeric(knee)
     for wanted in (5.0, 25.0):
         record, _ = run(plant, predictive(knee, load, 80.0, 250.0), SINE, wanted)

@@ -11,11 +11,7 @@ import pytest
 
 from mckibben.errors import ExportError
 from mckibben.export import export
-from mckibben.export.fmi import fmu
-from mckibben.export.fmu import plant_unit
 from mckibben.firmware import Hardware
-from mckibben.joint import SeriesSpring
-from mckibben.muscle import NoCreep, NoFriction
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import FaultCode, FirmwareState
@@ -261,27 +257,6 @@ def test_switching_valves_are_for_co_simulation_only(tmp_path):
     description = fmpy.read_model_description(tmp_path / "switched.fmu")
     assert description.modelExchange is None and description.coSimulation is not None
     assert any("model exchange" in one for one in made.left_out)
-
-
-@pytest.mark.slow
-def test_series_springs(scenario, tmp_path, opened):
-    plant = scenario.plant()
-    muscle = dataclasses.replace(plant.joint.muscle1, friction=NoFriction(), creep=NoCreep())
-    spring = SeriesSpring(stiffness=20e3, preload=50.0, travel=18e-3)
-    joint = dataclasses.replace(plant.joint, muscle1=muscle, muscle2=muscle, tendon=spring)
-    plant = numeric(dataclasses.replace(plant, joint=joint))
-    initial = plant.init_state(0.0, (3e5, 3e5))
-    content, _ = fmu(plant_unit(plant, initial, "plant", PERIOD, 4)[0], scenario.dumps())
-    (tmp_path / "plant.fmu").write_bytes(content)
-    one, law = opened(tmp_path / "plant.fmu", initialized=False), muscle.law
-    for angle, pressures, extended in ((0.1, (5e5, 4e5), True), (-0.05, (3e5, 3e5), False)):
-        one.set(angle=angle, pressure1=pressures[0], pressure2=pressures[1])
-        tension = one.get("tension1").item()
-        path = float(joint.geometry.path_lengths(angle)[0])
-        extension = (tension - 50.0) / 20e3 if extended else 0.0
-        contraction = muscle.specimen.contraction_at(path - extension)
-        assert (0 < extension < 18e-3) == extended and tension > 5.0
-        assert tension == pytest.approx(float(law.force(contraction, pressures[0])), rel=1e-9)
 
 
 @pytest.mark.slow

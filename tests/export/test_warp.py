@@ -33,7 +33,8 @@ TOLERANCE = 1e-5  # rad
 
 
 def loaded(path):
-    """Module of a file."""
+    """Module of a file; to compile its kernels takes longer than to run them."""
+    importlib.import_module("warp").config.optimization_level = 0
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -145,15 +146,13 @@ def cases():
 
 
 CASES = cases()
+BRANCHING = "HuntLaw", "TonduLopezVariableLaw", "GaussianProcessLaw", "tables", "arms and a pulley", "two bones"
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Angles of all cases by MuJoCo Warp; in the second world each parameter is larger by 1 %."""
     pytest.importorskip("mujoco_warp", reason="the extra warp is not installed")
-    import warp
-
-    warp.config.optimization_level = 0  # to compile the kernels takes longer than to run them
     folder = tmp_path_factory.mktemp("warp")
     joints = {f"j{number}": made(plant, f"j{number}", folder) for number, plant in enumerate(CASES.values())}
     model, data = together(joints)
@@ -188,7 +187,8 @@ def test_each_law_path_friction_creep_and_valve_agrees(case, runs):
 
 
 @pytest.mark.slow
-def test_every_law_and_geometry_gives_the_torque_and_none_pushes(known, tmp_path):
+@pytest.mark.parametrize("known", BRANCHING, indirect=True)
+def test_laws_and_geometries_with_branches_give_the_torque_and_none_pushes(known, tmp_path):
     """The torque of the muscles of a joint is that in 64 bits; needs no MuJoCo Warp."""
     wp = pytest.importorskip("warp", reason="the extra warp is not installed")
     one = made(mk.JointPlant(known.joint, LOAD, mk.IdealValve()), "torque", tmp_path)

@@ -227,7 +227,7 @@ def test_noise_of_the_length_larger_than_its_steps_is_no_reversal_of_the_frictio
 @pytest.mark.slow
 def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
     """A wrong length at a reversal shifts all points of the next stroke."""
-    protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.2 * mm, samples=4)
+    protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.4 * mm, samples=4)
     rig = SimulatedIsobaricTest(MUSCLE, presliding_length=0.8 * mm, regulator_offset=0.0)
     scores = []
     for seed in range(8):

@@ -72,5 +72,5 @@ def test_a_small_motion_meets_friction_as_a_spring(knee, paper_precontracted, in
 @pytest.mark.slow
 def test_closed_valves_with_a_spring_in_series(as_printed):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=60.0, travel=0.01))
-    small = float(secant(springy, 0.05, 1e-4, 1.4))
-    assert small == pytest.approx(float(closed(springy, 0.05, 1.4)), rel=1e-6)
+    small = float(springy.secant_stiffness(0.05, HELD, 1e-4, polytropic_index=1.4))
+    assert small == pytest.approx(float(springy.closed_valve_stiffness(0.05, HELD, polytropic_index=1.4)), rel=1e-6)

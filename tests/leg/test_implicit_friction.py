@@ -10,7 +10,16 @@ from scipy.integrate import solve_ivp
 
 import mckibben as mk
 from mckibben.errors import SimulationError
-from mckibben.leg import Ground, LegPlant, LegScenario, LegStart, PressureSchedule, read_leg, simulate_leg
+from mckibben.leg import (
+    Ground,
+    LegPlant,
+    LegScenario,
+    LegStart,
+    PressureSchedule,
+    read_leg,
+    simulate_leg,
+    simulate_legs,
+)
 from mckibben.leg.dynamics import motion
 from mckibben.numerics.batching import batched_program
 from mckibben.plant.base import Motion
@@ -125,9 +134,17 @@ def test_friction_does_not_limit_the_step(valve):
 
 
 @pytest.mark.slow
-def test_batches_are_single_runs_in_both_engines(single_run_like_batches):
+def test_batches_are_single_runs_in_both_engines():
     plant, start = with_ground(Ground(side_slope=5 * deg, implicit_friction=True))
     schedule = PressureSchedule(tuple((one,) for one in start.pressures))
-    run = single_run_like_batches(plant, schedule, start, duration=0.05, control_period=1 * ms, substeps=2)
-    assert np.abs(run["ground_left"]).max() > 3
-    assert np.ptp(run["angle"][0]) > 0.03 * deg
+    given = {"duration": 0.05, "control_period": 1 * ms, "substeps": 2}
+    over = {"start.upward_speed": [-0.5, start.upward_speed]}
+    native, xla = (
+        simulate_legs(plant, schedule, start, over=over, engine=engine, **given) for engine in ("native", "xla")
+    )
+    for name in native.table:
+        np.testing.assert_allclose(native[name], xla[name], rtol=1e-9, atol=1e-12, err_msg=name)
+    alone = simulate_leg(plant, schedule, start, **given)
+    assert float(native["peak_force"][1]) == pytest.approx(float(alone["ground_up"].max()), rel=1e-9)
+    assert np.abs(alone["ground_left"]).max() > 3
+    assert np.ptp(alone["angle"][0]) > 0.03 * deg
