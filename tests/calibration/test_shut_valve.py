@@ -40,6 +40,10 @@ def two_lengths(seed=0, wall=WALL, **given):
     ]
 
 
+def recorded(time, pressure, contraction=0.1):
+    return Recording.of(time=time, pressure=pressure, force=0 * time, contraction=contraction)
+
+
 def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, seed=0, noise=NOISE):
     """Recording of a muscle filled to 5.5 bar and shut, then vented to 1 bar and shut, by SciPy."""
     volume = float(SPECIMEN.volume(contraction)) + dead
@@ -69,7 +73,7 @@ def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, s
         state = found.y_events[0][0] if opening else found.y[:, -1]
     gauge = np.concatenate(pressures) - ATMOSPHERE
     gauge = gauge + np.random.default_rng(seed).normal(0.0, noise, gauge.size)
-    return Recording.of(time=PERIOD * np.arange(gauge.size), pressure=gauge, force=0 * gauge, contraction=contraction)
+    return recorded(PERIOD * np.arange(gauge.size), gauge, contraction)
 
 
 @pytest.mark.slow
@@ -115,21 +119,16 @@ def test_intervals_of_95_percent_hold_the_truth():
 def test_what_cannot_be_identified_is_refused_with_a_remedy():
     time = np.arange(0.0, 4.0, PERIOD)
     held = np.where(time < 0.5, 0.0, 5 * bar) + np.random.default_rng(0).normal(0, 100.0, time.size)
-    regulated = Recording.of(time=time, pressure=held, force=0 * time, contraction=0.1)
     whole = shut_valve_test(0.1)
     pressure = whole.table["pressure"].to_numpy()
-    moving = Recording.of(time=whole.time, pressure=pressure, force=0 * pressure, contraction=0.1 + 0.01 * whole.time)
-    saturated = Recording.of(
-        time=whole.time, pressure=np.minimum(pressure, 4.3 * bar), force=0 * pressure, contraction=0.1
-    )
-    single = Recording.of(time=whole.time[:1], pressure=pressure[:1], force=[0.0], contraction=0.1)
-    every = slice(None, None, 20)
-    slow = Recording.of(time=whole.time[every], pressure=pressure[every], force=0 * pressure[every], contraction=0.1)
+    regulated, moving = recorded(time, held), recorded(whole.time, pressure, 0.1 + 0.01 * whole.time)
+    saturated = recorded(whole.time, np.minimum(pressure, 4.3 * bar))
+    single, slow = recorded(whole.time[:1], pressure[:1]), recorded(whole.time[::20], pressure[::20])
     for recordings in ([], [regulated], [moving], [saturated], [slow], [single]):
         with pytest.raises(IdentificationError) as caught:
             identify_air(recordings, SPECIMEN)
         assert caught.value.remedy
-    bare = Recording.of(time=whole.time, pressure=pressure, force=0 * pressure)
+    bare = recorded(whole.time, pressure, None)
     with pytest.raises(IdentificationError):
         identify_air([bare], SPECIMEN)
     assert identify_air([bare], SPECIMEN, contraction=0.1).phases
@@ -144,12 +143,11 @@ def test_a_watch_that_is_too_short_is_remarked():
 
 def test_samples_at_exactly_the_lowest_rate_are_accepted():
     whole = shut_valve_test(0.1)
-    table = whole.table.isel(sample=slice(None, None, round(0.01 / float(np.diff(whole.time).mean()))))
-    time = np.round(np.arange(len(table["time"])) * 0.01, 6)
-    pressure, force, contraction = (table[name].to_numpy() for name in ("pressure", "force", "contraction"))
+    every = round(0.01 / float(np.diff(whole.time).mean()))
+    pressure = whole.table["pressure"].to_numpy()[::every]
+    time = np.round(np.arange(pressure.size) * 0.01, 6)
     assert float(np.median(np.diff(time))) >= 0.01
-    slow = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction)
-    assert identify_air([slow], SPECIMEN).phases
+    assert identify_air([recorded(time, pressure)], SPECIMEN).phases
 
 
 def cooling(contraction, time_constant):
@@ -158,7 +156,7 @@ def cooling(contraction, time_constant):
     shut = 4 * bar + 1 * bar * np.exp(-(time - 0.5) / time_constant)
     gauge = np.where(time < 0.5, np.interp(time, [0.4, 0.5], [0.0, 5 * bar]), shut)
     gauge = gauge + np.random.default_rng(0).normal(0.0, 200.0, time.size)
-    return Recording.of(time=time, pressure=gauge, force=0 * time, contraction=contraction)
+    return recorded(time, gauge, contraction)
 
 
 @pytest.mark.parametrize("constants", [(0.7, 0.5), (0.3, 0.7)])
