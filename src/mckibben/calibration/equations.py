@@ -192,12 +192,11 @@ def sampling_period(recording: JointRecording, *, longest: float = 0.01) -> floa
     time = recording.time
     period = float(time[-1] - time[0]) / (time.size - 1)
     if period > longest or np.ptp(np.diff(time)) > period:
-        raise IdentificationError(
-            f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
-            value=period,
-            unit="s",
-            remedy=f"record at {1 / longest:.0f} Hz or more",
+        message = (
+            f"samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced"
         )
+        remedy = f"record at {1 / longest:.0f} Hz or more"
+        raise IdentificationError(message, value=period, unit="s", remedy=remedy)
     return period
 
 
@@ -239,9 +238,8 @@ def halves_of(recording: JointRecording) -> Halves:
         If the pressures are commands, numbers are not finite, or the samples are too few, too sparse or uneven.
     """
     if recording.commanded:
-        raise IdentificationError(
-            "a recording has commanded pressures", remedy="use calibrate_from_commands, or give measured pressures"
-        )
+        remedy = "use calibrate_from_commands, or give measured pressures"
+        raise IdentificationError("a recording has commanded pressures", remedy=remedy)
     check_recording(recording)
     time, period = recording.time, 2 * sampling_period(recording)  # of a half
     margin = cubic_width(period) * period

@@ -165,10 +165,8 @@ class Sweeps:
         if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
             low = high = float(bands.mean())
         if not low <= high:
-            raise ParameterError(
-                "no stiffness is attainable at all of the angles, with and without weight",
-                remedy="give other angles, or a smaller weight",
-            )
+            message = "no stiffness is attainable at all of the angles, with and without weight"
+            raise ParameterError(message, remedy="give other angles, or a smaller weight")
         return low, high
 
 
@@ -201,10 +199,8 @@ def first_model_of(scenario: Scenario) -> AntagonisticJoint:
     """Return `model_of`, which a calibration corrects; `ParameterError` if one has corrected it already."""
     model = model_of(scenario)
     if isinstance(model.geometry, ScaledArms) or model.muscle1.correction or model.muscle2.correction:
-        raise ParameterError(
-            "the controller's model has been calibrated already",
-            remedy="give the scenario with the initial model: intervals need its prior",
-        )
+        remedy = "give the scenario with the initial model: intervals need its prior"
+        raise ParameterError("the controller's model has been calibrated already", remedy=remedy)
     return model
 
 

@@ -256,10 +256,8 @@ def _shut_phases(
             raise IdentificationError(message, value=float(pressure[where][0]), unit="Pa", remedy=remedy)
     lengths = recording.contraction
     if lengths is None and contraction is None:
-        raise IdentificationError(
-            "the contraction is not known",
-            remedy="record the length, or give the contraction (--read 'contraction=10 %')",
-        )
+        remedy = "record the length, or give the contraction (--read 'contraction=10 %')"
+        raise IdentificationError("the contraction is not known", remedy=remedy)
     period, longest = float(np.median(np.diff(time))), float(np.diff(time).max())
     if round(period, 6) > slowest or longest > 1.5 * period:
         message = f"the samples of a recording are up to {show(longest, 'ms', 3)} apart"
@@ -280,13 +278,9 @@ def _shut_phases(
         at = float(lengths[part].mean()) if lengths is not None else contraction
         moved = 0.0 if lengths is None else float(np.ptp(lengths[part]))
         if moved > still:
-            raise IdentificationError(
-                f"the contraction changes by {moved / percent:.2g} % while the valve is shut",
-                value=moved,
-                upper=still,
-                unit="1",
-                remedy="hold the muscle at a fixed length",
-            )
+            message = f"the contraction changes by {moved / percent:.2g} % while the valve is shut"
+            remedy = "hold the muscle at a fixed length"
+            raise IdentificationError(message, value=moved, upper=still, unit="1", remedy=remedy)
         assert at is not None
         volume = float(specimen.volume(at))
         phases.append(ShutPhase(float(time[begin]), float(time[last - 1]), at, volume, means, count * period))

@@ -333,10 +333,8 @@ def _with(valve: Any, values: dict[str, Any]) -> Any:
 
 def _record_of(recording: JointRecording, number: int = 0) -> _Record:
     if recording.commands is None:
-        raise IdentificationError(
-            "a recording has no commands in addition to its pressures",
-            remedy="give columns command1_bar,command2_bar, and pressure1_bar,pressure2_bar",
-        )
+        remedy = "give columns command1_bar,command2_bar, and pressure1_bar,pressure2_bar"
+        raise IdentificationError("a recording has no commands in addition to its pressures", remedy=remedy)
     check_recording(recording)
     period = sampling_period(recording)
     if not np.ptp(recording.commands, axis=0).any():

@@ -273,10 +273,8 @@ def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0
     muscles = []
     for muscle in (joint.muscle1, joint.muscle2):
         if not isinstance(muscle.law, PressureAffineLaw):
-            raise ParameterError(
-                f"the law of {muscle.specimen.name}, {type(muscle.law).__name__}, is not affine in pressure",
-                remedy="fit one that is, such as the exponential law",
-            )
+            message = f"the law of {muscle.specimen.name}, {type(muscle.law).__name__}, is not affine in pressure"
+            raise ParameterError(message, remedy="fit one that is, such as the exponential law")
         if (lowest := float(muscle.domain.pressure_min)) >= _HEADROOM * need.supply:
             used = show(_HEADROOM * need.supply, "bar", 3)
             raise UnreachableError(f"its law begins at {show(lowest, 'bar', 3)}, and {used} of the supply are used")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import SMALL_MOTION
-from mckibben.joint.attainable import cocontraction_segment, is_affine
+from mckibben.joint.attainable import cocontraction_segment, is_affine, stiffness_range
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -122,9 +122,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     ends = pressures(low), pressures(high)
     small = None
     if plant.joint.has_friction:
-        small = AttainableRange(
-            *(np.asarray(_small_motion_stiffness(plant.joint, angles, jnp.asarray(end))) for end in ends)
-        )
+        small = AttainableRange(*(np.asarray(_small_motion_stiffness(plant.joint, angles, end)) for end in ends))
     return StaticEnvelope(
         angles,
         torque,
@@ -133,7 +131,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
         *ends,
         *_contiguous_range(plant, angles, infeasible, about, points),
         *grid,
-        AttainableRange(*(np.asarray(x) for x in _attainable_stiffness(plant, *grid))),
+        AttainableRange(*map(np.asarray, stiffness_range(plant.supplied_joint, *grid, None, 0.0))),
         small,
     )
 
@@ -188,10 +186,5 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
 
 
 @jit
-def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Array) -> Array:
+def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Values) -> Array:
     return joint.secant_stiffness(angle, (pressures[0], pressures[1]), SMALL_MOTION)
-
-
-@jit
-def _attainable_stiffness(plant: JointPlant, angle: ArrayLike, torque: ArrayLike) -> tuple[Array, Array]:
-    return plant.supplied_joint.attainable_stiffness(angle, torque)
