@@ -132,8 +132,6 @@ def test_coupling_is_what_the_runs_show(tracking, setting):
     scenario = tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario
     level = pid_scenario(dataclasses.replace(setting, after=setting.before), StiffnessReference.STEP)
     assert level.start == scenario.start
-    from mckibben.scenario import run_scenario
-
     with_step = tracking.runs[setting.key, StiffnessReference.STEP, PID].result["angle"]
     without = run_scenario(level)
     assert np.ptp(without["desired_stiffness"]) == 0

@@ -61,17 +61,17 @@ def test_between_two_periods_it_is_their_mean(late, playback, start):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["xla", "native"])
-def test_runs_of_a_batch_are_those_alone(late, engine):
+def test_runs_of_a_batch_are_those_alone_in_both_engines(late):
     scenario = Scenario.parse(SCENARIO)
     parts = {"controller": scenario.control(), "reference": scenario.reference()}
-    times = {"duration": 0.1, "control_period": PERIOD, "engine": engine, "substeps": 4}
+    times = {"duration": 0.1, "control_period": PERIOD, "substeps": 4}
     delays = [0.0, 2.4 * PERIOD, 4 * PERIOD]
-    if engine == "native" and mk.codegen.native.compiler() is None:
-        pytest.skip("there is no C compiler")
-    batch = mk.simulate_many(late(0.0), **parts, over={"command_delay": delays}, keep=["angle"], **times)
-    alone = mk.simulate(late(delays[-1]), **parts, **times)
-    at_once = mk.simulate(late(None), **parts, **times)
+    batch, again = (
+        mk.simulate_many(late(0.0), **parts, over={"command_delay": delays}, keep=["angle"], engine=engine, **times)
+        for engine in ("auto", "xla")
+    )
+    np.testing.assert_allclose(again["angle"], batch["angle"], rtol=0, atol=1e-12)
+    alone, at_once = (mk.simulate(late(delay), **parts, **times) for delay in (delays[-1], None))
     assert batch["angle"][2] == pytest.approx(alone["angle"], abs=1e-12)
     assert batch["angle"][0] == pytest.approx(at_once["angle"], abs=1e-12)
     early, between, last = batch["angle"]
