@@ -27,8 +27,6 @@ from mckibben.rig.protocol import Protocol
 from mckibben.rig.simulated.parts import Regulator
 from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
 
-_APART = 1_000_003  # between the seeds of sessions
-
 
 class MountedMuscle(Component):
     """Muscle under test; its law gives the boundaries of the test, friction and creep are for the simulated rig.
@@ -92,7 +90,6 @@ class SimulatedRigSettings(Checked, MuscleRig):
         from mckibben.rig.simulated import (
             FORCE_SENSOR,
             PRESSURE_SENSOR,
-            RealTimeRig,
             SimulatedRig,
             Stretcher,
         )
@@ -110,8 +107,8 @@ class SimulatedRigSettings(Checked, MuscleRig):
                 "force_sensor": replace(FORCE_SENSOR, noise=0.0, resolution=0.0),
                 "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0, resolution=0.0),
             }
-        kind = RealTimeRig if self.paced else SimulatedRig
-        return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
+        parts |= {"mounted_at": self.muscle.mounted_at, "paced": self.paced}
+        return SimulatedRig(muscle, seed=self.seed + 1_000_003 * session, **parts)
 
 
 @dataclass(frozen=True, kw_only=True)

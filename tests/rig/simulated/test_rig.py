@@ -16,7 +16,6 @@ from mckibben.rig.simulated import (
     PRESSURE_SENSOR,
     Burst,
     HostDelayed,
-    RealTimeRig,
     Regulator,
     SamplesDelayed,
     SamplesDropped,
@@ -68,7 +67,7 @@ def columns(rig, kept):
 
 
 def test_it_is_a_backend():
-    for rig in (SimulatedRig(PLAIN), RealTimeRig(PLAIN)):
+    for rig in (SimulatedRig(PLAIN), SimulatedRig(PLAIN, paced=True)):
         assert isinstance(rig, MovingBackend)
         assert [channel.name for channel in rig.inputs] == ["force", "pressure"]
         assert [channel.name for channel in rig.outputs] == ["valve"]
@@ -345,7 +344,7 @@ class Wall:
 
 def test_paced_rig_waits_for_the_wall():
     wall = Wall()
-    rig = RealTimeRig(PLAIN, wall=wall, sleep=wall.sleep)
+    rig = SimulatedRig(PLAIN, paced=True, wall=wall, sleep=wall.sleep)
     rig.open()
     for k in range(5):
         assert rig.read(100).first == 100 * k
@@ -359,7 +358,7 @@ def test_paced_rig_waits_for_the_wall():
 
 def test_paced_rig_vents_while_the_host_is_away():
     wall = Wall()
-    rig = RealTimeRig(PLAIN, wall=wall, sleep=wall.sleep)
+    rig = SimulatedRig(PLAIN, paced=True, wall=wall, sleep=wall.sleep)
     rig.open()
     press(rig, 6 * bar)
     for _ in range(30):
@@ -374,7 +373,7 @@ def test_paced_rig_vents_while_the_host_is_away():
 
 def test_paced_rig_that_is_silent_takes_its_timeout():
     wall = Wall()
-    rig = RealTimeRig(PLAIN, faults=[SamplesStopped(0.05)], wall=wall, sleep=wall.sleep)
+    rig = SimulatedRig(PLAIN, paced=True, faults=[SamplesStopped(0.05)], wall=wall, sleep=wall.sleep)
     rig.open()
     with pytest.raises(SilentError):
         rig.read(100, timeout=0.5)

@@ -12,7 +12,6 @@ from .faults import ValveStuck as ValveStuck
 from .machine import Truth as Truth
 from .parts import Regulator as Regulator
 from .parts import Stretcher as Stretcher
-from .rig import RealTimeRig as RealTimeRig
 from .rig import SimulatedRig as SimulatedRig
 from .sensing import FORCE_SENSOR as FORCE_SENSOR
 from .sensing import PRESSURE_SENSOR as PRESSURE_SENSOR

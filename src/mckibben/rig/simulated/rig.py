@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from mckibben.units import Hz, s
 class SimulatedRig(MovingBackend):
     """The paper's stretching device with a muscle; two inputs and one output.
 
-    Simulated time advances only in `read`, by the duration of the samples; `RealTimeRig` paces it in real time. The
+    Simulated time advances only in `read`, by the duration of the samples, unless it is paced by real time. The
     same seed and the same calls give the same samples.
 
     - The force is that of the muscle, with its friction and creep.
@@ -43,6 +42,10 @@ class SimulatedRig(MovingBackend):
         Its parts.
     rate, patience
         Sampling rate of each input [Hz], timeout of the watchdog [s].
+    paced
+        Whether it runs in real time.
+    wall, sleep
+        Clock of real time [s], and function that sleeps for a time [s]; by default those of the system.
 
     Raises
     ------
@@ -84,6 +87,9 @@ class SimulatedRig(MovingBackend):
         pressure_sensor: Sensor = PRESSURE_SENSOR,
         rate: float = 1000 * Hz,
         patience: float = 1 * s,
+        paced: bool = False,
+        wall: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         check_positive("simulated rig", "Hz", rate=rate)
         check_positive("simulated rig", "s", patience=patience)
@@ -105,6 +111,7 @@ class SimulatedRig(MovingBackend):
         self._sampling = Sampling(self._sensors, self.rate, noise)
         self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
         self._opened = 0.0  # by the machine's time [s]
+        self.paced, self._wall, self._sleep, self._began = paced, wall, sleep, wall()
         self.is_open = False
         self._watchdog = Watchdog(self.patience)
         self._late = 0.0  # of the host [s]
@@ -146,10 +153,16 @@ class SimulatedRig(MovingBackend):
         self._rest()
         self.is_open = True
         self._opened = now = self._machine.now
+        self._began = self._wall()
         self._watchdog.start(now)
         self._sampling.begin(now, int(self._machine.motor.counted(np.array([now]))[0]))
 
     def clock(self) -> float:
+        return self._wall() - self._began if self.paced else self._simulated
+
+    @property
+    def _simulated(self) -> float:
+        """Simulated time since it was opened [s]."""
         return self._machine.now - self._opened
 
     def due(self, count: int) -> float:
@@ -162,6 +175,19 @@ class SimulatedRig(MovingBackend):
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
         """Advance the time until samples are available, and return them; as `Backend.read`."""
+        if not self.paced:
+            return self._read(count, timeout)
+        self._catch_up()
+        most = count / self.rate + timeout
+        while 1e-6 < (left := self.due(count) - self.clock()) <= most:  # later samples are refused by the rig
+            self._sleep(left)
+        try:
+            return self._read(count, timeout)
+        finally:  # timeout of a silent rig, delay of a late host
+            if (ahead := self._simulated - self.clock()) > 1e-6:
+                self._sleep(ahead)
+
+    def _read(self, count: int, timeout: float) -> Block:
         self._check_open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
@@ -242,7 +268,9 @@ class SimulatedRig(MovingBackend):
         self._machine.motor.stop(self._machine.now)
 
     def _catch_up(self) -> None:
-        """Advance the time to that of the host; in simulated time there is none."""
+        """Advance the time to that of the host, if there is one."""
+        if self.paced and (behind := self.clock() - self._simulated) > 0:
+            self.pass_time(behind)
 
     def _rest(self) -> None:
         """Vent and stop, without advancing the time."""
@@ -286,52 +314,3 @@ class SimulatedRig(MovingBackend):
             self._late += fault.duration
         self._machine.apply(fault)
         self._sampling.apply(fault)
-
-
-_SOON = 1e-6  # s, shortest sleep
-
-
-class RealTimeRig(SimulatedRig):
-    """A `SimulatedRig` in real time.
-
-    Parameters
-    ----------
-    muscle, parts
-        As for `SimulatedRig`.
-    wall, sleep
-        Clock [s], and function that sleeps for a time [s]; by default those of the system.
-    """
-
-    def __init__(
-        self,
-        muscle: Muscle,
-        *,
-        wall: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-        **parts: Any,
-    ) -> None:
-        super().__init__(muscle, **parts)
-        self._wall, self._sleep = wall, sleep
-        self._began = wall()
-
-    def open(self) -> None:
-        super().open()
-        self._began = self._wall()
-
-    def clock(self) -> float:
-        return self._wall() - self._began
-
-    def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        self._catch_up()
-        most = count / self.rate + timeout
-        while _SOON < (left := self.due(count) - self.clock()) <= most:  # later samples are refused by the rig
-            self._sleep(left)
-        try:
-            return super().read(count, timeout=timeout)
-        finally:  # timeout of a silent rig, delay of a late host
-            if (ahead := super().clock() - self.clock()) > _SOON:
-                self._sleep(ahead)
-
-    def _catch_up(self) -> None:
-        if (behind := self.clock() - super().clock()) > 0:
-            self.pass_time(behind)
