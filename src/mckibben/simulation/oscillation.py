@@ -23,7 +23,7 @@ _STEPS = 2  # steps of the sensor of the angle in the least amplitude: a loop hu
 _COMMAND = 0.1 * bar
 _STIFFNESS = 0.02
 _REGULAR_SIZE = 0.55  # least swing, relative to the one before
-_SMALLER = 0.995  # of the swing before, at most, of one that has decayed
+_SMALLER = 0.97  # of the swing before, at most, of one that has decayed
 _DECAYED = 0.7  # share of such swings in an oscillation that decays, even if disturbances excite it again
 _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
@@ -31,6 +31,8 @@ _FASTER = 0.6  # largest period of a limit cycle of the angle, relative to the m
 _HARMONIC = 0.25  # of stiffness and commands, where the third harmonic of the reference is still due to it
 _SHARE = 0.25  # of the run in which stiffness or a command oscillates without a break, or
 _MANY = 40  # half-periods; white or differentiated noise has at most some 30 in a row in 10,000 control periods
+_RECENT = 8  # swings of the moving average of their size
+_FALLEN = 0.85  # of the mean size, at least, of this average in an oscillation that does not decay slowly
 
 
 class Signals(NamedTuple):
@@ -83,11 +85,13 @@ class Chain(NamedTuple):
     size: Scalar
     duration: Scalar
     smaller: Scalar  # number of those that are smaller than the one before
+    recent: Scalar  # moving average of the size
 
     @property
     def sustained(self) -> Array:
         """Whether they are enough, and do not decay."""
-        return (self.number >= _HALF_PERIODS) & (self.smaller < _DECAYED * self.number)
+        falls = (self.smaller >= _DECAYED * self.number) | (self.recent * self.number < _FALLEN * self.size)
+        return (self.number >= _HALF_PERIODS) & ~falls
 
 
 class Swings(NamedTuple):
@@ -105,7 +109,7 @@ class Swings(NamedTuple):
     def empty(cls, like: Array) -> Swings:
         """Return the state before the first sample, with the float type of `like`."""
         zero = jnp.zeros_like(like)
-        none = Chain(zero, zero, zero, zero)
+        none = Chain(zero, zero, zero, zero, zero)
         return cls(Turns(zero + 1, zero - jnp.inf, zero, zero), zero + jnp.nan, zero, zero, zero, none, none)
 
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
@@ -121,7 +125,9 @@ class Swings(NamedTuple):
         goes_on = even & (size >= _REGULAR_SIZE * self.size)
         smaller = goes_on & (size < _SMALLER * self.size)
         before = Chain(*(jnp.where(goes_on, value, 0.0) for value in self.chain))
-        chain = Chain(before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller)
+        recent = jnp.where(goes_on, before.recent + (size - before.recent) / _RECENT, size)
+        sums = before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller
+        chain = Chain(*sums, recent)
         longer = chain.number > self.longest.number
         longest = Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True)))
         return Swings(self.turns, self.turns.extreme, self.turns.extreme_at, size, duration, chain, longest)
