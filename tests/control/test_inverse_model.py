@@ -10,14 +10,7 @@ import pytest
 from jax import lax
 
 from mckibben.actuator import FirstOrderValve
-from mckibben.control import (
-    PID,
-    InverseModelControl,
-    Measurement,
-    PositionStiffnessControl,
-    Sine,
-    Step,
-)
+from mckibben.control import PID, InverseModelControl, Measurement, PositionStiffnessControl, Sine, Step
 from mckibben.control.backprop import Network
 from mckibben.control.inverse_model import FilteredSignal, InitialOffset, MeasuredMotion
 from mckibben.control.reference import ReferenceDerivatives

@@ -3,14 +3,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from mckibben.control import (
-    PID,
-    BackpropPID,
-    Loop,
-    Measurement,
-    PositionStiffnessControl,
-    Setpoint,
-)
+from mckibben.control import PID, BackpropPID, Loop, Measurement, PositionStiffnessControl, Setpoint
 from mckibben.control.position_stiffness import Feedforward
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric

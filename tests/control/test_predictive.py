@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve
-from mckibben.control import (
-    Constant,
-    ExtendedStateObserver,
-    PredictiveControl,
-    Reference,
-    Step,
-)
+from mckibben.control import Constant, ExtendedStateObserver, PredictiveControl, Reference, Step
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation import sampled

@@ -6,14 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben import (
-    AntagonisticJoint,
-    PairedPaths,
-    Pulley,
-    Scenario,
-    catalog,
-    return_spring,
-)
+from mckibben import AntagonisticJoint, PairedPaths, Pulley, Scenario, catalog, return_spring
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.units import N, bar, mm
 

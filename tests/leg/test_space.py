@@ -10,17 +10,7 @@ from scipy.optimize import approx_fprime
 
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError, SimulationError
-from mckibben.leg import (
-    Ground,
-    Leg,
-    LegJoint,
-    LegPlant,
-    LegScenario,
-    LegStart,
-    Link,
-    Trunk,
-    read_leg,
-)
+from mckibben.leg import Ground, Leg, LegJoint, LegPlant, LegScenario, LegStart, Link, Trunk, read_leg
 from mckibben.leg.dynamics import Posture, acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.calculus import rk4

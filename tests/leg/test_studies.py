@@ -11,17 +11,7 @@ from typer.testing import CliRunner
 from mckibben.actuator import IdealValve, Tube
 from mckibben.cli import app
 from mckibben.errors import FileError, RangeError, ScenarioError
-from mckibben.leg import (
-    LegScenario,
-    LegStart,
-    Link,
-    Trunk,
-    jump_search,
-    jumping,
-    landing,
-    study_jump,
-    study_landing,
-)
+from mckibben.leg import LegScenario, LegStart, Link, Trunk, jump_search, jumping, landing, study_jump, study_landing
 from mckibben.leg.landing import valve_with
 from mckibben.leg.scenario import DrawSettings
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, with_mass

@@ -5,15 +5,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.muscle import (
-    Domain,
-    GaussianProcessLaw,
-    HuntLaw,
-    MartensBoblanLaw,
-    Muscle,
-    TonduLopezVariableLaw,
-    forces,
-)
+from mckibben.muscle import Domain, GaussianProcessLaw, HuntLaw, MartensBoblanLaw, Muscle, TonduLopezVariableLaw, forces
 from mckibben.units import bar, deg, mm
 
 

@@ -13,33 +13,11 @@ from mckibben import control, paper
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.paper import reproduction
-from mckibben.paper.settings import (
-    AS_PRINTED,
-    PRE_CONTRACTED,
-    SETTINGS,
-    StiffnessReference,
-    bp_scenario,
-    pid_scenario,
-)
-from mckibben.paper.tracking import (
-    BP,
-    CONTROLLERS,
-    FREE_TUNED_BP,
-    PID,
-    TUNED_BP,
-    TUNED_PID,
-    ControllerRun,
-)
+from mckibben.paper.settings import AS_PRINTED, PRE_CONTRACTED, SETTINGS, StiffnessReference, bp_scenario, pid_scenario
+from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics, SimulationResult, check_reference
-from tests.paper.test_claims import (
-    CHOU_CLAIM,
-    COUPLED_CLAIM,
-    MODERATE,
-    SIMILAR_CLAIM,
-    angle_claim,
-    settling_claim,
-)
+from tests.paper.test_claims import CHOU_CLAIM, COUPLED_CLAIM, MODERATE, SIMILAR_CLAIM, angle_claim, settling_claim
 
 pytestmark = pytest.mark.slow
 

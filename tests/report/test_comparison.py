@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mckibben.report.comparison import (
-    comparison_air,
-    comparison_errors,
-    comparison_front,
-)
+from mckibben.report.comparison import comparison_air, comparison_errors, comparison_front
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.compare import CompareResult, Suite, draw
