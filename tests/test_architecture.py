@@ -90,19 +90,19 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 820,
+    "top": 810,
     "actuator": 1050,
-    "calibration": 2070,
+    "calibration": 1970,
     "catalog": 230,
-    "cli": 1440,
-    "codegen": 2540,
-    "component": 1030,
+    "cli": 1410,
+    "codegen": 2530,
+    "component": 1020,
     "config": 550,
     "containment": 290,
-    "contract": 650,
+    "contract": 640,
     "control": 2290,
-    "dataset": 3030,
-    "experiment_design": 780,
+    "dataset": 3000,
+    "experiment_design": 740,
     "export": 2470,
     "firmware": 140,
     "identification": 3600,
@@ -112,19 +112,19 @@ BUDGET = {
     "numerics": 840,
     "paper": 740,
     "plant": 520,
-    "reachability": 1250,
+    "reachability": 1210,
     "report": 2230,
-    "rig": 6060,
-    "scenario": 690,
+    "rig": 5390,
+    "scenario": 680,
     "serial_protocol": 160,
-    "simulation": 2810,
-    "storage": 460,
-    "study": 2890,
+    "simulation": 2740,
+    "storage": 450,
+    "study": 2850,
     "web": 2320,
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 620  # numbers at module level, to come to 500
+MOST_CONSTANTS = 420  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

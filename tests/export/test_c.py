@@ -94,7 +94,7 @@ INPUTS = (
 RUNNING, VENTED, FROZEN = FirmwareState.RUNNING, FirmwareState.VENTED, FaultCode.FROZEN
 
 
-def faulty(samples, faults=2_000, seed=1):
+def faulty(samples, faults=2_500, seed=1):
     """Rows of samples with random faults at their inputs: bad numbers, stuck ones, or no sample (last column is 1)."""
     draw = np.random.default_rng(seed)
     lengths, gaps = draw.geometric(1 / 15, faults), draw.geometric(1 / 10, faults) + 300 * (draw.random(faults) < 0.05)
