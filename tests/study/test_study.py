@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mckibben.errors import FileError
+from mckibben.errors import FileError, SimulationError
 from mckibben.scenario import Scenario
 from mckibben.study.scenarios import ScenarioStudy
 from mckibben.study.study import InterruptedStudy, Study
@@ -60,6 +60,23 @@ def test_another_study_is_refused(tmp_path):
         Draws(seed=4).run(tmp_path, resume=True)
     with pytest.raises(FileError, match="a study exists already"):
         Draws().run(tmp_path)
+
+
+def test_records_of_another_length_or_of_another_version_are_refused(tmp_path):
+    class Short(Draws):
+        def compute(self, rows):
+            return {"square": rows["x"][:1] ** 2}
+
+    class Renamed(Draws):
+        def compute(self, rows):
+            return {"root": np.abs(rows["x"]) ** 0.5}
+
+    with pytest.raises(SimulationError, match="'square' of shape"):
+        Short().run()
+    with pytest.raises(InterruptedStudy):
+        Draws(fail_at=21).run(tmp_path, workers=1)
+    with pytest.raises(SimulationError, match="kept"):
+        Renamed().run(tmp_path, resume=True)
 
 
 class Gravity(ScenarioStudy):

@@ -32,6 +32,9 @@ from mckibben.errors import DatasetError, Problem
 if TYPE_CHECKING:
     import h5py
 
+ENDINGS = ("csv", "txt", "tsv", "dat", "lvm", "tdms", "xlsx", "mat", "h5", "hdf5", "nc", "mcap", "db3")
+"""Usual endings of the files that `read_table` reads; first bytes tell the format, except for a MATLAB 4 file."""
+
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SAVE_COLUMNS = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 _UNITS = ("units", "unit", "unit_string")

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.scenario import Scenario, batched
+from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, check_study, read_store
 from mckibben.study.parameters import (
     Distribution,
@@ -19,7 +20,7 @@ from mckibben.study.parameters import (
     sample,
     sweep_parameters,
 )
-from mckibben.study.study import Records, Study, Table, digest
+from mckibben.study.study import Records, Study, Table, digest, select
 
 Sweepable = Sequence[str | SweptParameter] | Mapping[str, Distribution]
 """Parameters and their distributions: texts for `parse_sweep`, or objects."""
@@ -124,7 +125,8 @@ class ScenarioStudy(Study):
         return cls.format or f"{cls.__module__}.{cls.__qualname__}"
 
     def about(self) -> dict[str, object]:
-        """Return scenario, parameters and sampling, for JSON."""
+        """Return scenario, parameters, sampling and software, for JSON."""
+        first = self.scenarios(select(self.rows(), slice(1)))
         return {
             "format": self._format(),
             "scenario": self.scenario.dumps(folder=self.folder),
@@ -132,7 +134,9 @@ class ScenarioStudy(Study):
             "design": self.design,
             "samples": self.samples,
             "seed": self.seed,
+            "software": software(),
             "digest of values": digest(self.rows()),
+            "digest of model": digest((first.plant(), first.control(), first.reference())),
         }
 
     def rows(self) -> Table:

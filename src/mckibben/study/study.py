@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
+from mckibben.errors import SimulationError
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import map_chunks
 from mckibben.storage.store import STUDY, Job, open_store
@@ -79,6 +80,15 @@ class Study(abc.ABC):
     @abc.abstractmethod
     def compute(self, rows: Table, /) -> Table:
         """Return the records of some rows, arrays of shape (rows,) in their order."""
+
+    def checked(self, rows: Table) -> Table:
+        """Return the records of some rows; raises `SimulationError` unless `compute` returns one for each."""
+        records, count = self.compute(rows), len(next(iter(rows.values())))
+        for name, column in records.items():
+            if np.shape(column)[:1] != (count,):
+                message = f"{type(self).__name__}.compute returns {name!r} of shape {np.shape(column)} for {count} rows"
+                raise SimulationError(message, remedy="return arrays with one entry per row")
+        return records
 
     def block_size(self) -> int:
         """Return the number of rows that are computed and kept together."""
@@ -152,6 +162,9 @@ class Study(abc.ABC):
             text = f"{done} of {count} {self.unit} are kept; continue with --resume (resume=True)"
             raise InterruptedStudy(text) from None
         blocks = [job.read_arrays(number) for number in spans]
+        if len({frozenset(block) for block in blocks}) > 1:
+            message = f"{type(self).__name__} computes other records than those that are kept"
+            raise SimulationError(message, remedy="begin anew in another folder")
         columns = {name: np.concatenate([block.pop(name) for block in blocks]) for name in list(blocks[0])}
         return Records(rows, columns, count - before)
 
@@ -162,13 +175,13 @@ class Study(abc.ABC):
         if dask is not None:
             from mckibben.study.cluster import compute_on_cluster
 
-            yield from compute_on_cluster(self.compute, blocks, keep, dask)
+            yield from compute_on_cluster(self.checked, blocks, keep, dask)
             return
         numbers = list(blocks)
 
         def compute(place: slice) -> int:
             number = numbers[place.start]
-            keep(number, self.compute(blocks[number]))
+            keep(number, self.checked(blocks[number]))
             return number
 
         finished = map_chunks(compute, len(numbers), 1, workers)

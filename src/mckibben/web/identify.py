@@ -21,6 +21,7 @@ from nicegui import events, ui
 from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
+from mckibben.dataset.formats import ENDINGS
 from mckibben.errors import ScenarioError, UnitError, printable
 from mckibben.identification import FitWithFriction, identify_with_friction, rank
 from mckibben.identification.storage import law_types
@@ -51,7 +52,6 @@ from mckibben.web.session import JobState, session
 from mckibben.web.wording import FRICTION, KEEP, on_page
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
-_READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
 NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download muscle” on the page Muscle gives both."
 _FIELDS = {
@@ -187,7 +187,7 @@ class _Page(JobPage[IdentificationState]):
         super().__init__(state, folder)
         with side():
             with panel("Measured points"):
-                upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded, most=_MOST_FILES).on_rejected(
+                upload(", ".join(ENDINGS), LARGEST, self.uploaded, most=_MOST_FILES).on_rejected(
                     lambda: ui.notify(f"more than {_MOST_FILES} files or {LARGEST // 2**20} MiB", type="negative")
                 ).tooltip("several files are those of one test; a recipe.yaml sets how they are read")
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
@@ -253,7 +253,7 @@ class _Page(JobPage[IdentificationState]):
     def new_file(self, name: str) -> Path:
         """Path of a new file in a folder of its own, as two tabs may send data at once, with our ending and prefix."""
         sent = Path(name)
-        ending = suffix if _READABLE.fullmatch(suffix := sent.suffix.lower()) else ".csv"
+        ending = suffix if (suffix := sent.suffix.lower())[1:] in ENDINGS else ".csv"
         stem = re.sub(r'[\x00-\x1f/\\:*?"<>|]', "_", sent.stem)[-60:]  # the characters that no system forbids
         return Path(tempfile.mkdtemp(dir=self.folder, prefix="data-")) / f"data-{stem}{ending}"
 
