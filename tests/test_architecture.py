@@ -94,7 +94,7 @@ BUDGET = {
     "actuator": 1050,
     "calibration": 1970,
     "catalog": 230,
-    "cli": 1410,
+    "cli": 1470,
     "codegen": 2530,
     "component": 1020,
     "config": 550,
@@ -119,7 +119,7 @@ BUDGET = {
     "serial_protocol": 160,
     "simulation": 2740,
     "storage": 450,
-    "study": 2850,
+    "study": 2860,
     "web": 2320,
 }
 

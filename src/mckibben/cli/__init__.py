@@ -24,6 +24,7 @@ from mckibben.cli.export import export
 from mckibben.cli.identify import catalog, identify, validate
 from mckibben.cli.joint import envelope, margins, simulate, size, stiffness
 from mckibben.cli.leg import leg
+from mckibben.cli.new import new
 from mckibben.cli.options import INTERRUPTED, Commands, echo, job_progress, on_command_line, text_width
 from mckibben.cli.points import plan, points
 from mckibben.cli.rig import rig
@@ -96,6 +97,7 @@ def web(
 
 _PANELS = {
     "The paper": (reproduce,),
+    "A file to start from": (new,),
     "Muscles, data and test rig": (points, identify, validate, plan, catalog, rig),
     "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
     "Studies": (tune, compare, sweep),

@@ -1,0 +1,48 @@
+"""`mckibben new`: files to start from run as they are, with a muscle of the catalog or the user's."""
+
+import json
+
+import pytest
+
+from mckibben import catalog
+from mckibben.component.schema import ComponentField, write
+from mckibben.config.document import to_text
+from mckibben.muscle import Muscle
+
+OWN = Muscle(catalog.specimen("DMSP-20-300"), catalog.law("lei-mas-10-180n"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("own", [False, True])
+def test_a_joint_runs_with_margins(cli, tmp_path, own):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "muscle.yaml").write_text(to_text(write(OWN, ComponentField(Muscle))))
+    assert cli("new", "joint", "joint.yaml", *(("--muscle", "own/muscle.yaml") if own else ())).code == 0
+    assert json.loads(cli("simulate", "joint.yaml", "--json").out)["verdict"] == "completed"
+    margins = json.loads(cli("margins", "joint.yaml", "--json").out)
+    assert min(margins["columns"]["disk"]["values"]) > 0.5
+    length = "266 mm" if own else "162 mm"
+    assert (tmp_path / "joint.yaml").read_text().count(f"rest_length: {length}") == 2
+
+
+def test_a_test_and_a_leg_are_valid(cli):
+    for kind, command in (("bench", ("rig", "run", "--dry-run")), ("leg", ("leg", "stiffness"))):
+        assert cli("new", kind, f"{kind}.yaml").code == 0
+        done = cli(*command, f"{kind}.yaml")
+        assert done.code == 0, done.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (("jiont", "x.yaml"), "did you mean 'joint'"),
+        (("leg", "x.yaml", "--muscle", "own.yaml"), "leave --muscle out"),
+        (("joint", "x.yaml", "--muscle", "missing.yaml"), "missing.yaml"),
+        (("joint", "there.yaml"), "already exists"),
+    ],
+)
+def test_mistakes_write_nothing(cli, tmp_path, arguments, meant):
+    (tmp_path / "there.yaml").write_text("mine")
+    done = cli("new", *arguments)
+    assert done.code == 2 and meant in done.err
+    assert (tmp_path / "there.yaml").read_text() == "mine" and not (tmp_path / "x.yaml").exists()
