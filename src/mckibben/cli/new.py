@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mckibben.cli.command import plain_command
 from mckibben.cli.options import echo
 from mckibben.errors import ParameterError, RangeError, quoted, suggest
-
-if TYPE_CHECKING:
-    from mckibben.muscle import Muscle
 
 _KINDS = ("joint", "bench", "leg")
 _MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
