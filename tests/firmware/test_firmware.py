@@ -1,9 +1,9 @@
 """Firmware with a simulated joint, on this computer and on an emulated Cortex-M7, and the syntax of its sketches."""
 
-import hashlib
 import os
 import shutil
 import subprocess
+import time
 import tty
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, ScenarioError
 from mckibben.export import export
 from mckibben.firmware import Hardware
+from mckibben.rig import JointRig, prepare
+from mckibben.rig.record import read_record
 from mckibben.rig.serial_line import SerialBackend
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import (
@@ -31,6 +33,8 @@ from mckibben.serial_protocol import (
 
 pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
 HERE = Path(__file__).parent
+EXAMPLE = "examples/pre-contracted-step-pid.yaml"
+SCENARIO = Scenario.read(EXAMPLE).model_copy(update={"duration": 0.5})
 CROSS = "-std=c99 -O2 -mcpu=cortex-m7 -mthumb -mfpu=fpv5-d16 -mfloat-abi=hard -specs=nosys.specs -nostartfiles".split()
 CROSS += ["-Wl,--section-start=.vectors=0", "-Wl,-Ttext=0x2000", "-Wl,-Tdata=0x20000000", "-Wl,-e,reset"]
 QEMU = "qemu-system-arm -M mps2-an500 -display none -monitor none -serial stdio -kernel firmware.elf".split()
@@ -82,15 +86,14 @@ class Session:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("host")
-    scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    export(scenario, "firmware", folder, name="knee", hardware=Hardware(board="host"))
+    export(SCENARIO, "firmware", folder, hardware=Hardware(board="host"))
     subprocess.run(["make", "-s"], cwd=folder, check=True)
     return folder
 
 
 @pytest.fixture
 def digest(folder):
-    return hashlib.sha256((folder / "scenario.yaml").read_bytes()).digest()
+    return Scenario.read(folder / "scenario.yaml").digest
 
 
 @pytest.fixture
@@ -179,7 +182,7 @@ def test_commands_of_the_host_are_limited(session, digest):
 @pytest.mark.skipif(shutil.which(QEMU[0]) is None, reason="no qemu-system-arm")
 def test_an_emulated_cortex_m7_does_the_same(session, folder, digest):
     shutil.copy(HERE / "qemu.c", folder)
-    sources = "qemu.c simulated.c firmware.c link.c knee.c plant.c -o firmware.elf -lm".split()
+    sources = "qemu.c simulated.c firmware.c link.c controller.c plant.c -o firmware.elf -lm".split()
     subprocess.run(["arm-none-eabi-gcc", *CROSS, *sources], cwd=folder, check=True, capture_output=True)
     (child_in, write), (read, child_out) = os.pipe(), os.pipe()
     limited = ["sh", "-c", 'ulimit -t 120; exec "$@"', "sh", *QEMU]  # an emulator without a host runs at full speed
@@ -221,6 +224,18 @@ def test_sketches_are_valid_with_declarations_of_the_core(board, angle, tmp_path
     subprocess.run(["g++", *options, "knee.ino"], cwd=tmp_path / "knee", check=True)
 
 
+def test_the_digest_is_the_same_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "angle.csv").write_text("time_s,angle_deg\n0,0\n20,5\n", encoding="utf-8")
+    sine = "{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}"
+    text = Path(EXAMPLE).read_text(encoding="utf-8").replace(sine, "{class: samples_file, file: angle.csv}")
+    (tmp_path / "scenario.yaml").write_text(text, encoding="utf-8")
+    scenario = Scenario.read(tmp_path / "scenario.yaml")
+    digest = scenario.digest
+    scenario.to_yaml(tmp_path / "firmware.yaml")
+    monkeypatch.chdir(tmp_path)
+    assert digest == scenario.digest == Scenario.read("firmware.yaml").digest != SCENARIO.digest
+
+
 def test_a_missing_part_is_asked_for(tmp_path):
     scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     for text, field in ((PARTS, "board"), (f"board: esp32\n{PARTS}".replace("vent:", "#"), "vent")):
@@ -236,8 +251,8 @@ def test_a_missing_part_is_asked_for(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_serial_backend_runs_the_firmware(folder, digest):
-    """Both ends of the protocol, in real time: samples, arming, commands, and the vent."""
+def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
+    """Both ends of the protocol, in real time: samples, arming, commands, and the vent; then a scenario."""
     pytest.importorskip("serial", reason="needs the extra rig")
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -256,6 +271,13 @@ def test_the_serial_backend_runs_the_firmware(folder, digest):
                 assert block.first + len(block.time) > 5000
                 backend.vent()
                 assert backend.read(1000).values[-1, 1:].max() < 2e4
+            time.sleep(2.5)  # the line is full, and nobody reads it
+            limits = "{late: 1 s, silence: 1 s, pressure_error: 5 bar}"
+            rig = JointRig.parse(f"rig: {{serial: {{port: {os.ttyname(slave)}}}}}\nlimits: {limits}")
+            ran = prepare(SCENARIO, rig).run(tmp_path / "run")
+            assert ran.outcome.completed, ran.outcome.text
+            assert ran.outcome.vented_after < 1.0
+            assert np.array_equal(read_record(tmp_path / "run").columns["sample"][:4500], np.arange(4500))
         finally:
             process.kill()
             os.close(master)

@@ -84,7 +84,6 @@ def control(
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
         echo(f"warning: {session.reach.verdict()}", err=True)
-    read.to_yaml(out / "scenario.yaml")
     with run_line(quiet=json) as progress:
         try:
             ran = session.run(out, progress=progress)
@@ -95,6 +94,7 @@ def control(
     if error is not None:  # before the results, as the disk may be full
         echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
     try:
+        read.to_yaml(out / "scenario.yaml")  # not of a refused run; the record has it too
         present(_report(ran, session, paced=not unpaced), json=json, out=out, force=True)
     finally:
         if error is not None:
@@ -140,7 +140,8 @@ def _report(ran: JointRunResult, session: JointSession, *, paced: bool) -> RunRe
             result.to_netcdf(folder / "result.nc")
             report.save(report.tracking({session.scenario.name: result}), folder, "tracking")
 
-    verdict = ran.outcome.venting if result is None else f"{result.verdict()}; {ran.outcome.venting}"
+    completed = result is not None and ran.outcome.completed
+    verdict = f"{result.verdict() if completed else ran.outcome.kind}; {ran.outcome.venting}"
     return RunReport(verdict, tuple(tables), () if result is None else tuple(result.remarks()), write, numbers)
 
 

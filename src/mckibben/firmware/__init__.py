@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -136,16 +135,16 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
             message, remedy = f"the firmware needs {field}", f"give {field} in the hardware file"
             raise ExportError(message, field=field, remedy=remedy)
     source, text = controller_functions(scenario, hardware.limits), scenario.dumps(folder=folder)
-    module = stepping_module(name, source)
+    module = stepping_module("controller", source)
     comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}."
     program = write_c(module, comment, single=hardware.single, wide=("setpoint",), units=units_of(module, "Pa, gauge"))
     channels = [("angle", "rad"), ("pressure1", "Pa"), ("pressure2", "Pa"), *[("force", "N")] * bool(hardware.force)]
     hello = Hello(
         f"mckibben {mckibben.__version__} {hardware.board}",
         round(source.period * 1e6),
-        hashlib.sha256(text.encode()).digest(),
+        scenario.digest,
         channels,
-        [("command1", "Pa"), ("command2", "Pa")],
+        [("valve1", "Pa"), ("valve2", "Pa")],
         [("angle", "rad"), ("stiffness", "N*m/rad")],
     )
     values = {
@@ -154,7 +153,6 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
         "valves": [hardware.valve1, hardware.valve2],
         "volts": _CONVERTERS.get(str(hardware.board), (0, 0))[0],
         "bits": _CONVERTERS.get(str(hardware.board), (0, 0))[1],
-        "name": name,
         "title": comment_text(" ".join(scenario.name.split())),
         "real": "float" if hardware.single else "double",
         "period": repr(source.period),
@@ -163,7 +161,7 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
         "measurements": [channel for channel, _ in channels],
         "hello": list(hello.pack()),
     }
-    files = {f"{name}.h": program.header, f"{name}.c": program.source, **link_files()}
+    files = {"controller.h": program.header, "controller.c": program.source, **link_files()}
     files |= _filled(("firmware.h", "firmware.c"), values)
     left_out: tuple[str, ...] = ()
     if hardware.board == "host":

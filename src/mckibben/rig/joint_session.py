@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -187,8 +186,7 @@ def prepare(
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     substeps = 1 if rig.physical else scenario.needed_substeps()
-    digest = hashlib.sha256(scenario.dumps().encode()).digest()
-    conditions = RunConditions(period, rig.patience, substeps, paced, start if ideal else None, digest)
+    conditions = RunConditions(period, rig.patience, substeps, paced, start if ideal else None, scenario.digest)
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",

@@ -256,7 +256,7 @@ class SafetyMonitor:
                 highest = float(read.mean(axis=0).max())
                 empty = highest <= threshold
                 still = int(block.pulses[-1]) if block.pulses[0] == block.pulses[-1] else None
-                found = VentResult(highest, newest - begun if empty else None, still)
+                found = VentResult(highest, max(newest - begun, 0.0) if empty else None, still)
                 if empty or newest >= begun + duration:
                     return found
         except (Exception, KeyboardInterrupt):  # it was vented before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import math
 import os
@@ -198,6 +199,11 @@ class Scenario(RunSettings):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
+
+    @property
+    def digest(self) -> bytes:
+        """SHA-256 of the scenario with the absolute paths of its files: the same from whichever folder it is read."""
+        return hashlib.sha256(self.dumps(folder=Path.cwd().anchor).encode()).digest()
 
     def plant(self) -> JointPlant:
         """Return the simulated plant."""

@@ -1,7 +1,7 @@
 /* Arming, protocol and safety around the controller. One step per period: measure, check, command, report. */
 #include "firmware.h"
 
-#include "${name}.h"
+#include "controller.h"
 
 #include <math.h>
 #include <string.h>
@@ -9,8 +9,8 @@
 static const uint8_t HELLO[] = {${hello | join(", ")}};
 enum { VERSION_OFFSET = 0, DIGEST_OFFSET = 8, DIGEST_SIZE = 32 };
 
-static ${name} controller;
-static ${name}_setpoint setpoint;
+static controller joint;
+static controller_setpoint setpoint;
 static double asked[COMMANDS];
 static link_receiver receiver;
 static uint8_t state = STATE_DISARMED, fault = CODE_NONE, source;
@@ -44,9 +44,9 @@ static void vent(uint8_t next)
     has_setpoint = has_commands = false;
 }
 
-static ${name}_measurement measured(const double values[MEASUREMENTS])
+static controller_measurement measured(const double values[MEASUREMENTS])
 {
-    ${name}_measurement measurement;
+    controller_measurement measurement;
     measurement.angle = (${real})values[0];
     measurement.pressures_0 = (${real})values[1];
     measurement.pressures_1 = (${real})values[2];
@@ -56,7 +56,7 @@ static ${name}_measurement measured(const double values[MEASUREMENTS])
 static void arm(const link_message *message)
 {
     double values[MEASUREMENTS];
-    ${name}_measurement measurement;
+    controller_measurement measurement;
     const uint8_t wanted = message->body[0];
     if (state != STATE_DISARMED || message->size != 1 + DIGEST_SIZE || wanted > SOURCE_COMMANDS ||
         !(wanted == SOURCE_SETPOINTS ? has_setpoint : has_commands)) {
@@ -69,13 +69,13 @@ static void arm(const link_message *message)
     }
     board_measure(values);
     measurement = measured(values);
-    ${name}_defaults(&controller);
-    if (!${name}_init(&controller, (${real})${period}, &measurement)) {
-        report((uint8_t)controller.state.fault, 255, 0);
+    controller_defaults(&joint);
+    if (!controller_init(&joint, (${real})${period}, &measurement)) {
+        report((uint8_t)joint.state.fault, 255, 0);
         return;
     }
     source = wanted;
-    controller.state.share = 0; /* a ramp from the measured pressures */
+    joint.state.share = 0; /* a ramp from the measured pressures */
     state = STATE_RAMPING;
     fault = CODE_NONE;
 }
@@ -129,7 +129,7 @@ static void take(const link_message *message)
 void firmware_begin(bool watchdog)
 {
     board_vent(true);
-    ${name}_defaults(&controller);
+    controller_defaults(&joint);
     heard = board_time();
     send(KIND_HELLO, HELLO, sizeof HELLO);
     if (watchdog) {
@@ -148,34 +148,34 @@ void firmware_receive(uint8_t byte)
 }
 
 /* Commands of the host, within the limits of the controller, which holds and vents for it too. */
-static void follow_host(const ${name}_measurement *measurement, ${name}_commands *commands, ${name}_telemetry *telemetry)
+static void follow_host(const controller_measurement *measurement, controller_commands *commands, controller_telemetry *telemetry)
 {
-    const ${name}_parameters *limits = &controller.parameters;
-    ${name}_setpoint inside;
+    const controller_parameters *limits = &joint.parameters;
+    controller_setpoint inside;
     inside.angle = limits->limits_lowest_setpoint_angle;
     inside.stiffness = limits->limits_lowest_setpoint_stiffness;
-    if (${name}_check(&controller, &inside, measurement) != 0 || !isfinite(asked[0]) || !isfinite(asked[1])) {
-        ${name}_hold(&controller, commands, telemetry);
+    if (controller_check(&joint, &inside, measurement) != 0 || !isfinite(asked[0]) || !isfinite(asked[1])) {
+        controller_hold(&joint, commands, telemetry);
         return;
     }
-    controller.state.held = 0;
-    controller.state.status = telemetry->status = STATE_RUNNING;
+    joint.state.held = 0;
+    joint.state.status = telemetry->status = STATE_RUNNING;
     telemetry->fault = CODE_NONE;
     commands->pressure1 = (${real})fmin(fmax(asked[0], (double)limits->limits_lowest_commands_0), (double)limits->limits_highest_commands_0);
     commands->pressure2 = (${real})fmin(fmax(asked[1], (double)limits->limits_lowest_commands_1), (double)limits->limits_highest_commands_1);
-    controller.state.commands_0 = commands->pressure1;
-    controller.state.commands_1 = commands->pressure2;
+    joint.state.commands_0 = commands->pressure1;
+    joint.state.commands_1 = commands->pressure2;
 }
 
-static void control(const double values[MEASUREMENTS], uint16_t missed, ${name}_commands *commands)
+static void control(const double values[MEASUREMENTS], uint16_t missed, controller_commands *commands)
 {
-    ${name}_telemetry telemetry;
-    const ${name}_measurement measurement = measured(values);
+    controller_telemetry telemetry;
+    const controller_measurement measurement = measured(values);
     uint8_t before = fault;
     for (; missed > 0; --missed)
-        ${name}_hold(&controller, commands, &telemetry);
+        controller_hold(&joint, commands, &telemetry);
     if (source == SOURCE_SETPOINTS)
-        ${name}_step(&controller, &setpoint, &measurement, commands, &telemetry);
+        controller_step(&joint, &setpoint, &measurement, commands, &telemetry);
     else
         follow_host(&measurement, commands, &telemetry);
     held = (uint16_t)(held + (telemetry.status == STATE_HOLDING));
@@ -189,7 +189,7 @@ static void control(const double values[MEASUREMENTS], uint16_t missed, ${name}_
 
 void firmware_step(uint16_t missed)
 {
-    ${name}_commands commands = {0, 0};
+    controller_commands commands = {0, 0};
     double values[MEASUREMENTS], sent[COMMANDS];
     uint8_t body[8 + 4 * (MEASUREMENTS + COMMANDS)];
     int i;
