@@ -114,7 +114,7 @@ BUDGET = {
     "plant": 520,
     "reachability": 1210,
     "report": 2230,
-    "rig": 5390,
+    "rig": 5490,
     "scenario": 680,
     "serial_protocol": 160,
     "simulation": 2740,

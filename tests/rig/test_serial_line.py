@@ -200,8 +200,10 @@ def test_a_board_that_resets_or_vents_is_named(board):
     rig = SerialBackend(there.port)
     with rig.opened():
         followed(rig, [1 * bar, 1 * bar], 0.2)
+        there.send(MessageKind.FAULT, FaultReport(FaultCode.NOT_FINITE, 255, float("nan")).pack())  # it only holds
+        followed(rig, [1 * bar, 1 * bar], 0.1)
         there.vent(FaultCode.OUT_OF_RANGE)
-        with pytest.raises(RigError, match="out of range"):
+        with pytest.raises(RigError, match=r"out of range, with angle 0\.1 rad"):
             followed(rig, [1 * bar, 1 * bar])
         rig.vent()
         there.send(MessageKind.HELLO, there.hello.pack())

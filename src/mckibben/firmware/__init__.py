@@ -22,6 +22,7 @@ from mckibben.errors import ExportError
 from mckibben.export.controller import controller_functions, stepping_module, units_of
 from mckibben.export.targets import Exported
 from mckibben.numerics.compiled import numeric
+from mckibben.rig.compiled import vented_angle
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, Hello, MessageKind
 from mckibben.units import Angle, BoundedInt, ForceTerm, PositivePressure, PositiveTime, Share, ms
@@ -177,19 +178,20 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
 
 
 def _plant(scenario: Scenario, period: float) -> SourceModule:
-    """Simulated joint with ideal sensors: `init`, at 0 rad without pressure, and `advance` by a control period."""
+    """Simulated joint with ideal sensors: `init`, hanging without pressure, and `advance` by a control period."""
+    hanging = vented_angle(scenario.plant())
     plant, substeps, zeros = numeric(scenario.plant().with_ideal_io()), scenario.needed_substeps(), (np.zeros(()),) * 2
     numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
-    module, state = SourceModule("plant", numbers), jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
+    module, state = SourceModule("plant", numbers), jax.tree.map(np.asarray, plant.init_state(hanging, (0.0, 0.0)))
 
     def init(parameters: PyTree) -> dict[str, PyTree]:
-        return {"state": eqx.combine(parameters, fixed).init_state(0.0, (0.0, 0.0))}
+        return {"state": eqx.combine(parameters, fixed).init_state(hanging, (0.0, 0.0))}
 
     def advance(parameters: PyTree, state: PyTree, commands: PyTree) -> dict[str, PyTree]:
         plant = eqx.combine(parameters, fixed)
         return {"state": plant.advance(state, plant.clip_commands(commands), period, substeps)}
 
-    module.add("init", "state at 0 rad without pressure", init, {})
+    module.add("init", "state at rest without pressure", init, {})
     module.add("advance", "state after a control period", advance, {"state": state, "commands": zeros})
     return module
 

@@ -28,7 +28,7 @@ from mckibben.simulation.oscillation import Oscillation, Oscillations, Signals
 def vented_angle(plant: JointPlant) -> float:
     """Equilibrium angle [rad] of the vented joint without friction and creep, nearest to 0 within +-90 deg."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, 721)
-    torque = np.asarray(_torque(plant, angles))
+    torque = np.asarray(_torque(plant, angles, 0.0, 0.0))
     stable = np.flatnonzero((torque[:-1] >= 0) & (torque[1:] <= 0))
     if not stable.size:
         raise SimulationError(
@@ -36,13 +36,18 @@ def vented_angle(plant: JointPlant) -> float:
             remedy="give it a load with a stable equilibrium",
         )
     at = stable[np.argmin(np.abs(angles[stable]))]
-    zero: Any = brentq(lambda angle: float(_torque(plant, angle)), angles[at], angles[at + 1], xtol=1e-12)
+    zero: Any = brentq(lambda angle: float(_torque(plant, angle, 0.0, 0.0)), angles[at], angles[at + 1], xtol=1e-12)
     return float(zero)
 
 
+def probing_torques(plant: JointPlant, angle: float, pressure: float) -> tuple[float, float]:
+    """Torque [N*m] by which a pressure [Pa] in each muscle alone moves the joint that rests at an angle [rad]."""
+    return float(_torque(plant, angle, pressure, 0.0)), float(_torque(plant, angle, 0.0, pressure))
+
+
 @jit
-def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
-    return plant.joint.torque(angles, (0.0, 0.0)) + plant.load.gravity_torque(angles)
+def _torque(plant: JointPlant, angles: ArrayLike, pressure1: ArrayLike, pressure2: ArrayLike) -> Array:
+    return plant.joint.torque(angles, (pressure1, pressure2)) + plant.load.gravity_torque(angles)
 
 
 @jit

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.channel_probe import ChannelProbe
 from mckibben.rig.compiled import ControlProgram, LimitCycleDetection
 from mckibben.rig.joint_record import COMMANDED_AT, COMMANDS, READING, REFERENCE, JointReading, Phase, columns
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import JointMonitor, StopFlag
+from mckibben.rig.safety import PROBED, JointMonitor, StopFlag
 from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
@@ -57,6 +58,8 @@ class RunPlan:
         Lowest and highest command of each muscle [Pa].
     angle_resolution
         Step of the sensor [rad], 0 for none; smaller limit cycles are not reported.
+    probing, torques
+        Periods of the probe before the ramp, and torques of the muscles in it, see `ChannelProbe`; 0 for none.
 
     Examples
     --------
@@ -72,19 +75,24 @@ class RunPlan:
     pressures: tuple[float, float]
     command_limits: tuple[tuple[float, float], tuple[float, float]]
     angle_resolution: float = 0.0
+    probing: int = 0
+    torques: tuple[float, float] = (0.0, 0.0)
 
     @property
     def periods(self) -> int:
-        """Number of periods of ramp, settling and run."""
-        return self.raising + self.settling + len(self.references)
+        """Number of periods of probe, ramp, settling and run."""
+        return self.probing + self.raising + self.settling + len(self.references)
 
     def phase(self, number: int) -> Phase:
         """Phase of a period."""
+        number -= self.probing
+        if number < 0:
+            return Phase.PROBING
         if number < self.raising:
             return Phase.RAISING
         if number < self.raising + self.settling:
             return Phase.SETTLING
-        return Phase.RUN if number < self.periods else Phase.VENTING
+        return Phase.RUN if number - self.raising - self.settling < len(self.references) else Phase.VENTING
 
 
 class RunProgress(NamedTuple):
@@ -310,6 +318,7 @@ class ControlLoop:
         self._next = 0  # number of the next sample
         self._delay = math.inf  # shortest delay of a sample [s]
         self._missed = 0
+        self._probe = ChannelProbe(plan.probing, plan.torques, [high >= PROBED for _, high in plan.command_limits])
         self._ramp_start: tuple[float, float] | None = None
         self._state: Any = None  # of the controller
         self._stepped: int | None = None  # sample of its last step
@@ -390,14 +399,16 @@ class ControlLoop:
         """Set the valves; return the reference angle [rad]."""
         plan = self.plan
         angle, pressure1, pressure2 = reading
+        if number < plan.probing:
+            return self._open_loop(self._probe.commands(number, reading), row)
+        self._probe.finish()
+        number -= plan.probing
         if number < plan.raising:
             if self._ramp_start is None:
                 self._ramp_start = max(pressure1, 0.0), max(pressure2, 0.0)
             part = (number + 1) / plan.raising
             ramp = [start + part * (end - start) for start, end in zip(self._ramp_start, plan.pressures, strict=True)]
-            commands, _ = self._command(ramp)
-            row[COMMANDS] = [*commands, 0.0]
-            return math.nan
+            return self._open_loop(ramp, row)
         reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
             self._state = self.program.init(*reading)
@@ -412,6 +423,12 @@ class ControlLoop:
         row[REFERENCE.start :] = [*reference.tolist(), *commands, float(limited), *values[2:].tolist()]
         self._note(self._detection.after(angle, float(reference[0]), commands, number - self._first))
         return float(reference[0])
+
+    def _open_loop(self, pressures: Sequence[float], row: list[float]) -> float:
+        """Set the valves without the controller; return that there is no reference."""
+        commands, _ = self._command(pressures)
+        row[COMMANDS] = [*commands, 0.0]
+        return math.nan
 
     def _note(self, found: Oscillations | None) -> None:
         """Record the limit cycle of the closed loop, of the angle or a command, when it is first found."""

@@ -38,6 +38,7 @@ class JointReading(NamedTuple):
 class Phase(enum.IntEnum):
     """The parts of a run."""
 
+    PROBING = -1
     RAISING = 0
     SETTLING = 1
     RUN = 2

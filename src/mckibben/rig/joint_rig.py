@@ -160,8 +160,12 @@ class JointLimitsSettings(section_of(JointLimits, partial=True)):
 
 
 class ApproachSettings(ConfigModel):
-    """Approach: in `raising` the pressures are ramped to the start, in `settling` the first reference is held."""
+    """Approach: in `probing` each muscle of a physical joint alone is filled to 0.5 bar to check its sensor.
 
+    In `raising` the pressures are ramped to the start, in `settling` the first reference is held.
+    """
+
+    probing: WaitTime = 2.0
     raising: WaitTime = 2.0
     settling: WaitTime = 2.0
 

@@ -14,13 +14,13 @@ from mckibben.errors import FileError, McKibbenError, Problem, RigError, Scenari
 from mckibben.plant import JointPlant
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.compiled import ControlProgram, vented_angle
+from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
 from mckibben.rig.joint_record import Timing, columns, measured_result
 from mckibben.rig.joint_rig import JointRig, RunConditions
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder, software_versions
-from mckibben.rig.safety import stop_on_signals
+from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
@@ -178,6 +178,8 @@ def prepare(
     plan = RunPlan(
         references=references,
         period=period,
+        probing=round(approach.probing / period) if rig.physical else 0,
+        torques=probing_torques(plant, hanging, PROBED) if rig.physical else (0.0, 0.0),
         raising=0 if ideal else round(approach.raising / period),
         settling=0 if ideal else round(approach.settling / period),
         pressures=(float(start.pressures[0]), float(start.pressures[1])),
@@ -194,7 +196,13 @@ def prepare(
         "rig": rig.to_json(),
         "backend": dict(backend.description),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
-        "plan": {"raising": plan.raising, "settling": plan.settling, "run": len(references), "period": period},
+        "plan": {
+            "probing": plan.probing,
+            "raising": plan.raising,
+            "settling": plan.settling,
+            "run": len(references),
+            "period": period,
+        },
         "versions": software_versions("jax", "numpy"),
     }
     return JointSession(scenario, plant, reach, backend, limits, plan, program, header)

@@ -186,7 +186,8 @@ class SafetyMonitor:
                 bad = least if not least >= low else most
                 raise _exceeded(f"{name} sensor is lost: its reading", bad, low, high, unit, remedy=_PLUG)
             if not (lower <= least and most <= upper):
-                raise _exceeded(name, least if not lower <= least else most, lower, upper, unit)
+                remedy = "check the sensor and its calibration, and what moved it; then the limits"
+                raise _exceeded(name, least if not lower <= least else most, lower, upper, unit, remedy=remedy)
         if self._frozen < math.inf:
             self._check_constant(lowest, highest, last)
         self._check_time(first, last, clock)
@@ -306,13 +307,18 @@ class SafetyMonitor:
 
 _MOST = 1000  # samples read at once
 
+PROBED = 0.5 * bar
+"""Pressure [Pa] at which sensors, valves and supply are checked before a run of hardware."""
+
 
 def _exceeded(
     name: str, value: float, lower: float, upper: float, unit: str, *, per: str = "", remedy: str = ""
 ) -> StoppedError:
     shown, scale = _SHOWN.get(unit, (unit, 1.0))
     limits = (
-        f"beyond the limit of {upper / scale:.4g} {shown}{per}"
+        "not a number"
+        if math.isnan(value)
+        else f"beyond the limit of {upper / scale:.4g} {shown}{per}"
         if lower == -math.inf
         else f"outside the limits of {lower / scale:.4g} to {upper / scale:.4g} {shown}{per}"
     )

@@ -75,6 +75,7 @@ class SerialBackend(Backend):
         self._begun: int | None = None  # time of the board at sample 0 [us]
         self._device, self._latest = 0, -1  # time [us] and number of its latest sample
         self._arrived = (0.0, 0.0)  # times of the latest sample, by host and board [s]
+        self._report: FaultReport | None = None  # the latest one since it was armed
         self._armed = False
 
     @property
@@ -225,7 +226,7 @@ class SerialBackend(Backend):
                     f"the board does not follow {sent[-1][0].name}: {fault.name.lower().replace('_', ' ')}",
                     remedy=_REMEDIES.get(fault, "check its cable and supply"),
                 )
-        self._armed = True
+        self._armed, self._report = True, None
 
     def heartbeat(self) -> None:
         self._check_open()
@@ -286,8 +287,8 @@ class SerialBackend(Backend):
                     raise RigError("the board was reset", remedy="check its supply and cable, and reopen the rig")
             if message.kind == MessageKind.FAULT and self._armed:
                 report = FaultReport.unpack(message.body)
-                if report.code != FaultCode.REFUSED:  # such as of a repeated message: the board has not vented
-                    self._refuse(report)
+                if report.code != FaultCode.REFUSED:  # such as of a repeated message
+                    self._report = report  # it stops when a sample shows that the board vented, and with which values
             if message.kind == MessageKind.SAMPLE and self._answer is not None:
                 self._keep(message)
 
@@ -309,7 +310,7 @@ class SerialBackend(Backend):
             self._samples.append((number, elapsed, sample.values))
         self._latest = number
         if self._armed and sample.state in (FirmwareState.VENTED, FirmwareState.DISARMED):
-            self._refuse(FaultReport(sample.fault, 255, float("nan")))
+            self._refuse(self._report or FaultReport(sample.fault, 255, float("nan")))
 
     def _refuse(self, report: FaultReport) -> None:
         """Raise the fault for which the board has vented."""
@@ -317,6 +318,9 @@ class SerialBackend(Backend):
         fault = FaultCode(report.code) if report.code in {*FaultCode} else FaultCode.REFUSED
         names = [name for name, _ in (*self._known.measurements, *self._known.commands)]
         where = f" at {names[report.channel]}: {report.value:g}" if report.channel < len(names) else ""
+        if not where and self._newest is not None:
+            shown = zip(self._known.measurements, self._newest.values, strict=False)
+            where = ", with " + ", ".join(f"{name} {value:.4g} {unit}" for (name, unit), value in shown)
         raise RigError(
             f"the board vented: {fault.name.lower().replace('_', ' ')}{where}",
             field=names[report.channel] if report.channel < len(names) else "",

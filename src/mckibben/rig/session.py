@@ -17,7 +17,7 @@ from mckibben.rig.backend import Block, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.by_hand import HandBench, length_of
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import BlockMeans, RigMonitor, StopFlag
+from mckibben.rig.safety import PROBED, BlockMeans, RigMonitor, StopFlag
 from mckibben.rig.steps import SPEED
 from mckibben.units import bar, mm, percent
 
@@ -25,7 +25,6 @@ STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
 """Kinds of event."""
 
 _OBSERVED = 10.0  # s after a stop
-_PROBED = 0.5 * bar
 _COMPLIANCE = 0.005 * mm  # m/N: gain of the force control, per cycle
 
 
@@ -97,7 +96,7 @@ class RigSession:
         self.recorder.event("opened", "", **self.backend.description)
         self.vent_and_wait()
         if self.backend.physical:  # sensors, valve and supply, before the pressure rises above 1 bar
-            self.set_pressure(0.0, _PROBED, None, None)
+            self.set_pressure(0.0, PROBED, None, None)
             self.vent_and_wait()
 
     def acquire(self, count: int, plateau: int) -> tuple[float, Mapping[str, float]]:
