@@ -65,6 +65,15 @@ def test_an_isotonic_test_raises_no_question(seed):
     assert not topics(pressure[keep], eps[keep], (load + rng.normal(0, 0.3, load.size))[keep]) - {"saturation"}
 
 
+@pytest.mark.parametrize("loads", [(30.0, 60.0, 120.0, 200.0), (50.0, 100.0, 200.0, 300.0)])
+def test_weights_at_the_same_pressures_raise_no_question(loads):
+    law, eps = ChouLaw(0.41, 0.02), np.linspace(-0.1, 0.37, 4000)
+    pressure = np.tile(np.linspace(1e5, 6e5, 10), 4)
+    load = np.repeat(loads, 10)
+    contraction = [np.interp(-f, -forces(law, eps, p), eps) for f, p in zip(load, pressure, strict=True)]
+    assert not topics(pressure, np.array(contraction), load)
+
+
 def row(at: int, pressure: float, contraction: float, force: float) -> Callable[[Arrays], Arrays]:
     """A row put among the points, in bar, percent and newtons."""
     return lambda arrays: tuple(  # type: ignore[return-value]

@@ -23,7 +23,7 @@ HEADER = "Pressure [bar];Contraction [%];Force [N]"
         ("pressure_bar", "pressure", "bar"), ("Druck ist [kPa]", "pressure", "kPa"), ("Überdruck in mbar", "pressure", "mbar"),
         ("P (psi)", "pressure", "psi"), ("Druck soll [bar]", "set_pressure", "bar"), ("p_soll_bar", "set_pressure", "bar"),
         ("F / N", "force", "N"), ("Zugkraft, kN", "force", "kN"), ("Force (gf)", "force", "gf"), ("load cell [mN]", "force", "mN"),
-        ("Kraft [kg]", "force", "kgf"), ("CH3 Force - N", "force", "N"), ("101 <Force> (N)", "force", "N"),
+        ("Kraft [kg]", "force", "kgf"), ("CH3 Force - N", "force", "N"), ("weight_g", "set_force", "gf"), ("l / mm", "length", "mm"), ("101 <Force> (N)", "force", "N"),
         ("Contraction (%)", "contraction", "percent"), ("eps [-]", "contraction", "ratio"), ("Verkürzung [mm]", "shortening", "mm"),
         ("Weg [mm]", "displacement", "mm"), ("Muscle length [in]", "length", "in"), ("Zeit  1 - Standardmessrate [s]", "time", "s"),
         ("Model Root/Pressure [bar]/In1", "pressure", "bar"), ("millis", "time", "ms"), ("Pressure (bar) Ave", "pressure", "bar"),
@@ -88,13 +88,13 @@ def test_plain_words_are_not_doubtful(text):
 
 QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of the question, options that answer it
     "unknown header": (table("Kanal 1 [bar];Contraction [%];Force [N]"), "Kanal 1 [bar]", {"columns": {"Kanal 1 [bar]": "pressure_bar"}}),
-    "no unit": (table("Druck;Contraction [%];Force [N]"), "Druck: has no unit", {"columns": {"Druck": "pressure_bar"}}),
+    "no unit": (table("Druck;Contraction [%];Force [N]"), "--column 'Druck=pressure_UNIT'", {"columns": {"Druck": "pressure_bar"}}),
     "no header": (table(HEADER).partition("\n")[2], "has no header", {"columns": {"1": "pressure_bar", "2": "contraction_percent", "3": "force_N"}}),
     "two forces": (table(f"{HEADER};Force 2 [N]", P, C, F, 2 * F), "are both a force", {"columns": {"Force 2 [N]": "ignore"}}),
     "unit column": (table(f"{HEADER};Force unit", P, C, F / 9.80665, ["kgf"] * 18).replace("Force [N]", "Force"), "Force unit: is not understood", {"columns": {"Force": "force_kgf"}, "accept": ["columns"]}),
     "two contractions": (table(f"{HEADER};Length [mm]", P, C, F, 200 - 2 * C - (C == 5)), "contradicts the contraction", {"columns": {"Length [mm]": "ignore"}}),
     "peak force": (table(f"{HEADER};Force max [N]", P, C, F, 2 * F), "Force max [N]: is not understood", {"columns": {"Force max [N]": "ignore"}}),
-    "strain": (table("Pressure [bar];Elongation (%);Force [N]"), "--column 'Elongation (%)=contraction_percent'", {"columns": {"Elongation (%)": "contraction_percent"}}),
+    "strain": (table("Pressure [bar];Elongation (%);Force [N]"), "--column 'Elongation (%)=-lengthening_percent'", {"columns": {"Elongation (%)": "-lengthening_percent"}}),
     "absolute pressure": (table("Abs. pressure (bar);Contraction [%];Force [N]", P + 1.013, C, F), "--read 'ambient=101.3 kPa'", {"ambient": 101300.0}),
     "bar abs": (table("p [bar abs];Contraction [%];Force [N]", P + 1.013, C, F), "is an absolute pressure", {"ambient": 101300.0}),
     "lengths": (table("Pressure [bar];Length [mm];Force [N]", P, 200 - 2 * C, F), "--initial-length", {"initial_length": 0.2}),
@@ -127,9 +127,24 @@ def test_what_is_not_plain_is_a_question_with_its_answer(case, put):
 def test_decimals_that_may_be_thousands(put, decimal, factor):
     forces = [f"{1 + f / 1e3:.3f}" for f in F]
     path = put(table(HEADER, np.round(P), np.round(C), forces).replace("[N]", "[kN]" if factor == 1 else "[N]"))
-    assert any("may be a decimal or a thousand" in problem for problem in problems_of(path))
+    (problem,) = problems_of(path)  # not each number that is none with the other sign
+    assert "may be a decimal or a thousand" in problem
     data = read_dataset(path, decimal=decimal, accept=list(TOPICS))
     np.testing.assert_allclose(data.force, 1e3 + F, atol=0.51)
+
+
+def test_megapascals_read_as_bars_are_a_question(put):
+    path = put(table("Druck;Contraction [%];Force [N]", P / 10, C, F))
+    problem = problems_of(path, columns={"Druck": "pressure_bar"})[0]
+    assert problem.startswith("pressure") and "--column 'Druck=pressure_UNIT'" in problem
+    are_the_points(read_dataset(path, columns={"Druck": "pressure_MPa"}))
+
+
+def test_the_sign_of_a_length_is_turned_by_the_name_of_its_column(put):
+    path = put(table("Pressure [bar];Elongation [mm];Force [N]", P, 2 * C, F))
+    (problem,) = problems_of(path, initial_length=0.2)
+    assert "--column 'Elongation [mm]=-lengthening_mm'" in problem
+    are_the_points(read_dataset(path, initial_length=0.2, columns={"Elongation [mm]": "-lengthening_mm"}))
 
 
 def test_every_mistake_is_listed_with_its_line(put):
@@ -266,6 +281,7 @@ def test_days_and_months_that_may_be_exchanged_are_no_clock(put):
 
 READINGS: dict[str, tuple[str, dict[str, object], tuple[str, str]]] = {  # text, options, column and its remarks
     "a mass that hangs": (table("Pressure [bar];Contraction [%];Weight [kg]", P, C, F / 9.80665), {}, ("Weight [kg]", "masses times g")),
+    "a mass in grams": (table("Pressure [bar];Contraction [%];Mass [g]", P, C, F / 9.80665e-3), {}, ("Mass [g]", "masses times g")),
     "a mass below a load cell": (table("Pressure [bar];Contraction [%];Force [N];Weight [kg]", P, C, F, F.round(-2) / 9.80665), {}, ("Weight [kg]", "masses times g")),
     "elongation": (table("Pressure [bar];Elongation (%);Force [N]", P, -C, F), {}, ("Elongation (%)", "")),
     "relative length": (table("Pressure [bar];Relative length (-);Force [N]", P, 1 - C / 100, F), {}, ("Relative length (-)", "")),
@@ -303,5 +319,7 @@ def test_loads_without_a_sensor_are_one_for_each_file(put):
     paths = [put(table("Pressure [bar];Contraction [%]", pressure, c), f"{len(c)}{c[0]:.0f}.csv") for c in shorter]
     data = read_dataset(paths, loads=["10 kg", "200 N", "0.4 kN"], accept=["range"])
     assert np.unique(data.force).tolist() == pytest.approx(loads)
+    assert Recipe(loads="[10 kg, 200 N]").loads == pytest.approx(loads[:2])
+    assert any("--read 'loads=" in problem for problem in problems_of(paths[0]))
     (problem,) = problems_of(paths[0], loads=["2 kg", "30 N"])
     assert problem.startswith("loads: 2 loads are given for 1 files")

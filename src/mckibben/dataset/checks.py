@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from mckibben.dataset.isobaric import IsobaricDataset
     from mckibben.muscle import Specimen
 
-_UNIT = "check the unit: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
+_UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
+_TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
     "rows": "leave these rows out of the file",
@@ -32,7 +33,8 @@ _REMEDIES = {
     "zero": "subtract the offset in the file, or measure five or more points of the slack muscle",
     "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --read 'ambient=101.3 kPa')",
     "saturation": "leave such rows out (in a recipe: largest_force)",
-    "sign": "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')",
+    "sign": _TURNED,
+    "stretched": f"{_TURNED}, or correct initial_length (command line: --initial-length)",
 }
 
 
@@ -71,11 +73,11 @@ class Points:
         pressure, contraction, force = self.pressure[::step], self.contraction[::step], self.force[::step]
         return replace(self, pressure=pressure, contraction=contraction, force=force, lines=self.lines[::step])
 
-    def ask(self, topic: str, text: str, row: int | None = None, field: str = "") -> Question:
-        """A question, about a row."""
+    def ask(self, topic: str, text: str, row: int | None = None, field: str = "", remedy: str = "") -> Question:
+        """A question, about a row, with the remedy of its topic or of another."""
         place = "" if row is None else " at {:.3g} bar, {:.3g} %, {:.4g} N".format(*self.table[row])
         line = None if row is None else int(self.lines[row])
-        return question(f"{text}{place}", topic, line=line, field=field, remedy=_REMEDIES[topic])
+        return question(f"{text}{place}", topic, line=line, field=field, remedy=_REMEDIES[remedy or topic])
 
 
 def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None) -> list[Question]:
@@ -150,14 +152,14 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
     """Units and signs by orders of magnitude: pressures, contractions, and the diameter that the force implies."""
     pressure, contraction, force = points.pressure, points.contraction, points.force
     low, high = pressure.min() / bar, pressure.max() / bar
-    if not 0.5 <= high <= 12 or low < -0.3:
+    if not 1 <= high <= 12 or low < -0.3:
         text = f"pressures of {low:.3g} to {high:.3g} bar are unusual for a muscle"
         yield points.ask("range", text, field="pressure")
     low = contraction.min() / percent
     high = contraction[points.taut].max(initial=contraction.min()) / percent
     if not -6 <= low <= 16 or high > 40 or 0 < np.abs(contraction).max() < 1 * percent:
         text = f"contractions of {low:.3g} to {high:.3g} % are unusual for a muscle"
-        yield points.ask("range", text, field="contraction")
+        yield points.ask("range", text, field="contraction", remedy="stretched" if low < 0 >= high else "range")
     at = int(np.argmax(np.where(pressure > 0, force, 0)))
     if not (force[at] > 0 and pressure[at] > 0):
         yield points.ask("range", "no point has a force and a pressure above 0", field="force")
@@ -246,10 +248,10 @@ def _counted(points: Points) -> Iterator[Question]:
 def _surface(points: Points) -> Iterator[Question]:
     """Slopes and residuals of ``F = p (a + b x + c x^2) + d + e x + f exp(-6 x)`` of the taut points, x up to 1.
 
-    The force has to rise with the pressure and to fall with the contraction, as a plane through the points shows. A
-    point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the points
-    do. Slack points count only where another one, at no more pressure and no longer, pulls, or where a
-    lone one would be taut by the surface.
+    The force has to rise with the pressure and to fall with the contraction, as a bilinear surface through the points
+    shows. A point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the
+    points do. Slack points count only where another one, at no more pressure and no longer, pulls, or where a lone one
+    would be taut by the surface.
     """
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
@@ -257,8 +259,10 @@ def _surface(points: Points) -> Iterator[Question]:
     if len(taut) < 4 or np.ptp(rows[taut, 2]) < 0.15 * largest:
         return
     centred = rows[taut] - rows[taut].mean(axis=0)
-    slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
-    rest = centred[:, 2] - centred[:, :2] @ slopes
+    # without the product, points at constant loads would be far from a plane
+    bent = np.column_stack([centred[:, :2], np.prod(centred[:, :2], axis=1), np.ones(len(taut))])
+    solution = np.linalg.lstsq(bent, centred[:, 2], rcond=None)[0]
+    slopes, rest = solution[:2], centred[:, 2] - bent @ solution
     moves = np.ptp(rows[taut, :2], axis=0) >= 0.02 * np.abs(rows[:, :2]).max(axis=0)
     if np.any((slopes * (1, -1) <= 0) & moves) or rest @ rest > 0.3 * (centred[:, 2] @ centred[:, 2]):
         text = (

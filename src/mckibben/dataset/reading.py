@@ -37,7 +37,7 @@ FilePaths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _POINTS = ("pressure", "contraction", "force")
 _SAMPLES = ("time", "pressure", "force", "contraction", "set_pressure")
 _PAUSE = 20  # intervals between two files
-_NAMED = re.compile(r"(HEADER(?:': '|=)-?)(?:force_N|pressure_bar)(_abs)?")  # in a remedy
+_NAMED = re.compile(r"(HEADER(?:': '|=)-?)(?:force_(?:N|(UNIT))|pressure_bar)(_abs)?")  # in a remedy
 _RATE = (
     "name the column of the time: columns={'HEADER': 'time_s'} (command line: --column 'HEADER=time_s'), or give "
     "sample_rate (command line: --read 'sample_rate=1000 Hz')"
@@ -154,7 +154,8 @@ def _with_header(problem: Problem, dataset: IsobaricDataset) -> Problem:
     column = dataset.lines[0].columns.get(problem.field) if dataset.lines else None
     if column is None or not column.unit or not problem.remedy:
         return problem
-    remedy = _NAMED.sub(lambda match: f"{match[1]}{problem.field}_{column.unit}{match[2] or ''}", problem.remedy)
+    known, unit = column.quantity, column.unit
+    remedy = _NAMED.sub(lambda match: f"{match[1]}{known}_{match[2] or unit}{match[3] or ''}", problem.remedy)
     return replace(problem, remedy=remedy.replace("HEADER", column.header))
 
 

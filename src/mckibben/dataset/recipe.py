@@ -23,7 +23,8 @@ def _check_pattern(pattern: str) -> str:
 
 
 def _as_tuple(value: object) -> object:
-    return tuple(value.split(",") if isinstance(value, str) else value) if isinstance(value, list | str) else value
+    parts = value.strip("[] ").split(",") if isinstance(value, str) else value
+    return tuple(parts) if isinstance(parts, list) else parts
 
 
 def _as_weight(value: object) -> object:

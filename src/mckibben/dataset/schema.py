@@ -194,7 +194,7 @@ def _value_problems(name: str, values: np.ndarray, place: str) -> Iterator[Probl
     if "pressure" in name and (bad := values < VACUUM).any():
         yield _first(bad, values, name, f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum", "", place)
     if name == "contraction" and (bad := finite & (np.abs(values) >= 1)).any():
-        remedy = "contraction is a ratio: divide percent by 100"
+        remedy = "contraction is a ratio: divide percent by 100, or name the column contraction_percent"
         yield _first(bad, values, name, "is not between -1 and 1", remedy, place)
     if name == "repeat" and (bad := finite & ((values < 0) | (values != np.round(values)))).any():
         yield _first(bad, values, name, "is not an integer from 0 up", "", place)

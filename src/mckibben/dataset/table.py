@@ -65,7 +65,7 @@ class Column:
     header
         Name in the file.
     quantity, unit
-        Of `vocabulary.QUANTITIES`.
+        Of `vocabulary.QUANTITIES`; of a contraction that follows from a length, those of the length.
     values
         Shape (rows,): SI units, or words.
     source
@@ -145,8 +145,8 @@ class Table:
     def rows(self) -> list[tuple[str, str, str, str, str, str]]:
         """Header, quantity, unit, origin of the unit, range [unit] and remarks of each column, as text."""
         rows = []
-        for column in self.columns.values():
-            if column.quantity == "contraction" and any(row[0] == printable(column.header) for row in rows):
+        for quantity, column in self.columns.items():
+            if quantity == "contraction" and any(row[0] == printable(column.header) for row in rows):
                 continue  # it follows from this column
             shown = ""
             if column.values.dtype.kind == "f" and np.isfinite(column.values).any():

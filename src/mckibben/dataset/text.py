@@ -32,7 +32,7 @@ _BEGINS = re.compile(r"[+-]?[.,]?\d")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
 _LAST_DECIMALS = re.compile(r'(?:[.,](\d*))?"?\s*$')
-_DECIMAL_REMEDY = "give the decimal sign: decimal=',' or decimal='.' (command line: --read decimal=. or decimal=,)"
+_DECIMAL_REMEDY = "give the decimal sign, a point or a comma: decimal='.' (command line: --read decimal=. or decimal=,)"
 KEYS = ("specimen", "source", "initial_length", "slack_force", "preprocessing", "repairs")
 
 
@@ -115,7 +115,7 @@ def read_lines(
         cells = [cell for line in sample for cell in _split(line, separator)]
         table.decimal, unclear = decimal_sign(cells, separator)
         if unclear:
-            table.questions.append(question(unclear, remedy=_DECIMAL_REMEDY))
+            raise DatasetError(str(path), [Problem(unclear, remedy=_DECIMAL_REMEDY)])  # nothing else can be read
     for at, column in enumerate(_cells(rows, separator, table.decimal, len(names), path)):
         repeats = f" ({at + 1})" if names[at] in names[:at] else ""
         numbers, beside = _as_numbers(column, table.decimal, certain=bool(decimal))

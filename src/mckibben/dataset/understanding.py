@@ -41,6 +41,7 @@ _SIGN_REMEDY = (
     "name the direction in which it grows, shortening or lengthening: columns={{{0!r}: 'shortening_{1}'}} "
     "(command line: --column '{0}=shortening_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
+_WEIGHTS = ", or of weights that hang, one per file, --read 'loads=2 kg, 5 kg' or --read 'from_name={force_kg}kg'"
 _UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -138,7 +139,7 @@ class _Reader:
         answered = self.recipe.ambient is not None
         words = [(line, ABSOLUTE.sub("", text) if answered else text) for line, text in self.raw.words]
         for line, text in doubtful_words(words, {column.unit for column in self.table.columns.values()}):
-            remedy = _AMBIENT if ABSOLUTE.search(text) else "apply it to the numbers in the file"
+            remedy = _AMBIENT if ABSOLUTE.search(text) else "apply it by --column 'HEADER=1*x-12.5 force_N'"
             self.ask(f"beside the table stands {text[:200]!r}", "words", line=line, remedy=remedy)
         if answered and not any(self._is_absolute(entry.header) for entry in chosen):
             remedy = "name an absolute one: --column 'HEADER=pressure_bar_abs', or leave ambient out"
@@ -152,7 +153,7 @@ class _Reader:
                 unit = closest(match[2], QUANTITIES[quantity])
                 line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
                 return f"--column '{column.name}={line}{quantity}_{unit or QUANTITIES[quantity][0]}'"
-        return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'"
+        return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'{_WEIGHTS if quantity == 'force' else ''}"
 
     def ask(self, text: str, topic: str = "", *, field: str = "", line: int | None = None, remedy: str = "") -> None:
         self.asked.append(question(text, topic, line=line, field=field, remedy=remedy))
@@ -232,7 +233,7 @@ class _Reader:
                 self.asked_about.add(kind)
                 meant = _COLUMN_REMEDY.format(entry.column.name, f"{entry.header.quantity}_{entry.header.unit}")
                 text = f"and {other.column.name!r} are both a {kind.replace('_', ' ')}"
-                self.ask(text, field=entry.column.name, remedy=f"name the one that is meant: {meant}")
+                self.ask(text, field=entry.column.name, remedy=f"of the two, {meant}")
         return sorted(chosen.values(), key=understood.index)
 
     def _check_mapping(self) -> None:
@@ -282,8 +283,8 @@ class _Reader:
         name = header.quantity
         if QUANTITIES[name] and not header.unit:
             self.table.ignored.append(column.name)
-            meant = f"{'shortening' if name == 'displacement' else name}_{QUANTITIES[name][0]}"
-            remedy = _COLUMN_REMEDY.format(column.name, meant)
+            meant = f"{'shortening' if name == 'displacement' else name}_UNIT"
+            remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}, where UNIT is one of {', '.join(QUANTITIES[name])}"
             return Problem("has no unit that is understood", field=column.name, remedy=remedy)
         if name == "displacement" and not self.recipe.displacement:
             remedy = _SIGN_REMEDY.format(column.name, header.unit)
@@ -319,8 +320,8 @@ class _Reader:
         for cell in [cell for cell in dict.fromkeys(cells) if cell not in said][:_WORDS_LISTED]:
             at = cells.index(cell)
             shown = str(column.cells[at])[:40]
-            meant = f"columns={{{shown!r}: {first!r}}} (command line: --column '{shown}={first}')"
-            remedy = f"give its meaning, {first} or {second}: {meant}"
+            meant = (_COLUMN_REMEDY.format(shown, word).removeprefix("name it: ") for word in (first, second))
+            remedy = f"give its meaning: {' or '.join(meant)}"
             self.ask(f"{shown!r} is not a {name}", field=column.name, line=int(self.table.lines[at]), remedy=remedy)
         return np.array([said.get(cell, "") for cell in cells], "<U9")
 
@@ -342,7 +343,7 @@ class _Reader:
             return
         if column.unit in QUANTITIES["contraction"]:
             values = 1 - column.values if column.quantity == "relative_length" else -column.values
-            table.columns["contraction"] = replace(column, quantity="contraction", values=values)
+            table.columns["contraction"] = replace(column, values=values)
             return
         if initial is None:
             self.asked_about.add("contraction")
@@ -358,7 +359,7 @@ class _Reader:
             text = f"lengths of {span} do not fit the initial length, {show(initial, 'mm', 5)}"
             remedy = "check its unit and initial_length (command line: --initial-length)"
             self.ask(text, field=column.quantity, remedy=remedy)
-        table.columns["contraction"] = replace(column, quantity="contraction", unit="", values=1 - length / initial)
+        table.columns["contraction"] = replace(column, values=1 - length / initial)
 
     def _compare(self, column: Column) -> None:
         """Ask about a length that is not the initial one, less the contraction of another column."""

@@ -41,7 +41,7 @@ _NAMES: Mapping[str, str] = {
         muskelkraft, standardkraft, kraftaufnehmer, standard force, last""",
     "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
         verkuerzung, relative verkürzung""",
-    "length": """length, muscle length, länge, laenge, muskellänge, muskellaenge""",
+    "length": """l, length, muscle length, länge, laenge, muskellänge, muskellaenge""",
     "displacement": """displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung,
         wegaufnehmer, traversenweg, standardweg""",
     "shortening": """shortening, verkürzungsweg""",
@@ -55,7 +55,7 @@ _NAMES: Mapping[str, str] = {
         target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
         sollwert druck, druck sollwert""",
     "set_force": """set force, force set, force setpoint, nominal force, target force, set load, nominal load, weight,
-        weights, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast""",
+        weights, mass, masse, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast""",
     "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp,
         test time, zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum,
         uhrzeit, zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time,
@@ -172,7 +172,7 @@ def dimension_of(text: str) -> str:
     >>> dimension_of("bar abs"), dimension_of("kp"), dimension_of("V")
     ('pressure', 'force', '')
     """
-    bare = _GAUGE.sub("", ABSOLUTE.sub("", text)).strip()
+    bare = _GAUGE.sub("", ABSOLUTE.sub("", text)).strip() or text
     return next((name for name in UNITS if bare and canonical_unit(bare, name)), "")
 
 

@@ -141,7 +141,7 @@ class LoadingPaths:
         if "initial_length" not in table.attrs:
             raise IdentificationError(
                 "the initial length is unknown: friction depends on displacements, not on contraction",
-                remedy="give the dataset its initial_length",
+                remedy="give initial_length (command line: --initial-length '180 mm')",
             )
         length = table.attrs["initial_length"] * (1 - means.contraction)
         order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
