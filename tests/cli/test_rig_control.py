@@ -25,6 +25,8 @@ def short(shortened, tmp_path):
 
 @pytest.mark.slow
 def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
+    checked = cli("rig", "control", "short.yaml", "--check")
+    assert checked.code == 0 and "pressure2" in checked.out and not (tmp_path / "run").exists()
     found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced", "--ideal", "--json")
     assert found.code == 0
     for name in ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg", "run"):

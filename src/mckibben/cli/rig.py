@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -52,6 +52,7 @@ def control(
     rig: Path | None = None,
     unpaced: bool = False,
     ideal: bool = False,
+    check: bool = False,
     json: bool = False,
 ) -> None:
     """Run a scenario's controller on a joint in real time, and record it. Ctrl-C stops it and vents.
@@ -69,17 +70,24 @@ def control(
         Run the simulated joint as fast as possible.
     ideal
         Ideal sensors, and the same start as `mckibben simulate`.
+    check
+        Show the reading of each sensor of the rig; nothing is set or recorded.
     json
         Print machine-readable results instead of a table.
     """
-    out = required_folder(out, "run")
     from mckibben.rig import JointRig, prepare
+    from mckibben.rig.running import status_line
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
+    if check:
+        session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
+        _show_status(map(status_line, session.backend.status()))
+        return
+    out = required_folder(out, "run")
     check_free(make_folder(out), (*RunReport.file_names(), "record-0001.mcap"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
@@ -293,8 +301,13 @@ def check(
     """Show the status of each channel, and all violations of a protocol."""
     from mckibben.rig.running import readings
 
+    _show_status(readings(protocol))
+
+
+def _show_status(lines: Iterable[tuple[str, bool]]) -> None:
+    """Print lines, each with whether it is in order, and exit with 1 if one is not."""
     missing = False
-    for line, there in readings(protocol):
+    for line, there in lines:
         echo(line)
         missing |= not there
     if missing:

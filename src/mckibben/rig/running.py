@@ -36,10 +36,10 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     from mckibben.rig.ni import NiRig
 
     if protocol is None:
-        yield from map(_status_line, NiRig().status())
+        yield from map(status_line, NiRig().status())
         return
     test, document = read_test(protocol)
-    yield from map(_status_line, test.rig.backend().status())
+    yield from map(status_line, test.rig.backend().status())
     try:
         checked = check(test, document, source=str(protocol))
     except McKibbenError as error:
@@ -49,7 +49,8 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     yield "no violations", True
 
 
-def _status_line(channel: ChannelStatus) -> tuple[str, bool]:
+def status_line(channel: ChannelStatus) -> tuple[str, bool]:
+    """Line of a channel, and whether it works."""
     where = f" at {channel.where}" if channel.where else ""
     return f"{channel.name}{where}: {channel.problem or channel.reading}", not channel.problem
 
