@@ -214,19 +214,21 @@ def run_parts(
     folder: str | os.PathLike[str],
     *,
     rig: JointRig | None = None,
+    firmware: Scenario | None = None,
     ready: Callable[[str], None] | None = None,
     progress: Any = None,
 ) -> dict[str, SimulationResult]:
     """Run the scenarios of an experiment on a joint rig (default: the simulated joint), each in a folder of its name.
 
-    `ready` is called with the name before each part. Raises `StoppedError` if a limit or a fault stops a part; the
-    joint is then vented.
+    The firmware of a board has to be made from the scenario `firmware` (default: from each part). `ready` is called
+    with the name before each part. Raises `StoppedError` if a limit or a fault stops a part; the joint is then vented.
     """
     results = {}
     for name, part in parts.items():
         if ready is not None:
             ready(name)
-        session, records = prepare(part, rig, paced=rig is not None and rig.physical), Path(folder) / name
+        session = prepare(part, rig, paced=rig is not None and rig.physical, firmware=firmware)
+        records = Path(folder) / name
         run: JointRunResult = session.run(records, progress=progress)
         if run.outcome.error is not None or run.result is None:
             raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")

@@ -134,7 +134,8 @@ def _measured(
     parts = experiment.scenarios(scenario)
     try:
         with keeping(out), run_line(quiet=quiet) as line:
-            return experiment.recordings(run_parts(parts, out, rig=device, ready=ready, progress=line))
+            runs = run_parts(parts, out, rig=device, firmware=scenario, ready=ready, progress=line)
+            return experiment.recordings(runs)
     except StoppedError as stopped:
         echo(str(stopped), err=True)
         raise typer.Exit(1) from None

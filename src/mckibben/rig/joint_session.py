@@ -135,7 +135,13 @@ class JointSession:
 
 
 def prepare(
-    scenario: Scenario, rig: JointRig | None = None, *, source: str = "", paced: bool = True, ideal: bool = False
+    scenario: Scenario,
+    rig: JointRig | None = None,
+    *,
+    source: str = "",
+    paced: bool = True,
+    ideal: bool = False,
+    firmware: Scenario | None = None,
 ) -> JointSession:
     """Check and compile a scenario for a rig (default: the simulated joint).
 
@@ -148,6 +154,8 @@ def prepare(
     ideal
         Whether the simulated joint has ideal sensors and starts pressurised, at the scenario's start, instead of
         vented: its run is then that of a simulation, to rounding.
+    firmware
+        The scenario that the firmware of a board has to be made from (default: the same).
 
     Raises
     ------
@@ -188,7 +196,9 @@ def prepare(
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     substeps = 1 if rig.physical else scenario.needed_substeps()
-    conditions = RunConditions(period, rig.patience, substeps, paced, start if ideal else None, scenario.digest)
+    conditions = RunConditions(
+        period, rig.patience, substeps, paced, start if ideal else None, (firmware or scenario).digest
+    )
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",

@@ -25,6 +25,7 @@ class BorrowedJoint(JointHardware):
     port: Annotated[int, BoundedInt(0, 9)] = 0
 
     def backend(self, plant, run):
+        type(self).digest = run.digest
         joint = SimulatedJoint(plant, period=run.period, patience=run.patience, sensing=PERFECT)
         return Borrowed(joint, self.port)
 
@@ -38,7 +39,8 @@ def scenario():
 def test_hardware_of_ones_own_runs_a_scenario(scenario, tmp_path):
     rig = JointRig.parse(TEXT)
     assert rig.rig == BorrowedJoint(3) and rig.physical
-    session = prepare(scenario, rig)
+    session = prepare(scenario, rig, firmware=Scenario.read(EXAMPLE))
+    assert BorrowedJoint.digest == Scenario.read(EXAMPLE).digest != scenario.digest
     ran = session.run(tmp_path / "run")
     assert ran.outcome.completed and ran.outcome.vented_after < 0.1
     header = read_record(tmp_path / "run").header
