@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, ClassVar
 LONGEST_VALUE = 80
 """Maximum number of characters of a value in a message."""
 
-ON_COMMAND_LINE = r" \(command line: ((?:'[^']*'|[^)'])*)\)"
-"""Pattern of the part of a remedy with options of the command line; text in apostrophes may have parentheses."""
+ON_COMMAND_LINE = r"\s+\(command\s+line:\s+((?:'[^']*'|[^)'])*)\)"
+"""Pattern of the part of a remedy with command-line options, also wrapped; quoted text may have parentheses."""
 
 _LONGEST_MESSAGE = 1000
 

@@ -156,6 +156,9 @@ def test_outliers_can_be_kept(cli, tmp_path, law):
     header = next(number for number, line in enumerate(lines, 1) if not line.startswith("#"))
     assert [f"line {header + 21}:" in remark["text"] for remark in named if "left out:" in remark["text"]] == [True]
     assert not any("left out:" in remark["text"] for remark in kept)
+    if law == "exponential":  # texts have the options of the command line in place of Python's, also where lines end
+        text = cli("identify", "wrong.csv").out
+        assert "--keep-outliers" in text and "robust=False" not in text and "(command" not in text
 
 
 @pytest.mark.slow

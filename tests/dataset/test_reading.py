@@ -98,7 +98,7 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
     "absolute pressure": (table("Abs. pressure (bar);Contraction [%];Force [N]", P + 1.013, C, F), "--read 'ambient=101.3 kPa'", {"ambient": 101300.0}),
     "bar abs": (table("p [bar abs];Contraction [%];Force [N]", P + 1.013, C, F), "is an absolute pressure", {"ambient": 101300.0}),
     "lengths": (table("Pressure [bar];Length [mm];Force [N]", P, 200 - 2 * C, F), "--initial-length", {"initial_length": 0.2}),
-    "displacements": (table("Pressure [bar];Weg [mm];Force [N]", P, 2 * C, F), "shortening_mm", {"columns": {"Weg [mm]": "shortening_mm"}, "initial_length": 0.2}),
+    "displacements": (table("Pressure [bar];Weg [mm];Force [N]", P, 2 * C, F), "--column 'Weg [mm]=WAY_mm'", {"columns": {"Weg [mm]": "shortening_mm"}, "initial_length": 0.2}),
     "displacements from another zero": (
         table("Pressure [bar];Weg [mm];Force [N]", P, 50 - 2 * C, F), "shortening or lengthening",
         {"displacement": "lengthening", "initial_length": 0.2, "zero_length": 0.15},

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.options import echo, keeping, long_job, results_folder, text_width
+from mckibben.cli.options import echo, keeping, long_job, on_command_line, results_folder, text_width
 from mckibben.cli.reading import read_options
 from mckibben.errors import ParameterError
 from mckibben.result import Result
@@ -145,7 +145,8 @@ def present(
                 names = result.save(out, force=force or resume)
                 names += [STUDY] if resume and (out / STUDY).exists() else []
     finally:
-        echo(to_json(result.to_dict()) if json else result.to_text(width=text_width(), details=details))
+        text = on_command_line(result.to_text(width=text_width(), details=details))
+        echo(to_json(result.to_dict()) if json else text)
     if out:
         echo(f"wrote {', '.join(names)} to {out}", err=json)
     if not result.ok:

@@ -29,10 +29,10 @@ _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
     "rows": "leave these rows out of the file",
-    "order": "check these rows and the headers",
+    "order": "check these rows, the headers, and the signs of lengths and angles",
     "zero": "subtract the offset in the file, or measure five or more points of the slack muscle",
     "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --read 'ambient=101.3 kPa')",
-    "saturation": "leave such rows out (in a recipe: largest_force)",
+    "saturation": "leave such rows out: largest_force=950.0 (command line: --read 'largest_force=950 N')",
     "sign": _TURNED,
     "stretched": f"{_TURNED}, or correct initial_length (command line: --initial-length)",
 }

@@ -38,10 +38,10 @@ _NEEDLESS = "if it is not needed: columns={{{0!r}: 'ignore'}} (command line: --c
 _AMBIENT = "give the ambient pressure: ambient=101300.0 (command line: --read 'ambient=101.3 kPa')"
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _SIGN_REMEDY = (
-    "name the direction in which it grows, shortening or lengthening: columns={{{0!r}: 'shortening_{1}'}} "
-    "(command line: --column '{0}=shortening_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
+    "name the direction in which it grows, WAY being shortening or lengthening: columns={{{0!r}: 'WAY_{1}'}} "
+    "(command line: --column '{0}=WAY_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
-_WEIGHTS = ", or of weights that hang, one per file, --read 'loads=2 kg, 5 kg' or --read 'from_name={force_kg}kg'"
+_ELSEWHERE = " (in Python columns={...}); per file: --read 'from_name={pressure_bar}bar', --read 'loads=2 kg, 5 kg'"
 _UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -126,8 +126,8 @@ class _Reader:
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
-            remedy = "name them: " + " ".join(self._meant(name) for name in missing if QUANTITIES[name])
-            self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
+            meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
+            self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"name them: {meant}{_ELSEWHERE}")
         self._ask_about_words(chosen)
         left_out = [asked.problem for asked in self.asked if asked.topic == "corrupt"]
         table.repairs += [str(replace(problem, remedy="")) for problem in left_out]
@@ -153,7 +153,7 @@ class _Reader:
                 unit = closest(match[2], QUANTITIES[quantity])
                 line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
                 return f"--column '{column.name}={line}{quantity}_{unit or QUANTITIES[quantity][0]}'"
-        return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'{_WEIGHTS if quantity == 'force' else ''}"
+        return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'"
 
     def ask(self, text: str, topic: str = "", *, field: str = "", line: int | None = None, remedy: str = "") -> None:
         self.asked.append(question(text, topic, line=line, field=field, remedy=remedy))
