@@ -304,3 +304,11 @@ def test_what_c_cannot_hold_is_said_before_anything_is_written(scenarios, tmp_pa
     assert caught.value.field == "sort"
     assert "test_c.py" in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_numbers_of_32_bits_are_converted_explicitly(scenarios, tmp_path):
+    """The loops of the predictive controller begin with numbers of the setpoint, which keep 64 bits."""
+    export(scenarios["predictive"], "c", tmp_path, name="knee", hardware=Hardware(single=True))
+    warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+    subprocess.run([compiler(), "-std=c99", *warnings, "-fsyntax-only", "knee.c"], cwd=tmp_path, check=True)

@@ -285,7 +285,10 @@ class Writer:
         return self.language.types[kind]
 
     def converted(self, value: Value, uniform: bool) -> str:
-        """Text of a value as assigned to a variable."""
+        """Text of a value as assigned to a variable, which may be less precise."""
+        precise = self._wide_language.types[value.kind]
+        if value.kind is Kind.REAL and self._is_wide(value) and self.variable(value.kind, uniform) != precise:
+            return self.language.conversion(_bound(self._text(value), ATOM), Kind.REAL, Kind.REAL)
         return self.text(value)
 
     def loaded(self, value: Value) -> str:
