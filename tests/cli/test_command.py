@@ -80,6 +80,19 @@ def test_commands_and_options_stay_few():
     assert sum(map(len, commands.values())) <= 148
 
 
+@pytest.mark.parametrize("width", [60, 80])
+def test_messages_keep_to_the_width_of_a_terminal_and_are_whole_in_a_pipe(monkeypatch, capsys, width):
+    text = "error: points.csv: 1 problem\n  force: " + 20 * "a long reason " + "--column 'F=force_N'"
+    monkeypatch.setenv("COLUMNS", str(width))
+    options.echo(text, err=True)
+    assert capsys.readouterr().err == text + "\n"
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    options.echo(text, err=True)
+    shown = capsys.readouterr().err
+    assert max(map(len, shown.splitlines())) <= width
+    assert shown.split() == text.split()
+
+
 def test_a_fault_of_ours_ends_with_1_and_says_what_to_do(cli, monkeypatch):
     import mckibben.study.inputs
 
