@@ -94,7 +94,7 @@ BUDGET = {
     "actuator": 1050,
     "calibration": 1970,
     "catalog": 230,
-    "cli": 1480,
+    "cli": 1490,
     "codegen": 2530,
     "component": 1020,
     "config": 550,
