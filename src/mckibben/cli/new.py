@@ -26,7 +26,7 @@ def new(kind: str, file: Path, muscle: Path | None = None) -> None:
         Muscle of the joint or test, as `mckibben identify --out` writes it. Default: one of the catalog.
     """
     if kind not in _KINDS:
-        raise ParameterError(f"{quoted(kind)} is no kind of file", field="kind", remedy=suggest(kind, _KINDS))
+        raise ParameterError(f"there is no template {quoted(kind)}", field="kind", remedy=suggest(kind, _KINDS))
     from mckibben.codegen.templates import filled
     from mckibben.storage.files import atomic_write
 

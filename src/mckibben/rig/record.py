@@ -344,7 +344,7 @@ def _complete_points(folder: Path) -> tuple[list[Point], dict[str, list[np.ndarr
 
 
 def _origin_of(bench: Bench, source: str) -> dict[str, Any]:
-    """What a dataset and a recording tell of where they come from."""
+    """Specimen, initial length, source and slack force of a dataset or a recording."""
     specimen = bench.specimen
     length = float(specimen.initial_length)
     return {"specimen": specimen.name, "initial_length": length, "source": source, "slack_force": bench.slack_force}

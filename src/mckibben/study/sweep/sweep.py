@@ -22,7 +22,7 @@ from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.cluster import check_cluster
 from mckibben.study.scenarios import ScenarioStudy, Sweepable, begun_settings
-from mckibben.study.study import Table, digest, select
+from mckibben.study.study import Table, select
 from mckibben.study.sweep.result import SweepResult
 
 
@@ -66,7 +66,6 @@ class Sweep(ScenarioStudy):
 
     def about(self) -> dict[str, object]:
         """Return all that determines the numbers, as JSON."""
-        first = batched(self.scenario, select(self.rows(), slice(1)), model_follows=self.model_follows)
         return {
             **super().about(),
             "model_follows": list(self.model_follows),
@@ -74,8 +73,11 @@ class Sweep(ScenarioStudy):
             "block": self.block,
             "batch_size": self.batch_size,
             "software": dict(self.software),
-            "digest of model": digest((first.plant(), first.control(), first.reference())),
         }
+
+    def scenarios(self, rows: Table) -> Scenario:
+        """Return the scenarios of some rows as one; the controller's model has the values of `model_follows`."""
+        return batched(self.scenario, rows, model_follows=self.model_follows)
 
     def compute(self, rows: Table, /) -> Table:
         """Return metrics, outcomes and integration steps; raises `SimulationError` with other software."""
