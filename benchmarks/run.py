@@ -24,7 +24,7 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "leg")
+SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "robot")
 
 
 def main() -> int:
@@ -69,9 +69,9 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from gpu import gpu
     from gradient import gradient
     from identification import identification
-    from leg import leg
     from precision import precision
     from reference import reference_problem
+    from robot import robot
     from single import single
 
     problem = reference_problem()
@@ -83,7 +83,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "gradient": lambda: gradient(problem, folder, quick=quick),
         "cold": lambda: cold(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
-        "leg": lambda: leg(folder, quick=quick),
+        "robot": lambda: robot(folder, quick=quick),
     }
 
 

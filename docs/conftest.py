@@ -8,7 +8,7 @@ SLOW = {
     "batches.md",
     "extending.md",
     "laws.md",
-    "leg.md",
+    "robot.md",
     "size.md",
     "stiffness.md",
     "tuning.md",

@@ -12,8 +12,8 @@ from diagrams import WORKFLOWS, draw_control_loop, draw_workflow
 from PIL import Image
 
 import mckibben as mk
-from mckibben.leg.foot_pressures import solve_foot_stiffness
 from mckibben.report.style import save
+from mckibben.robot.foot_pressures import solve_foot_stiffness
 from mckibben.scenario import run_scenario
 from mckibben.units import bar, deg, mm
 
@@ -53,7 +53,7 @@ def main() -> None:
         png.unlink()
     _results(scenario)
     _size()
-    _leg()
+    _robot()
     _gallery()
 
 
@@ -98,16 +98,16 @@ def _size() -> None:
     svg.unlink()  # larger than the PNG
 
 
-def _leg() -> None:
-    """Pictures of the page on the leg."""
-    leg = mk.leg.LegScenario.read(ROOT / "examples" / "leg" / "lei-leg.yaml")
-    jumps = mk.leg.study_jump(leg)
-    stiffness = leg.stiffness
+def _robot() -> None:
+    """Pictures of the page on the robot."""
+    robot = mk.robot.RobotScenario.read(ROOT / "examples" / "robot" / "lei-leg.yaml")
+    jumps = mk.robot.study_jump(robot)
+    stiffness = robot.stiffness
     assert stiffness is not None
-    posture = leg.leg.posture_angles(stiffness.posture)
+    posture = robot.robot.posture_angles(stiffness.posture)
     figures = {
-        "leg-foot-stiffness": mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg)),
-        "leg-landing": mk.report.landing_forces(mk.leg.study_landing(leg)),
+        "leg-foot-stiffness": mk.report.foot_ellipses(robot.robot, posture, found=solve_foot_stiffness(robot)),
+        "leg-landing": mk.report.landing_forces(mk.robot.study_landing(robot)),
         "leg-jump": mk.report.jump_traces(jumps),
     }
     for name, figure in figures.items():

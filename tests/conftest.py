@@ -27,9 +27,9 @@ from mckibben.component import extensions
 from mckibben.control import Controller
 from mckibben.errors import DeviceError, SimulationError
 from mckibben.joint import AntagonisticJoint
-from mckibben.leg import simulate as leg_runs
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
+from mckibben.robot import simulate as robot_runs
 from mckibben.simulation import Batch, Metrics, Outcome, batch
 from mckibben.simulation.engine import run_alone
 from mckibben.simulation.outcome import OUTCOMES
@@ -325,7 +325,7 @@ def cuda_here(cuda_driver, monkeypatch):
 def cuda_device(request, monkeypatch):
     """The engine "cuda" on this processor, which compiles anew, and on a GPU where there is one; its compiler."""
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
-    for one in (batch._run, batch._positions, leg_runs._run, leg_runs._positions):
+    for one in (batch._run, batch._positions, robot_runs._run, robot_runs._positions):
         monkeypatch.setattr(one._cuda, "_known", {})
     if request.param == "processor":
         return request.getfixturevalue("cuda_here").compiler

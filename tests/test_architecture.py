@@ -107,7 +107,7 @@ BUDGET = {
     "firmware": 140,
     "identification": 3600,
     "joint": 1160,
-    "leg": 3360,
+    "robot": 3360,
     "muscle": 1580,
     "numerics": 840,
     "paper": 740,

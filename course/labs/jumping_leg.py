@@ -23,22 +23,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mckibben as mk
-from mckibben.leg import EnergyBalance, Ground, LegPlant, LegStart, PressureSchedule, read_leg, simulate_leg
 from mckibben.muscle.air import L_PER_S_BAR
+from mckibben.robot import EnergyBalance, Ground, PressureSchedule, RobotPlant, RobotStart, read_robot, simulate_robot
 from mckibben.units import bar, deg, mm, ms
 
 GRAVITY, STEP = 9.81, 0.25 * ms
-leg = read_leg("lei-leg-planar")
+robot = read_robot("lei-leg-planar")
 regulator = mk.PressureRegulator(0.5 * L_PER_S_BAR, 7 * bar, time_constant=5 * ms, dead_volume=3e-6)
-plant = LegPlant(leg, regulator, Ground(20e3, 0.5, friction=0.0))
-mass, squat = float(leg.total_mass), (0.0, -20 * deg)  # kg; angles of hip and knee
+plant = RobotPlant(robot, regulator, Ground(20e3, 0.5, friction=0.0))
+mass, squat = float(robot.total_mass), (0.0, -20 * deg)  # kg; angles of hip and knee
 
 
 def jump(levels, wait=20 * ms, duration=0.7):
     """Jump from a squat: 1 bar in all muscles, and after a wait [s] the levels [Pa] of hip1, hip2, knee1, knee2."""
     schedule = PressureSchedule(tuple((1 * bar, each) for each in levels), ((wait,),) * 4)
-    start = LegStart(squat, (1 * bar,) * 4)
-    return simulate_leg(plant, schedule, start, duration=duration, control_period=STEP)
+    start = RobotStart(squat, (1 * bar,) * 4)
+    return simulate_robot(plant, schedule, start, duration=duration, control_period=STEP)
 
 
 first = jump((1 * bar, 1 * bar, 0 * bar, 6 * bar))
@@ -160,7 +160,7 @@ print(f"it lands with {weights:.1f} weights")
 # %% [markdown]
 # ## Task 5: land softly
 #
-# The stretched leg falls by 50 mm. Before, `leg.pressures_for` has set the stiffness of the knee. Too soft, and the
+# The stretched robot falls by 50 mm. Before, `robot.pressures_for` has set the stiffness of the knee. Too soft, and the
 # knee hits its stop; too stiff, and the trunk is shaken. For the stiffnesses below, find the one with the smallest
 # largest force on the trunk, `peak_trunk_force` [N]: once for the regulators, and once for valves that are almost shut
 # during the landing, so that the air stays in the muscles. Predict which is softer.
@@ -174,10 +174,10 @@ shut = dataclasses.replace(
 
 def land(stiffness, plant):
     """Metrics of a landing after a fall of 50 mm with a stiffness [N*m/rad] of the knee."""
-    pressures = leg.pressures_for((0.0, 0.0), torques=(0.0, 0.0), stiffness=(None, stiffness))
-    start = LegStart((0.0, 0.0), pressures, upward_speed=-np.sqrt(2 * GRAVITY * 50 * mm))
+    pressures = robot.pressures_for((0.0, 0.0), torques=(0.0, 0.0), stiffness=(None, stiffness))
+    start = RobotStart((0.0, 0.0), pressures, upward_speed=-np.sqrt(2 * GRAVITY * 50 * mm))
     schedule = PressureSchedule(tuple((each,) for each in pressures))
-    return simulate_leg(plant, schedule, start, duration=0.25, control_period=STEP).metrics
+    return simulate_robot(plant, schedule, start, duration=0.25, control_period=STEP).metrics
 
 
 # %% task landing

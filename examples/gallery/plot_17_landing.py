@@ -6,19 +6,19 @@ A leg of two joints drops on its foot. How stiff should its knee be, and how doe
 """
 
 import mckibben as mk
-from mckibben.leg import LegScenario, attainable_foot_stiffness, study_landing
+from mckibben.robot import RobotScenario, attainable_foot_stiffness, study_landing
 
-leg = LegScenario.parse(
+robot = RobotScenario.parse(
     """
     name: drop landing
-    leg: lei-leg-planar
+    robot: lei-leg-planar
     valve: {class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms}
     ground: {stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}
     landing: {joint: knee, drop: [20 mm, 50 mm], time_constants: [20 ms]}
     uncertainty: {strength: 5 %, mass: 3 %, draws: 32}
     """
 )
-study = study_landing(leg)
+study = study_landing(robot)
 for landing in study.to_dict()["landings"]:
     low, high = landing["best_stiffness_interval"]
     print(f"{landing['valve']}, {landing['drop_mm']:g} mm: {landing['best_stiffness']:.1f} ({low:.1f} to {high:.1f})")
@@ -32,6 +32,6 @@ figure = mk.report.landing_forces(study)
 # %%
 # The attainable stiffness of the foot without joint torque: along the leg it is about 80 times that across.
 
-figure = mk.report.foot_ellipses(leg.leg, study.angles)
-softest = attainable_foot_stiffness(leg.leg, study.angles, [0.0, 0.0])[0]
+figure = mk.report.foot_ellipses(robot.robot, study.angles)
+softest = attainable_foot_stiffness(robot.robot, study.angles, [0.0, 0.0])[0]
 print([round(value) for value in softest.principal], "N/m")

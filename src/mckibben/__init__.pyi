@@ -7,7 +7,7 @@ from .actuator import (
     Tube as Tube,
     UnequalValves as UnequalValves,
 )
-from . import catalog as catalog, leg as leg, report as report, units as units
+from . import catalog as catalog, robot as robot, report as report, units as units
 from .control import (
     PID as PID,
     BackpropPID as BackpropPID,

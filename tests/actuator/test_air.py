@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben import leg
+from mckibben import robot
 from mckibben.actuator import (
     AirState,
     AirVolume,
@@ -276,7 +276,7 @@ RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 1e-9}
         (lambda: UnequalValves(STORED, FLOW), "muscle1"),
         (lambda: UnequalValves(FLOW, FLOW, reservoir_volume=1e-3), "line_conductance"),
         (lambda: UnequalValves(FirstOrderValve(0.1), FirstOrderValve(0.1), **RESERVOIR), "reservoir_volume"),
-        (lambda: leg.LegPlant(leg.read_leg("lei-leg-planar"), LAGGING), "valve"),
+        (lambda: robot.RobotPlant(robot.read_robot("lei-leg-planar"), LAGGING), "valve"),
     ],
 )
 def test_what_no_actuator_can_be_is_refused(make, field):

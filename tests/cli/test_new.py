@@ -25,8 +25,8 @@ def test_a_joint_runs_with_margins(cli, tmp_path, own):
     assert (tmp_path / "joint.yaml").read_text().count(f"rest_length: {length}") == 2
 
 
-def test_a_test_and_a_leg_are_valid(cli):
-    for kind, command in (("bench", ("rig", "run", "--dry-run")), ("leg", ("leg", "stiffness"))):
+def test_a_test_and_a_robot_are_valid(cli):
+    for kind, command in (("bench", ("rig", "run", "--dry-run")), ("robot", ("robot", "stiffness"))):
         assert cli("new", kind, f"{kind}.yaml").code == 0
         done = cli(*command, f"{kind}.yaml")
         assert done.code == 0, done.err
@@ -36,7 +36,7 @@ def test_a_test_and_a_leg_are_valid(cli):
     ("arguments", "meant"),
     [
         (("jiont", "x.yaml"), "did you mean 'joint'"),
-        (("leg", "x.yaml", "--muscle", "own.yaml"), "leave --muscle out"),
+        (("robot", "x.yaml", "--muscle", "own.yaml"), "leave --muscle out"),
         (("joint", "x.yaml", "--muscle", "missing.yaml"), "missing.yaml"),
         (("joint", "there.yaml"), "already exists"),
     ],

@@ -128,7 +128,7 @@ def test_every_scalar_of_an_example_can_be_edited_alone():
     "name",
     [
         "comparison/knee.yaml",
-        "leg/lei-leg.yaml",
+        "robot/lei-leg.yaml",
         "rig/paper-protocol.yaml",
         "rig/joint-rig.yaml",
         "your-muscle/fit/fit.yaml",
@@ -145,7 +145,7 @@ def test_a_file_of_another_kind_is_one_problem(name):
     assert len(caught.value.problems) == 1
 
 
-@pytest.mark.parametrize("name", ["own-joint.yaml", "comparison/knee.yaml", "leg/lei-leg.yaml"])
+@pytest.mark.parametrize("name", ["own-joint.yaml", "comparison/knee.yaml", "robot/lei-leg.yaml"])
 def test_a_configuration_is_not_read_as_measurements(name):
     with pytest.raises(DatasetError) as caught:
         read_dataset(EXAMPLES / name)

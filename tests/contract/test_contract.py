@@ -24,7 +24,7 @@ import pytest
 from jax import lax
 
 import mckibben
-from mckibben import actuator, control, joint, leg, muscle, plant
+from mckibben import actuator, control, joint, muscle, plant, robot
 from mckibben.actuator import FirstOrderValve, Valve
 from mckibben.codegen.cuda import CudaFunction
 from mckibben.codegen.native import Split, compiler
@@ -70,16 +70,16 @@ PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
 LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=KNEE)
 DECOUPLING = control.DecouplingControl(KNEE, LOAD, control.PolePlacement())
 REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
-TIMED = leg.TimedReference((REFERENCE, REFERENCE))
+TIMED = robot.TimedReference((REFERENCE, REFERENCE))
 PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
-LEG = dataclasses.replace(
-    leg.read_leg("lei-leg-planar"),
+ROBOT = dataclasses.replace(
+    robot.read_robot("lei-leg-planar"),
     biarticular=(
-        leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
+        robot.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
     ),
 )
-SPANNING = leg.SpanningMuscle(
-    ROUGH, (leg.BodyPoint("trunk", (0.03, 0.0, 0.1)), leg.BodyPoint("knee", (0.03, 0.0, -0.05)))
+SPANNING = robot.SpanningMuscle(
+    ROUGH, (robot.BodyPoint("trunk", (0.03, 0.0, 0.1)), robot.BodyPoint("knee", (0.03, 0.0, -0.05)))
 )
 EXAMPLES = [
     *(example() for example in LAWS.values()),
@@ -130,19 +130,19 @@ EXAMPLES = [
     control.InverseModelControl(LOOPS, LOAD),
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),
-    leg.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
+    robot.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
     TIMED,
-    leg.JointwiseControl((LOOPS, LOOPS), TIMED),
-    leg.CoupledControl((DECOUPLING, DECOUPLING), TIMED, (2e5,), leg=LEG),
-    leg.PhasedReference(*PHASES),
-    LEG,
-    LEG.trunk,
-    LEG.links[0],
-    LEG.joints[0],
-    LEG.biarticular[0],
+    robot.JointwiseControl((LOOPS, LOOPS), TIMED),
+    robot.CoupledControl((DECOUPLING, DECOUPLING), TIMED, (2e5,), robot=ROBOT),
+    robot.PhasedReference(*PHASES),
+    ROBOT,
+    ROBOT.trunk,
+    ROBOT.links[0],
+    ROBOT.joints[0],
+    ROBOT.biarticular[0],
     SPANNING,
     SPANNING.through[0],
-    leg.LegPlant(LEG, FirstOrderValve(0.02)),
+    robot.RobotPlant(ROBOT, FirstOrderValve(0.02)),
     MountedMuscle(SPECIMEN, CHOU, friction=SLIP),
 ]
 INSTANCES = {type(one).__name__: one for one in EXAMPLES}

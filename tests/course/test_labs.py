@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mckibben
-from mckibben import leg
+from mckibben import robot
 
 COURSE = Path(__file__).parents[2] / "course"
 
@@ -159,7 +159,7 @@ def remembering(compute):
 def remembered(monkeypatch):
     """Checks and wrong answers repeat most runs and fits of a solution."""
     names = "identify", "identify_hysteresis", "simulate", "simulate_many"
-    for module, name in (*((mckibben, name) for name in names), (leg, "simulate_leg")):
+    for module, name in (*((mckibben, name) for name in names), (robot, "simulate_robot")):
         monkeypatch.setattr(module, name, remembering(getattr(module, name)))
 
 

@@ -147,7 +147,7 @@ def valve_section(name: str) -> dict[str, Any]:
 
 
 def leg_section(name: str) -> dict[str, Any]:
-    """Return the entries that `from` adds to a `leg` section of a file, in the units of the source."""
+    """Return the entries that `from` adds to a `robot` section of a file, in the units of the source."""
     return {key: value for key, value in find("legs", name)[0].items() if key != "where"}
 
 

@@ -23,11 +23,11 @@ from mckibben.cli.command import plain_command
 from mckibben.cli.export import export
 from mckibben.cli.identify import catalog, identify, validate
 from mckibben.cli.joint import envelope, margins, simulate, size, stiffness
-from mckibben.cli.leg import leg
 from mckibben.cli.new import new
 from mckibben.cli.options import INTERRUPTED, Commands, echo, job_progress, on_command_line, text_width
 from mckibben.cli.points import plan, points
 from mckibben.cli.rig import rig
+from mckibben.cli.robot import robot
 from mckibben.cli.studies import compare, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder
@@ -99,7 +99,7 @@ _PANELS = {
     "The paper": (reproduce,),
     "A file to start from": (new,),
     "Muscles, data and test rig": (points, identify, validate, plan, catalog, rig),
-    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
+    "Joint, robot and control": (size, simulate, envelope, stiffness, margins, calibrate, robot),
     "Studies": (tune, compare, sweep),
     "Other programs": (web, export, check),
 }

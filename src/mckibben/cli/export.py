@@ -20,16 +20,16 @@ def export(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Write a scenario's controller or plant, or a leg, for other programs.
+    """Write a scenario's controller or plant, or a robot, for other programs.
 
     Parameters
     ----------
     scenario : SCENARIO.yaml
-        Scenario or leg; see examples/.
+        Scenario or robot; see examples/.
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
         for pages. fmu, fmu-controller, fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle.
-        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a leg: mjcf or warp.
+        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a robot: mjcf or warp.
     out : DIR
         Output folder.
     name : NAME
@@ -49,10 +49,10 @@ def export(
     from mckibben.export import export as write
     from mckibben.export.targets import CONTROLLERS
     from mckibben.firmware import Hardware
-    from mckibben.leg import LegScenario
+    from mckibben.robot import RobotScenario
     from mckibben.scenario import Scenario
 
-    kind = LegScenario if "leg" in (read_document(read_text(scenario)).data or ()) else Scenario
+    kind = RobotScenario if "robot" in (read_document(read_text(scenario)).data or ()) else Scenario
     with keeping(folder):
         read = kind.read(scenario)
         parts = None if hardware is None else Hardware.read(hardware)

@@ -8,17 +8,17 @@ from mckibben.cli.command import plain_command
 from mckibben.cli.options import echo
 from mckibben.errors import ParameterError, RangeError, quoted, suggest
 
-_KINDS = ("joint", "bench", "leg")
+_KINDS = ("joint", "bench", "robot")
 _MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
 
 
 @plain_command
 def new(kind: str, file: Path, muscle: Path | None = None) -> None:
-    """Write a commented file to start from: a joint, a test on a bench, or a leg.
+    """Write a commented file to start from: a joint, a test on a bench, or a robot.
 
     Parameters
     ----------
-    kind : joint|bench|leg
+    kind : joint|bench|robot
         What the file describes.
     file : FILE.yaml
         The new file; an existing one is not replaced.
@@ -31,10 +31,10 @@ def new(kind: str, file: Path, muscle: Path | None = None) -> None:
     from mckibben.storage.files import atomic_write
 
     values: dict[str, object] = {"file": file, "name": file.stem}
-    if kind != "leg":
+    if kind != "robot":
         values |= _values_for(kind, muscle, file)
     elif muscle:
-        raise ParameterError("a leg has the muscles of its file", field="muscle", remedy="leave --muscle out")
+        raise ParameterError("a robot has the muscles of its file", field="muscle", remedy="leave --muscle out")
     with atomic_write(file) as target:
         target.write_text(filled(f"{kind}.yaml", values, "mckibben.cli"), encoding="utf-8")
     echo(f"wrote {file}; its first lines say what to do with it")

@@ -14,7 +14,7 @@ class Report(Result):
 
     files: ClassVar = (
         *("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "fits"),
-        "leg.yaml",
+        "robot.yaml",
         *(f"{name}.{end}" for name in ("fit", "bands", "loops", "ranking", "foot_stiffness") for end in ("png", "svg")),
     )
 

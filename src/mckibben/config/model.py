@@ -282,7 +282,7 @@ def validated(
 
 
 _KINDS = (
-    ({"leg"}, "a leg, which `mckibben leg` reads"),
+    ({"robot"}, "a robot, which `mckibben robot` reads"),
     ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
     ({"muscle", "rig"}, "a protocol, which `mckibben rig run` reads"),

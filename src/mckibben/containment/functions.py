@@ -76,7 +76,7 @@ def functions_of(
     limits: Containment,
     applied: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]] = lambda controller, setpoint: (controller, setpoint),
 ) -> ControllerFunctions:
-    """Functions of a controller of a joint or a leg, all of whose real numbers but the period are parameters.
+    """Functions of a controller of a joint or a robot, all of whose real numbers but the period are parameters.
 
     Parameters
     ----------

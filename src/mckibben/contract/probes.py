@@ -25,12 +25,12 @@ from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
-from mckibben.leg.control import LegController, LegReference
-from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.muscle.creep import CreepState, TensionAt
 from mckibben.numerics.calculus import derivative
 from mckibben.plant import Disturbance, JointFriction, Sensors
+from mckibben.robot.control import RobotController, RobotReference
+from mckibben.robot.plant import RobotMeasurement
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]
@@ -371,8 +371,8 @@ def _commands(
     return _stepped(controller, Setpoint(setpoint, stiffness), measurements)
 
 
-def _leg_step(part: LegController | LegReference, time: Num, angle: Num, pressure: Num, force: Num) -> Tree:
-    return _stepped(part, time, [LegMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
+def _robot_step(part: RobotController | RobotReference, time: Num, angle: Num, pressure: Num, force: Num) -> Tree:
+    return _stepped(part, time, [RobotMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
 
 
 def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[Tree]) -> Tree:
@@ -418,7 +418,7 @@ def _torque(disturbance: Disturbance, time: Num) -> Tree:
 
 _NARROW: Ranges = {"angle": (-0.1, 0.1), "pressure": (2 * bar, 4 * bar), "time": (0.0, 1.0)}
 _SIGNAL = Probes((_value,), broadcasts=True, emitted=False)  # a reference is sampled before a run
-_LEG = Probes((_leg_step,), in_files=False, limits=lambda _: _NARROW)
+_ROBOT = Probes((_robot_step,), in_files=False, limits=lambda _: _NARROW)
 _PROBES: dict[type, Probes] = {
     ForceLaw: Probes(
         (_force,),
@@ -484,6 +484,6 @@ _PROBES: dict[type, Probes] = {
     Loop: Probes((_looped,)),
     Feedback: Probes((_fed_back,)),
     Observer: Probes((_observed,), limits=lambda _: _NARROW),
-    LegController: _LEG,
-    LegReference: _LEG,
+    RobotController: _ROBOT,
+    RobotReference: _ROBOT,
 }

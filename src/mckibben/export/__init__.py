@@ -4,18 +4,18 @@ Modules that need another package: `casadi`, `gym`, `mujoco`.
 """
 
 from mckibben.export.controller import ControllerModule, controller_module
-from mckibben.export.leg_controller import export_leg_controller
 from mckibben.export.plant import PlantModule, plant_module
-from mckibben.export.targets import LEG_TARGETS, TARGETS, Exported, export
+from mckibben.export.robot_controller import export_robot_controller
+from mckibben.export.targets import ROBOT_TARGETS, TARGETS, Exported, export
 
 __all__ = [
-    "LEG_TARGETS",
+    "ROBOT_TARGETS",
     "TARGETS",
     "ControllerModule",
     "Exported",
     "PlantModule",
     "controller_module",
     "export",
-    "export_leg_controller",
+    "export_robot_controller",
     "plant_module",
 ]

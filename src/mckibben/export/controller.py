@@ -1,6 +1,6 @@
 """Program of a controller: its functions, and a recorded run for checking them.
 
-The same functions are written as C and JavaScript, for a joint or a leg, and run in an FMU. They depend on parameters
+The same functions are written as C and JavaScript, for a joint or a robot, and run in an FMU. They depend on parameters
 and state alone; `containment` checks their samples.
 """
 

@@ -20,7 +20,7 @@ from mckibben.storage.files import atomic_write, check_free, make_folder
 
 if TYPE_CHECKING:
     from mckibben.firmware import Hardware
-    from mckibben.leg import LegScenario
+    from mckibben.robot import RobotScenario
 
 
 class Exported(Result):
@@ -83,16 +83,16 @@ TARGETS = {
 """Function of each format, ``(scenario, name, folder) -> Exported``, the default name, and a description."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-LEG_TARGETS = {
-    "mjcf": ("mckibben.export.leg_mjcf:mjcf_files", "leg", "bodies and muscles for MuJoCo, with the C of a plugin"),
-    "warp": ("mckibben.export.warp:leg_files", "leg", "bodies and muscles for MuJoCo Warp, in Python"),
+ROBOT_TARGETS = {
+    "mjcf": ("mckibben.export.robot_mjcf:mjcf_files", "robot", "bodies and muscles for MuJoCo, with the C of a plugin"),
+    "warp": ("mckibben.export.warp:robot_files", "robot", "bodies and muscles for MuJoCo Warp, in Python"),
 }
-"""Formats of a leg."""
+"""Formats of a robot."""
 
 
 @checked_call
 def export(
-    scenario: Scenario | LegScenario,
+    scenario: Scenario | RobotScenario,
     target: str,
     out: str | os.PathLike[str],
     *,
@@ -100,7 +100,7 @@ def export(
     hardware: Hardware | None = None,
     overwrite: bool = False,
 ) -> Exported:
-    """Write a scenario of a joint or a leg, or its controller, in another format into a folder.
+    """Write a scenario of a joint or a robot, or its controller, in another format into a folder.
 
     Raises `ExportError` for parts that cannot be exported, before any file is written; `FileError` if the files exist,
     unless they may be overwritten.
@@ -108,14 +108,14 @@ def export(
     Parameters
     ----------
     target
-        One of `TARGETS`, or of `LEG_TARGETS` for a leg.
+        One of `TARGETS`, or of `ROBOT_TARGETS` for a robot.
     name
         Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``muscle``, ``joint`` or
-        ``leg``, according to the format.
+        ``robot``, according to the format.
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """
-    targets, owner = (TARGETS, "joint") if isinstance(scenario, Scenario) else (LEG_TARGETS, "leg")
+    targets, owner = (TARGETS, "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
     if target not in targets:
         message = f"{quoted(target)} is not a format of a {owner}"
         raise ParameterError(message, field="to", value=target, remedy=f"give {' or '.join(targets)}")

@@ -1,4 +1,4 @@
-"""A joint or a leg for MuJoCo Warp: MJCF, and its muscles as a module of Warp with parameters for each world."""
+"""A joint or a robot for MuJoCo Warp: MJCF, and its muscles as a module of Warp with parameters for each world."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
-from mckibben.export.leg_mjcf import leg_model, plant_and_start
 from mckibben.export.mjcf import COMMAND_DELAY, MuscleModel, joint_model
 from mckibben.export.muscle_plugin import PluginMuscle
+from mckibben.export.robot_mjcf import plant_and_start, robot_model
 from mckibben.export.targets import Exported, filled
-from mckibben.leg import LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant, Plant, PlantState
+from mckibben.robot import RobotPlant, RobotScenario, RobotState
 from mckibben.scenario import Scenario
 
 
@@ -40,15 +40,15 @@ def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState,
     return _files(joint_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
 
 
-def leg_files(scenario: LegScenario, name: str, folder: Path) -> Exported:
-    """The leg of a scenario in its touchdown or squat posture as MJCF, and its muscles for MuJoCo Warp."""
+def robot_files(scenario: RobotScenario, name: str, folder: Path) -> Exported:
+    """The robot of a scenario in its touchdown or squat posture as MJCF, and its muscles for MuJoCo Warp."""
     plant, start = plant_and_start(scenario)
-    return warp_leg(plant, name, scenario.name, timestep=scenario.step, start=start)
+    return warp_robot(plant, name, scenario.name, timestep=scenario.step, start=start)
 
 
-def warp_leg(plant: LegPlant, name: str, title: str = "", *, timestep: float, start: LegState) -> Exported:
-    """MJCF and module of a leg, which starts in a state, for time steps [s]."""
-    exported = _files(leg_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
+def warp_robot(plant: RobotPlant, name: str, title: str = "", *, timestep: float, start: RobotState) -> Exported:
+    """MJCF and module of a robot, which starts in a state, for time steps [s]."""
+    exported = _files(robot_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
     return replace(exported, left_out=("controller: set data.ctrl yourself", *exported.left_out))
 
 

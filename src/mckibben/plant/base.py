@@ -188,7 +188,7 @@ class Plant(Component, Generic[S]):
     def needed_substeps(self, angles: Angles, stiffness: ArrayLike | None, period: float) -> int:
         """Return the least number of integration steps in a period [s] that resolves the fastest rate of the plant.
 
-        At the extreme angles [rad] of a joint, with a stiffness [N*m/rad], or at the angles of all joints of a leg.
+        At the extreme angles [rad] of a joint, with a stiffness [N*m/rad], or at the angles of all joints of a robot.
         Raises `SimulationError` if there is none up to 1000.
         """
         needed = max(self.fastest_rates(angles, stiffness).values()) * period / STABILITY_LIMIT

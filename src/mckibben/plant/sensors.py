@@ -20,7 +20,7 @@ from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, Pres
 class Sensors(Component):
     """Sensor model: maps the true state to a measurement once per control period.
 
-    For a leg, the angle of a measurement is a tuple over the joints, and there is a pressure for each muscle.
+    For a robot, the angle of a measurement is a tuple over the joints, and there is a pressure for each muscle.
     """
 
     default_class = "sampled"

@@ -15,9 +15,6 @@ from .joint import selection as selection
 from .joint import stiffness as stiffness
 from .joint import torque_stiffness_map as torque_stiffness_map
 from .joint import valve_calibration as valve_calibration
-from .leg import foot_ellipses as foot_ellipses
-from .leg import jump_traces as jump_traces
-from .leg import landing_forces as landing_forces
 from .muscle import fit as fit
 from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves
@@ -25,6 +22,9 @@ from .muscle import law_comparison as law_comparison
 from .muscle import measured_muscles as measured_muscles
 from .muscle import recording as recording
 from .page import write_report as write_report
+from .robot import foot_ellipses as foot_ellipses
+from .robot import jump_traces as jump_traces
+from .robot import landing_forces as landing_forces
 from .study import planned as planned
 from .study import sweep as sweep
 from .study import tuning as tuning

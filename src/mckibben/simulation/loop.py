@@ -58,7 +58,7 @@ def episode(
 ) -> tuple[PyTree, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
-    Setpoints at the start of each control period [s] are arrays of shape (periods,), for a leg the times. Returns the
+    Setpoints at the start of each control period [s] are arrays of shape (periods,), for a robot the times. Returns the
     plant's state after the last period, and the record of shape (periods,).
     """
 

@@ -1,0 +1,174 @@
+"""Figures of the robot: landings over stiffness, time traces of jumps, and stiffness of the foot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mckibben.numerics.spatial import Vector
+from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
+from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
+from mckibben.robot.attainable import attainable_foot_stiffness
+from mckibben.robot.dynamics import at_rest, frames, posture_of
+from mckibben.robot.foot import stiffness_of
+from mckibben.robot.landing import EDGES, LandingStudy
+from mckibben.units import bar, mm, ms
+
+if TYPE_CHECKING:
+    from mckibben.robot.foot import FootStiffness
+    from mckibben.robot.foot_pressures import FootPressures
+    from mckibben.robot.jumping import JumpStudy
+    from mckibben.robot.mechanism import Robot
+
+
+_LOOKS = ((VERMILLION, "-"), (BLUE, (0, (4, 2))))
+
+
+@styled
+def landing_forces(study: LandingStudy) -> Figure:
+    """Forces on the trunk and of the ground, and deflection of the joint, over the commanded stiffness.
+
+    One column per height of the drop, one colour per valve; bands contain 90 % of the draws. Triangles mark the
+    nominal best stiffness, circles the robust one.
+
+    Parameters
+    ----------
+    study
+        Result of `mckibben.robot.landing.study_landing`.
+    """
+    table = study.table
+    stiffness, drops = table["stiffness"].to_numpy(), table["drop"].to_numpy()
+    rows = (
+        ("force on the trunk\n[its weight]", study.trunk_weights()),
+        ("deflection [mm]", table["deflection"].to_numpy() / mm),
+        ("force of the ground\n[weight of the robot]", study.body_weights()),
+    )
+    valves = [str(name) for name in table["valve"].to_numpy()]
+    best, robust = study.best(), study.robust()
+    figure = blank(DOUBLE, 6.0)
+    grid = figure.subplots(len(rows), drops.size, sharex=True, sharey="row", squeeze=False)
+    for i, (label, values) in enumerate(rows):
+        for j, drop in enumerate(drops):
+            axes: Axes = grid[i, j]
+            for v, (name, look) in enumerate(looks_of(valves).items()):
+                low, high = np.percentile(values[v, j, :, 1:], EDGES, axis=-1)
+                draw_band(axes, stiffness, low, high, color=look["color"], alpha=0.15)
+                axes.plot(stiffness, values[v, j, :, 0], label=name, **look)
+                mark = {"markersize": 6, "markeredgecolor": "white", "color": look["color"]}
+                for at, shape in ((best[v, j, 0], "v"), (robust[v, j], "o")):
+                    axes.plot(stiffness[at], values[v, j, at, 0], shape, **mark)
+            if i == 0:
+                letter(axes, j, f"drop of {drop / mm:g} mm")
+        grid[i, 0].set_ylabel(label)
+    for axes in grid[-1]:
+        axes.set_xlabel("stiffness of the " + study.joint + " [N·m/rad]")
+    figure.align_ylabels(list(grid[:, 0]))
+    legend_above(figure, grid[0, 0])
+    return figure
+
+
+@styled
+def foot_ellipses(
+    robot: Robot, angles: Sequence[float], *, force: float = 1.0, found: FootPressures | None = None
+) -> Figure:
+    """Posture of a robot, and displacements of its foot [mm] under a force in all directions of a plane.
+
+    The plane is that of walking, and for a robot in space also that across it. Grey: all attainable stiffness, at zero
+    torque or at the torques that are held; coloured: the softest and the stiffest on average over the directions, or
+    the attained and the desired one.
+
+    Parameters
+    ----------
+    robot, angles
+        Robot, and the angles of its joints [rad].
+    force
+        Magnitude of the force [N].
+    found
+        Pressures for a stiffness of the foot, which is drawn in place of the extremes.
+    """
+    torques, held = ([0.0] * len(angles), None)
+    if found is not None:
+        torques, held = [float(torque) for torque in robot.torques(angles, found.pressures)], found.force
+    attainable = attainable_foot_stiffness(robot, angles, torques, levels=9 if robot.is_planar else 4, force=held)
+    if found is None:
+        ordered = sorted(attainable, key=lambda stiffness: np.trace(stiffness.compliance))
+        shown = {"softest": ordered[-1], "stiffest": ordered[0]}
+    else:
+        shown = {"attained": found.stiffness, "desired": stiffness_of(np.linalg.inv(found.wanted))}
+    planes = _planes(robot)
+    figure = blank(DOUBLE * (0.8 if robot.is_planar else 1.0), 3.0)
+    posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
+    posture = posture_of(robot, angles)
+    links = frames(robot, posture, at_rest(posture))[1:]
+    points = [*(link.position for link in links), links[-1].point(Vector(0.0, 0.0, -robot.links[-1].length))[0]]
+    x, z = (np.array([float(point[i]) for point in points]) / mm for i in (0, 2))
+    posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
+    posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
+    posture_axes.margins(x=0.6, y=0.1)
+    letter(posture_axes, 0, "posture")
+    for number, (axes, (along, plane)) in enumerate(zip(others, planes.items(), strict=True), 1):
+        _ellipses(axes, plane, attainable, shown, force)
+        axes.set(xlabel=f"{along} [mm]", ylabel="up [mm]" if number == 1 else "")
+        letter(axes, number, f"foot under {force:g} N" + (" in all directions" if robot.is_planar else ""))
+    legend_above(figure, *others)
+    return figure
+
+
+def _planes(robot: Robot) -> dict[str, tuple[int, int]]:
+    """Planes in which the stiffness of the foot is drawn, each with up, by the name of the other direction."""
+    walking = {"forwards": (0, -1)}
+    return walking if robot.is_planar else walking | {"to the left": (1, -1)}
+
+
+def _ellipses(
+    axes: Axes,
+    plane: tuple[int, int],
+    attainable: Sequence[FootStiffness],
+    shown: Mapping[str, FootStiffness],
+    force: float,
+) -> None:
+    """Displacements of the foot in a plane: grey what is attainable, and two in colours, the second dashed."""
+    curves = [("attainable", stiffness, BAND, "-") for stiffness in attainable]
+    curves += [(name, stiffness, *look) for (name, stiffness), look in zip(shown.items(), _LOOKS, strict=True)]
+    for name, stiffness, colour, line in curves:
+        outline = stiffness.ellipse(force, plane=plane)[list(plane)] / mm
+        axes.plot(*outline, color=colour, linestyle=line, linewidth=0.8 if colour == BAND else 1.2, label=name)
+
+
+@styled
+def jump_traces(study: JumpStudy) -> Figure:
+    """Pressures [bar], force of the ground [N] and height of the centre of mass [mm] of jumps over time [ms].
+
+    Thin: commands; dashed: height of the jump at take-off speed.
+
+    Parameters
+    ----------
+    study
+        Result of `mckibben.robot.jumping.study_jump`.
+    """
+    jumps = study.jumps
+    figure = blank(DOUBLE, 5.6)
+    grid = figure.subplots(3, len(jumps), sharex=True, sharey="row")
+    for j, (title, jump) in enumerate(jumps.items()):
+        run = jump.run
+        time = run["time"] / ms
+        names = list(run.muscles)
+        for i, (name, look) in enumerate(looks_of(names).items()):
+            grid[0, j].plot(time, run["pressure"][i] / bar, label=name, **look)
+            grid[0, j].plot(time, run["command"][i] / bar, color=look["color"], linewidth=0.6, alpha=0.6)
+        grid[1, j].plot(time, run["ground_up"], color=VERMILLION)
+        height = (run["mass_height"] - study.standing) / mm
+        grid[2, j].plot(time, height, color=BLUE)
+        grid[2, j].axhline(jump.heights[0] / mm, color=ORANGE, linewidth=0.8, linestyle=(0, (4, 2)))
+        letter(grid[0, j], j, title)
+        grid[2, j].set_xlabel("time [ms]")
+    grid[0, 0].set_ylabel("pressure [bar]")
+    grid[1, 0].set_ylabel("force of the\nground [N]")
+    grid[2, 0].set_ylabel("centre of mass above\nthat of standing [mm]")
+    figure.align_ylabels(list(grid[:, 0]))
+    legend_above(figure, grid[0, 0])
+    return figure

@@ -1,0 +1,174 @@
+"""Stiffness of the foot: the ellipse or ellipsoid of a posture and of the stiffness of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+from numpy.typing import NDArray
+
+from mckibben.errors import RangeError
+from mckibben.numerics.compiled import jit
+from mckibben.numerics.spatial import Vector
+from mckibben.robot.dynamics import at_rest, frames, posture_of
+from mckibben.robot.mechanism import Robot
+
+Floats = NDArray[np.float64]
+
+
+class FootStiffness(NamedTuple):
+    """Stiffness of the foot with the trunk held.
+
+    Attributes
+    ----------
+    compliance
+        Displacement per force [m/N], shape (2, 2), forwards and up, or in space (3, 3), forwards, to the left and up.
+    principal
+        Principal stiffness [N/m], the lowest first; infinite where no movable joint yields.
+    axes
+        Directions of the principal stiffness as columns; they point forwards.
+    """
+
+    compliance: Floats
+    principal: tuple[float, ...]
+    axes: Floats
+
+    @property
+    def direction(self) -> float:
+        """Angle [rad] of the axis that is softest in the plane of walking from the forward direction, -pi/2 to pi/2."""
+        plane = stiffness_of(self.compliance[np.ix_([0, -1], [0, -1])])
+        return float(np.arctan2(plane.axes[1, 0], plane.axes[0, 0]))
+
+    def ellipse(self, force: float = 1.0, points: int = 181, plane: tuple[int, int] = (0, -1)) -> Floats:
+        """Return the displacements [m] by forces of one size [N] in a plane, shape (2 or 3, points).
+
+        The plane is that of walking, or of two of 0, forwards, 1, to the left, and -1, up.
+        """
+        angle = np.linspace(0, 2 * np.pi, points)
+        return self.compliance[:, plane] @ (force * np.stack([np.cos(angle), np.sin(angle)]))
+
+
+def stiffness_of(compliance: NDArray[np.floating]) -> FootStiffness:
+    """Return the principal stiffness and axes of a compliance [m/N]."""
+    values, vectors = np.linalg.eigh(compliance)
+    values, axes = values[::-1], vectors[:, ::-1]
+    with np.errstate(divide="ignore"):
+        principal = 1 / np.where(values > 1e-15, values, 0.0)
+    own: Floats = np.asarray(compliance, np.float64)
+    return FootStiffness(own, tuple(principal.tolist()), axes * np.where(axes[0] < 0, -1.0, 1.0))
+
+
+def foot_stiffness(
+    robot: Robot,
+    angles: Sequence[float],
+    stiffness: ArrayLike | Sequence[float],
+    *,
+    force: Sequence[float] | None = None,
+) -> FootStiffness:
+    r"""Return the stiffness of the foot from that of the joints.
+
+    .. math:: C = J K_q^{-1} J^\top, \qquad K_q = K - \frac{\partial}{\partial q} J^\top f
+
+    with the Jacobian J of the foot, and the force f of the ground on it: N. Hogan, "The mechanics of multi-joint
+    posture and movement control", Biological Cybernetics 52 (1985).
+
+    Parameters
+    ----------
+    angles
+        Angles [rad] of the joints.
+    stiffness
+        Stiffness [N*m/rad] of the joints, or their stiffness matrix, with the coupling by biarticular muscles; locked
+        joints do not yield.
+    force
+        Force of the ground [N], forwards and up, or in space forwards, to the left and up. Default: none.
+
+    Raises
+    ------
+    RangeError
+        If there is not one angle and one stiffness for each joint, or the posture is not stable under the force.
+
+    Examples
+    --------
+    Along the robot, which is nearly stretched, the foot is 70 times as stiff as across:
+
+    >>> from mckibben.robot import read_robot
+    >>> robot = read_robot("lei-leg-planar")
+    >>> found = foot_stiffness(robot, (0.0, 0.0), (20.0, 15.0))
+    >>> [round(one) for one in found.principal], round(found.direction, 3)
+    ([28, 1988], -0.056)
+
+    In space it is softest to the side:
+
+    >>> found = foot_stiffness(read_robot("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
+    >>> [round(one) for one in found.principal], [round(abs(one), 3) for one in found.axes[:, 0].tolist()]
+    ([27, 28, 1988], [0.0, 1.0, 0.0])
+    """
+    given = np.asarray(stiffness, float)
+    count = len(robot.joints)
+    if len(angles) != count or given.shape not in ((count,), (count, count)):
+        raise RangeError(
+            f"{len(angles)} angles and {given.shape[0]} values of stiffness for {count} joints",
+            field="stiffness",
+            value=len(given),
+            remedy="give one of each for each joint, from the trunk down, or the stiffness matrix",
+        )
+    joints = np.diag(given) if given.ndim == 1 else given
+    return stiffness_through(*foot_jacobian(robot, angles, force), movable(robot), joints)
+
+
+def stiffness_through(jacobian: Floats, geometric: Floats, free: NDArray[np.bool_], stiffness: Floats) -> FootStiffness:
+    """Return the stiffness of the foot by the stiffness matrix [N*m/rad] of the joints, of which some are free."""
+    yielding = (stiffness - geometric)[np.ix_(free, free)]
+    if free.any() and np.linalg.eigvalsh((yielding + yielding.T) / 2).min() <= 0:
+        raise RangeError(
+            "the posture is not stable under the force",
+            field="stiffness",
+            value=stiffness.tolist(),
+            remedy="give more stiffness, a straighter robot or less force",
+        )
+    moved = jacobian[:, free]
+    compliance = moved @ np.linalg.solve(yielding, moved.T) if free.any() else np.zeros((len(moved), len(moved)))
+    return stiffness_of(compliance)
+
+
+def movable(robot: Robot) -> NDArray[np.bool_]:
+    """Return whether each joint can move."""
+    return np.array([joint.locked is None for joint in robot.joints])
+
+
+def foot_jacobian(robot: Robot, angles: Sequence[float], force: Sequence[float] | None = None) -> tuple[Floats, Floats]:
+    """Return the Jacobian [m/rad] of the foot, and the derivative [N*m/rad] of the torques by a force [N] on it.
+
+    The foot moves in the plane of walking, or in space. `RangeError` unless the force has one number per direction.
+    """
+    directions = 2 if robot.is_planar else 3
+    pushed = (0.0,) * directions if force is None else tuple(force)
+    if len(pushed) != directions:
+        raise RangeError(
+            f"a force with {len(pushed)} numbers",
+            field="force",
+            value=list(pushed),
+            remedy="give it forwards and up" if robot.is_planar else "give it forwards, to the left and up",
+        )
+    jacobian, geometric = _jacobian(robot, tuple(angles), pushed)
+    return np.asarray(jacobian), np.asarray(geometric)
+
+
+@jit
+def _jacobian(
+    robot: Robot, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
+) -> tuple[Float[Array, "d n"], Float[Array, "n n"]]:
+    """Jacobian of the foot, and the derivative of the torques that balance a force."""
+
+    def foot(q: Array) -> Array:
+        posture = posture_of(robot, tuple(q))
+        place, _ = frames(robot, posture, at_rest(posture))[-1].point(Vector(0.0, 0.0, -robot.links[-1].length))
+        return jnp.stack([place.x, place.z] if robot.is_planar else list(map(jnp.asarray, place)))
+
+    q = jnp.stack([jnp.asarray(one) for one in angles])
+    pushed = jnp.stack([jnp.asarray(one) for one in force])
+    return jax.jacfwd(foot)(q), jax.jacfwd(lambda x: jax.jacfwd(foot)(x).T @ pushed)(q)

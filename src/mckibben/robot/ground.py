@@ -1,0 +1,86 @@
+"""Ground: a plane with compliant contact and friction."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from mckibben.component.base import Component
+from mckibben.numerics.spatial import Vector, Z, total
+from mckibben.robot.dynamics import Contact
+from mckibben.units import Quantity, Share, Speed, mm
+
+Slope = Annotated[float, Quantity("rad", "deg", -60, 60)]
+ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
+ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
+
+
+def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+    """Return k d (1 + c d') at a depth d, 0 outside and never pulling.
+
+    K. H. Hunt and F. R. E. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of
+    Applied Mechanics 42 (1975), with the exponent 1: continuous at the first touch, unlike a damper in parallel with a
+    spring.
+    """
+    pressed = jnp.maximum(jnp.asarray(depth), 0.0)
+    return jnp.asarray(stiffness) * pressed * jnp.maximum(1 + jnp.asarray(damping) * rate, 0.0)
+
+
+class Ground(Component):
+    """Plane ground at the height 0 below the start: a compliant contact with friction.
+
+    Parameters
+    ----------
+    stiffness, damping
+        k [N/m] and c [s/m] of the normal force k d (1 + c d') at a depth d [m], never pulling (`compliant_force`).
+    friction
+        Coefficient of friction.
+    slip_speed
+        Speed [m/s] v0 that regularises it: the force is ``-mu N v / sqrt(|v|^2 + v0^2)``, with the velocity v along the
+        ground.
+    slope, side_slope
+        Angles [rad] by which the ground rises forwards and to the left. Default: level.
+    implicit_friction
+        Whether integration steps are implicit in the slip velocity (`semi_implicit`), so that friction does not limit
+        their length. Default: classical Runge-Kutta.
+    """
+
+    stiffness: ContactStiffness = 20e3
+    damping: ContactDamping = 0.5
+    friction: Share = 0.8
+    slip_speed: Speed = 100 * mm
+    slope: Slope | None = None
+    side_slope: Slope | None = None
+    implicit_friction: bool = eqx.field(static=True, default=False)
+
+    @property
+    def normal(self) -> Vector:
+        """Unit vector up from the ground; that of level ground is known when traced."""
+        forward, left = (0.0 if one is None else -jnp.tan(one) for one in (self.slope, self.side_slope))
+        if self.slope is None and self.side_slope is None:
+            return Z
+        return Vector(forward, left, 1.0).scaled(1 / jnp.sqrt(1 + forward * forward + left * left))
+
+    def force(self, point: Contact) -> Vector:
+        """Return the force [N] on the foot: forwards, to the left, and up."""
+        pressed = self.normal_force(point)
+        return self.normal.scaled(pressed) - self.along(point.velocity).scaled(self.drag(pressed, point.velocity))
+
+    def normal_force(self, point: Contact) -> Any:
+        """Return the force [N] normal to the ground."""
+        normal = self.normal
+        speed = point.velocity.dot(normal)
+        return compliant_force(-point.position.dot(normal), -speed, self.stiffness, self.damping)
+
+    def drag(self, pressed: Any, velocity: Vector) -> Any:
+        """Return the friction per slip velocity [N*s/m] at a normal force [N] and a velocity of the foot [m/s]."""
+        along = self.along(velocity)
+        return self.friction * pressed / jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
+
+    def along(self, vector: Vector) -> Vector:
+        """Return the part of a vector along the ground."""
+        normal = self.normal
+        return vector - normal.scaled(vector.dot(normal))

@@ -1,0 +1,241 @@
+"""Metrics of a robot that are accumulated along a run."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.component.columns import labelled
+from mckibben.robot.plant import RobotPlant, RobotSample
+from mckibben.simulation.metrics import Duration, Largest, LargestError, Run, Totals, Tracked, metrics_of, values_of
+
+Scalar = Float[Array, ""]
+
+IMPACT = 10e-3
+"""Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
+
+
+@labelled
+class RobotMetrics(NamedTuple):
+    """Metrics of a run of a robot, in SI."""
+
+    peak_force: Annotated[Scalar, Largest("N", "largest upward force of the ground", of="ground_up")]
+    peak_force_late: Annotated[
+        Scalar,
+        Largest(
+            "N",
+            "largest upward force of the ground, without the impact of the foot",
+            of="force_after_impact",
+            note="later than 10 ms after the first touch",
+        ),
+    ]
+    peak_trunk_force: Annotated[
+        Scalar,
+        Largest(
+            "N",
+            "largest upward force on the trunk",
+            of="trunk_force",
+            note="its mass times the acceleration of the hip, gravity included",
+        ),
+    ]
+    deflection: Annotated[Scalar, Largest("m", "depth of the hip below its height at the first touch", of="depth")]
+    stop_torque: Annotated[
+        tuple[Scalar, ...],
+        LargestError(
+            "N*m", "torque of the stops", of="stop_torque", along="joint", note="above 0 the joint has bottomed out"
+        ),
+    ]
+    apex: Annotated[
+        Scalar,
+        Tracked(
+            "m",
+            "greatest height of the centre of mass in flight",
+            of="apex",
+            note="that the run reaches or is on its way to, after the first touch, in any flight; NaN if the "
+            "foot stays on the ground",
+        ),
+    ]
+    take_off_speed: Annotated[
+        Scalar, Tracked("m/s", "upward speed of the centre of mass at take-off", of="take_off_speed")
+    ]
+    peak_landing_force: Annotated[
+        Scalar,
+        Tracked(
+            "N",
+            "largest upward force of the ground after the flight",
+            of="landing_force",
+            note="that `apex` is of; 0 if the run ends before it lands",
+        ),
+    ]
+    muscle_work: Annotated[
+        Scalar,
+        Tracked(
+            "J",
+            "work of the muscles",
+            of="muscle_work",
+            note="the integral of tension times rate of shortening, until the take-off of the flight that `apex` is "
+            "of, or, without one, to the end of the run",
+        ),
+    ]
+    stop_energy: Annotated[
+        Scalar, Tracked("J", "energy that the stops have absorbed", of="stop_energy", note="until then")
+    ]
+    air_mass: Annotated[
+        Scalar,
+        Tracked(
+            "kg",
+            "mass of the air",
+            of="air_mass",
+            note="that flows into the muscles until then, at room temperature",
+        ),
+    ]
+    time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
+
+
+class EnergyBalance(NamedTuple):
+    """Energies of a run [J], from its start to its last sample; works are those done on the bodies.
+
+    Attributes
+    ----------
+    muscles, stops, resisting, ground
+        Work of the muscles, of the stops, of damping, friction and disturbances of the joints, and of the ground.
+    kinetic, potential
+        Changes of the energies of the bodies.
+    """
+
+    muscles: float
+    stops: float
+    resisting: float
+    ground: float
+    kinetic: float
+    potential: float
+
+    @classmethod
+    def of(cls, plant: RobotPlant, run: Any) -> EnergyBalance:
+        """Return the balance of a `RobotResult`, whose powers are integrated by the trapezoidal rule."""
+        powers = ("muscle_power", "stop_power", "resisting_power", "ground_power")
+        muscles, stops, resisting, ground = (float(np.trapezoid(run[name], run["time"])) for name in powers)
+        weight = float(plant.robot.total_mass) * float(plant.gravity)
+        kinetic, rise = (float(run[name][-1] - run[name][0]) for name in ("kinetic", "mass_height"))
+        return cls(muscles, stops, resisting, ground, kinetic, weight * rise)
+
+    @property
+    def residual(self) -> float:
+        """Work that does not appear as energy [J]: the error of sampling and integration."""
+        return self.muscles + self.stops + self.resisting + self.ground - self.kinetic - self.potential
+
+
+class RobotMetricSample(NamedTuple):
+    """Quantities of a sample that metrics are made of; flags are 0 or 1."""
+
+    ground_up: Scalar  # [N]
+    force_after_impact: Scalar  # [N], 0 before
+    trunk_force: Scalar  # [N]
+    depth: Scalar  # of the hip below its height at the first touch [m], 0 before
+    stop_torque: tuple[Scalar, ...]  # [N*m]
+    outside: Scalar
+
+
+class Flight(NamedTuple):
+    """Contact with the ground and the highest flight so far, tracked from sample to sample."""
+
+    touched: Scalar  # time since the first touch [s], below 0 before
+    height: Scalar  # of the hip at the first touch [m]
+    speed: Scalar  # of the hip, upwards [m/s]
+    work: Scalar  # of the muscles so far [J]
+    absorbed: Scalar  # by the stops so far [J]
+    drawn: Scalar  # air so far [kg]
+    air: tuple[Scalar, ...]
+    apex: Scalar  # -inf before a flight
+    take_off_speed: Scalar
+    landing_force: Scalar
+    muscle_work: Scalar
+    stop_energy: Scalar
+    air_mass: Scalar
+
+    @classmethod
+    def of(cls, first: RobotSample) -> Flight:
+        zero = jnp.zeros_like(first.z)
+        none = zero - jnp.inf
+        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, *[zero] * 5)
+
+    def after(self, sample: RobotSample, period: ArrayLike, plant: RobotPlant) -> tuple[Flight, RobotMetricSample]:
+        """Return the state after a further sample, a period [s] later, and what metrics are made of."""
+        gravity, force = plant.gravity, sample.ground_up
+        before = self.touched < 0
+        touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
+        height = jnp.where(touched < 0, sample.z, self.height)  # at touchdown, that of the previous sample
+        rising = jnp.maximum(sample.mass_speed, 0.0)
+        ballistic = sample.mass_height + rising * rising / (2 * gravity)
+        flying = (touched > 0) & (force <= 0)
+        higher = flying & (ballistic > self.apex + 1e-6)  # in flight it is constant except for rounding
+        inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
+        work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)
+        absorbed = self.absorbed - sample.stop_power * period
+        counts = higher | (self.apex == -jnp.inf)
+        following = Flight(
+            touched=touched,
+            height=height,
+            speed=sample.speed,
+            work=work,
+            absorbed=absorbed,
+            drawn=drawn,
+            air=sample.air_mass,
+            apex=jnp.where(higher, ballistic, self.apex),
+            take_off_speed=jnp.where(higher, sample.mass_speed, self.take_off_speed),
+            landing_force=jnp.where(counts, 0.0, jnp.maximum(self.landing_force, force)),
+            muscle_work=jnp.where(counts, work, self.muscle_work),
+            stop_energy=jnp.where(counts, absorbed, self.stop_energy),
+            air_mass=jnp.where(counts, drawn, self.air_mass),
+        )
+        return following, RobotMetricSample(
+            ground_up=force,
+            force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
+            trunk_force=plant.robot.trunk.mass * ((sample.speed - self.speed) / period + gravity),
+            depth=jnp.where(touched >= 0, height - sample.z, 0.0),
+            stop_torque=sample.stop_torque,
+            outside=sample.outside.astype(sample.z.dtype),
+        )
+
+
+class MetricSums(NamedTuple):
+    """Accumulated sums and maxima, and the state that is tracked."""
+
+    totals: Totals
+    flight: Flight
+
+    @classmethod
+    def of(cls, first: RobotSample) -> MetricSums:
+        zero = jnp.zeros_like(first.z)
+        nothing = RobotMetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
+        return cls(_totals(nothing).empty(), Flight.of(first))
+
+    def after(self, sample: RobotSample, period: ArrayLike, plant: RobotPlant) -> MetricSums:
+        """Return the sums with a further sample, a period [s] later."""
+        flight, quantities = self.flight.after(sample, period, plant)
+        return MetricSums(self.totals.merge(_totals(quantities)), flight)
+
+    def finished(self, periods: int, period: ArrayLike) -> RobotMetrics:
+        """Return the metrics of a whole run; NaN for the apex of a foot that never left the ground."""
+        apex = jnp.where(self.flight.apex > -jnp.inf, self.flight.apex, jnp.nan)
+        return values_of(RobotMetrics, self.totals, Run(periods, period, self.flight._replace(apex=apex)))
+
+
+def measure(samples: RobotSample, last: RobotSample, period: ArrayLike, plant: RobotPlant) -> RobotMetrics:
+    """Return the metrics of a finished run, from its samples of shape (periods,) and that at its end."""
+
+    def advance(sums: MetricSums, sample: RobotSample) -> tuple[MetricSums, None]:
+        return sums.after(sample, period, plant), None
+
+    first, rest = (jax.tree.map(lambda x, at=at: x[at], samples) for at in (0, slice(1, None)))
+    sums = lax.scan(advance, MetricSums.of(first), rest)[0]
+    return sums.after(last, period, plant).finished(samples.z.shape[0], period)
+
+
+def _totals(quantities: Any) -> Totals:
+    return Totals.of(metrics_of(RobotMetrics).values(), quantities)

@@ -1,0 +1,478 @@
+"""The simulated robot: bodies, muscles, valves, and the ground."""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Callable, Sequence
+from numbers import Real
+from typing import Annotated, Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
+from mckibben.component.checks import check_count, check_positive, known_numbers
+from mckibben.component.columns import Label, labelled
+from mckibben.errors import RangeError, SimulationError
+from mckibben.joint import Measurement, RigidTendon
+from mckibben.muscle import Muscle, MuscleState, SpringLaw
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
+from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.batching import trace_mode
+from mckibben.numerics.calculus import SEMI_IMPLICIT_LIMIT, rk4, semi_implicit, value_and_derivative
+from mckibben.numerics.elementary import floating
+from mckibben.numerics.spatial import Vector
+from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
+from mckibben.plant.sensors import Disturbance
+from mckibben.robot.dynamics import (
+    Contact,
+    Posture,
+    Velocity,
+    acceleration,
+    at_rest,
+    contact,
+    frames,
+    mobilities,
+    motion,
+    posture_of,
+)
+from mckibben.robot.ground import Ground, compliant_force
+from mckibben.robot.mechanism import Robot, RoutedMuscle
+from mckibben.units import Gravity, show
+
+Scalar = Float[Array, ""]
+
+_MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
+_ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
+_PASSES = 2  # of reweighting in a step with implicit friction
+_LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
+
+
+class RobotState(NamedTuple):
+    """State of a `RobotPlant`; parts that it lacks have no leaves, as in a `PlantState`."""
+
+    posture: Posture
+    velocity: Velocity
+    pressures: tuple[Scalar, ...]
+    muscles: tuple[MuscleState, ...]
+    io: IOState | tuple[()] = ()
+    air: AirState | tuple[()] = ()
+    friction: tuple[FrictionState, ...] = ()
+    sent: tuple[tuple[Scalar, ...], ...] = ()
+
+
+class RobotStart(NamedTuple):
+    """Start of a run: angles [rad], pressures [Pa], clearance of the foot [m], and upward speed [m/s].
+
+    Numbers, or arrays over runs; see `RobotPlant.init_state`.
+    """
+
+    angles: tuple[ArrayLike, ...]
+    pressures: tuple[ArrayLike, ...]
+    clearance: ArrayLike = 0.0
+    upward_speed: ArrayLike = 0.0
+
+
+class RobotMeasurement(NamedTuple):
+    """Measured angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
+
+    angles: tuple[Scalar, ...]
+    pressures: tuple[Scalar, ...]
+    ground_force: Scalar
+
+
+@labelled
+class RobotSample(NamedTuple):
+    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
+
+    x: Annotated[Scalar, Label("m", "position of the hip, forwards")]
+    y: Annotated[Scalar, Label("m", "position of the hip, to the left")]
+    z: Annotated[Scalar, Label("m", "height of the hip")]
+    speed: Annotated[Scalar, Label("m/s", "upward speed of the hip")]
+    pitch: Annotated[Scalar, Label("rad", "pitch of the trunk")]
+    yaw: Annotated[Scalar, Label("rad", "yaw of the trunk")]
+    roll: Annotated[Scalar, Label("rad", "roll of the trunk")]
+    angle: Annotated[tuple[Scalar, ...], Label("rad", "joint angle", along="joint")]
+    velocity: Annotated[tuple[Scalar, ...], Label("rad/s", "angular velocity", along="joint")]
+    pressure: Annotated[tuple[Scalar, ...], Label("Pa", "gauge pressure", along="muscle")]
+    tension: Annotated[tuple[Scalar, ...], Label("N", "tension of the muscle", along="muscle")]
+    contraction: Annotated[tuple[Scalar, ...], Label("1", "contraction of the muscle", along="muscle")]
+    stop_torque: Annotated[tuple[Scalar, ...], Label("N*m", "torque of the stops", along="joint")]
+    ground_forward: Annotated[Scalar, Label("N", "force of the ground on the foot, forwards")]
+    ground_left: Annotated[Scalar, Label("N", "force of the ground on the foot, to the left")]
+    ground_up: Annotated[Scalar, Label("N", "force of the ground on the foot, upwards")]
+    mass_height: Annotated[Scalar, Label("m", "height of the centre of mass")]
+    mass_speed: Annotated[Scalar, Label("m/s", "upward speed of the centre of mass")]
+    kinetic: Annotated[Scalar, Label("J", "kinetic energy")]
+    muscle_power: Annotated[Scalar, Label("W", "power of the muscles")]
+    stop_power: Annotated[Scalar, Label("W", "power of the stops")]
+    resisting_power: Annotated[Scalar, Label("W", "power of damping, friction and disturbances of the joints")]
+    ground_power: Annotated[Scalar, Label("W", "power of the ground")]
+    air_mass: Annotated[tuple[Scalar, ...], Label("kg", "mass of the air", along="muscle")]
+    outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
+
+
+class RobotForces(NamedTuple):
+    """Tensions [N] and contractions of the muscles, torques [N*m] of the joints, and the force of the ground [N].
+
+    Torques include disturbance, damping, friction and stops; `stops` are those of the stops alone.
+    """
+
+    tensions: tuple[Array, ...]
+    contractions: tuple[Array, ...]
+    path_rates: tuple[Array, ...]
+    torques: tuple[Array, ...]
+    stops: tuple[Array, ...]
+    ground: Vector
+
+
+class RobotPlant(Plant[RobotState]):
+    """The simulated robot: bodies, muscles, valves, ground and sensors; controllers have no access to it.
+
+    Parameters
+    ----------
+    robot, valve, ground
+        The robot, the valve of each muscle, and the ground.
+    gravity
+        g [m/s^2].
+    sensors
+        Sensors of angles and pressures; the force on the foot is measured exactly.
+    command_delay
+        Time from a command to the valves [s].
+    """
+
+    robot: Robot
+    valve: Actuator
+    ground: Ground = Ground()
+    gravity: Gravity = 9.81
+
+    def __repr__(self) -> str:
+        return f"RobotPlant({self.robot!r}, {type(self.valve).__name__})"
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.valve.muscle_count is not None:
+            raise RangeError(
+                f"RobotPlant: a {type(self.valve).__name__} is for the two muscles of a joint",
+                field="valve",
+                remedy="give an actuator that all muscles have",
+            )
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return self.robot.muscles
+
+    @property
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        return tuple(joint.disturbance for joint in self.robot.joints)
+
+    def true_measurement(self, state: RobotState) -> Measurement:
+        angles: Any = state.posture.angles
+        pressures: Any = state.pressures
+        return Measurement(angles, pressures)
+
+    def sample(self, state: RobotState, period: ArrayLike) -> tuple[RobotState, RobotMeasurement]:
+        state, (angles, pressures) = super().sample(state, period)
+        return state, RobotMeasurement(cast(Any, angles), pressures, self.ground_force(state).z)
+
+    def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
+        return tuple(floating(one.torque(time)) for one in self.disturbances)
+
+    def observe(self, state: RobotState) -> RobotSample:
+        forces, volumes = self.forces(state), self.air_volumes(state)
+        moving = motion(self.robot, state.posture, state.velocity, self.gravity)
+        rates = state.velocity.angles
+        by_muscles = -_power(forces.tensions, forces.path_rates)
+        by_stops, by_all = _power(forces.stops, rates), _power(forces.torques, rates)
+        touched = contact(self.robot, frames(self.robot, state.posture, state.velocity), self.ground.normal)
+        contents = enumerate(zip(state.pressures, volumes, strict=True))
+        inside = [
+            muscle.domain.contains_contraction(one)
+            for muscle, one in zip(self.robot.muscles, forces.contractions, strict=True)
+        ]
+        zero = jnp.zeros_like(state.posture.x)
+        return RobotSample(
+            x=state.posture.x,
+            y=zero if state.posture.y is None else state.posture.y,
+            z=state.posture.z,
+            speed=state.velocity.z,
+            pitch=state.posture.pitch,
+            yaw=zero if state.posture.yaw is None else state.posture.yaw,
+            roll=zero if state.posture.roll is None else state.posture.roll,
+            angle=state.posture.angles,
+            velocity=state.velocity.angles,
+            pressure=state.pressures,
+            tension=forces.tensions,
+            contraction=forces.contractions,
+            stop_torque=forces.stops,
+            ground_forward=forces.ground.x,
+            ground_left=forces.ground.y,
+            ground_up=forces.ground.z,
+            mass_height=moving.height,
+            mass_speed=moving.upward_speed,
+            kinetic=moving.kinetic,
+            muscle_power=by_muscles,
+            stop_power=by_stops,
+            resisting_power=by_all - by_stops - by_muscles,
+            ground_power=jnp.asarray(forces.ground.dot(touched.velocity)),
+            air_mass=tuple(
+                at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
+                for i, (pressure, one) in contents
+            ),
+            outside=~functools.reduce(operator.and_, inside),
+        )
+
+    def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
+        """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
+        robot, ground = self.robot, self.ground
+        mobility, of_joints = mobilities(robot, posture_of(robot, angles))
+        if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
+            raise SimulationError(
+                "a joint turns links without inertia about its axis",
+                field="axial_inertia",
+                remedy="give the links an axial_inertia, or the joint another axis",
+            )
+        inertias = [robot.inertia_beyond(index) for index in range(len(robot.links))]
+        bodies = [pair for pair in zip(robot.joints, inertias, strict=True) if pair[0].locked is None]
+        stiffnesses = {
+            "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],
+            "the stops": max((joint.stop_stiffness / inertia for joint, inertia in bodies), default=0.0),
+            "the friction of the joints": max(
+                (joint.friction.steepest / inertia for joint, inertia in bodies if joint.friction), default=0.0
+            ),
+        }
+        rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
+        weight, sideways = float(robot.total_mass) * self.gravity, np.linalg.eigvalsh(mobility[:2, :2])[-1]
+        if not ground.implicit_friction:
+            rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
+        if self.valve.holds_air:
+            muscles = (muscle for muscle in robot.muscles if not isinstance(muscle.law, SpringLaw))
+            volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
+            limit = SEMI_IMPLICIT_LIMIT if ground.implicit_friction else STABILITY_LIMIT
+            rates["the air"] = self.valve.fastest_rate_in(min(volumes)) * STABILITY_LIMIT / limit
+        return rates
+
+    def init_state(
+        self,
+        angles: Sequence[ArrayLike],
+        pressures: Sequence[ArrayLike],
+        *,
+        clearance: ArrayLike = 0.0,
+        upward_speed: ArrayLike = 0.0,
+    ) -> RobotState:
+        """Return the state of a posture at gauge pressures [Pa], all of it moving upwards at a speed [m/s].
+
+        Parameters
+        ----------
+        angles
+            Angles of the joints [rad].
+        clearance
+            Height of the foot above the ground [m].
+
+        Raises
+        ------
+        RangeError
+            If there is not one angle for each joint and one pressure for each muscle, an angle is beyond its stop, or
+            the foot is in the ground.
+        """
+        return self.begin(RobotStart(tuple(angles), tuple(pressures), clearance, upward_speed))
+
+    def check_start(self, start: RobotStart) -> None:
+        """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""
+        robot = self.robot
+        joints, muscles = (", ".join(names) for names in ((joint.name for joint in robot.joints), robot.muscle_names))
+        check_count("angles", len(start.angles), len(robot.joints), f"of {joints}")
+        check_count("pressures", len(start.pressures), len(robot.muscles), f"of {muscles}")
+        for joint, angle in zip(robot.joints, start.angles, strict=True):
+            remedy = "start within the range of the joint"
+            _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
+        supply = getattr(self.valve, "supply", None)
+        for name, muscle, pressure in zip(robot.muscle_names, robot.muscles, start.pressures, strict=True):
+            rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure permitted by muscle and supply"
+            for what, highest in ((name, rated), (f"{name} (supply)", rated if supply is None else supply)):
+                _check_inside(what, "pressures", pressure, 0.0, highest, "Pa", remedy)
+        check_positive("RobotPlant", "m", zero=True, clearance=start.clearance)
+        if robot.trunk.freedom == "fixed" and np.any(known_numbers("RobotPlant", "upward_speed", start.upward_speed)):
+            raise RangeError(
+                "a fixed trunk has no speed",
+                field="upward_speed",
+                value=start.upward_speed,
+                remedy="give the trunk a freedom such as vertical",
+            )
+
+    def begin(self, start: RobotStart) -> RobotState:
+        self.check_start(start)
+        robot = self.robot
+        held = tuple(map(floating, robot.held(start.angles)))
+        posture, normal = posture_of(robot, held), self.ground.normal
+        velocity = at_rest(posture)._replace(z=floating(start.upward_speed))
+        depth = contact(robot, frames(robot, posture, velocity), normal).position.dot(normal)
+        posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
+        inside = tuple(map(floating, start.pressures))
+        muscles = (MuscleState((), ()),) * len(inside)
+        return self.complete_state(RobotState(posture, velocity, inside, muscles))
+
+    def init_muscles(self, state: RobotState) -> tuple[MuscleState, ...]:
+        units = zip(self.robot.routed_muscles(state.posture.angles), state.pressures, strict=True)
+        return tuple(
+            unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure), pressure)
+            for unit, pressure in units
+        )
+
+    def init_friction(self, state: RobotState) -> tuple[FrictionState, ...]:
+        if all(joint.friction is None for joint in self.robot.joints):
+            return ()
+        pairs = zip(self.robot.joints, state.posture.angles, strict=True)
+        return tuple(() if joint.friction is None else joint.friction.initial(angle) for joint, angle in pairs)
+
+    def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        """Return the commands [Pa] within rated pressures and supply; `RangeError` unless each muscle has one."""
+        check_count("commands", len(commands), len(self.muscles), f"of {', '.join(self.robot.muscle_names)}")
+        return super().clip_commands(commands)
+
+    def forces(self, state: RobotState) -> RobotForces:
+        """Return the forces in a state."""
+        robot = self.robot
+        angles, rates = state.posture.angles, state.velocity.angles
+        torques: list[Array] = [-joint.damping * rate for joint, rate in zip(robot.joints, rates, strict=True)]
+        if isinstance(state.io, IOState):
+            torques = [one + torque for one, torque in zip(torques, state.io.disturbance, strict=True)]
+        for index, held in enumerate(state.friction):
+            if friction := robot.joints[index].friction:
+                torques[index] = torques[index] - friction.resisting_torque(held, angles[index])
+        tensions, contractions, path_rates = [], [], []
+        for unit, pressure, held in zip(robot.routed_muscles(angles), state.pressures, state.muscles, strict=True):
+            path_rate = _path_rate(unit, rates)
+            contraction = unit.tendon.contraction(unit.muscle, unit.path, pressure, held)
+            tension = unit.muscle.tension(contraction, pressure, held)
+            tension = tension + unit.muscle.viscous_force(contraction, pressure, path_rate, held)
+            for joint, slope in unit.slopes.items():
+                torques[joint] = torques[joint] - tension * slope
+            tensions.append(tension)
+            contractions.append(contraction)
+            path_rates.append(path_rate)
+        stops = []
+        for joint, angle, rate in zip(robot.joints, angles, rates, strict=True):
+            stiffness, damping = joint.stop_stiffness, joint.stop_damping
+            beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
+            stops.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
+        total = tuple(one + stop for one, stop in zip(torques, stops, strict=True))
+        ground = self.ground_force(state)
+        return RobotForces(tuple(tensions), tuple(contractions), tuple(path_rates), total, tuple(stops), ground)
+
+    def ground_force(self, state: RobotState) -> Vector:
+        """Return the force [N] of the ground on the foot: forwards, to the left, and up."""
+        found = frames(self.robot, state.posture, state.velocity)
+        return self.ground.force(contact(self.robot, found, self.ground.normal))
+
+    @property
+    def integrator(self) -> Callable[..., Motion]:
+        return semi_implicit if self.ground.implicit_friction else rk4
+
+    def rate(self, state: RobotState, ahead: tuple[Motion, ArrayLike] | None = None) -> Motion:
+        """Return the time derivative of the motion; with implicit friction where `ahead` is that of `semi_implicit`."""
+        forces, velocity = self.forces(state), state.velocity
+        if ahead is None:
+            moved = acceleration(
+                self.robot, state.posture, velocity, forces.torques, forces.ground, self.gravity, self.ground.normal
+            )
+        else:
+            velocity, moved = self._with_implicit_friction(state, forces.torques, ahead[0].velocity, ahead[1])
+        creep = tuple(
+            muscle.state_rate(held, rate, pressure).creep
+            for muscle, held, rate, pressure in zip(
+                self.robot.muscles, state.muscles, forces.path_rates, state.pressures, strict=True
+            )
+        )
+        return Motion(Posture(*velocity), moved, creep)
+
+    def _with_implicit_friction(
+        self, state: RobotState, torques: Sequence[Array], begun: Velocity, length: ArrayLike
+    ) -> tuple[Velocity, Velocity]:
+        """Velocity ``begun + length * acceleration``, at which the ground's friction acts, and the acceleration."""
+        robot, ground = self.robot, self.ground
+
+        def foot(velocity: Velocity) -> Contact:
+            return contact(robot, frames(robot, state.posture, velocity), ground.normal)
+
+        pressed, at_begun = ground.normal_force(foot(state.velocity)), foot(begun).velocity
+
+        def reweighted(_: Any, found: tuple[Velocity, Velocity]) -> tuple[Velocity, Velocity]:
+            drag = ground.drag(pressed, foot(found[0]).velocity)
+            force = ground.normal.scaled(pressed) - ground.along(at_begun).scaled(drag)
+            moved = acceleration(
+                robot, state.posture, state.velocity, torques, force, self.gravity, ground.normal, length * drag
+            )
+            return jax.tree.map(lambda one, change: one + length * change, begun, moved), moved
+
+        found = state.velocity, begun
+        if trace_mode()[1]:
+            return lax.fori_loop(0, _PASSES, reweighted, found)
+        return functools.reduce(lambda one, i: reweighted(i, one), range(_PASSES), found)
+
+    def air_volumes(self, state: RobotState) -> list[AirVolume]:
+        dead = self.valve.attached_volume
+        volumes = []
+        units = self.robot.routed_muscles(state.posture.angles)
+        for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
+
+            def volume(path: Array, pressure: Array, unit: RoutedMuscle = unit, held: MuscleState = held) -> Array:
+                contraction = unit.tendon.contraction(unit.muscle, path, pressure, held)
+                return unit.muscle.specimen.volume(contraction) + dead
+
+            at, slope = value_and_derivative(lambda path, p=pressure: volume(path, p), unit.path)
+            by_pressure = None
+            if not isinstance(unit.tendon, RigidTendon):
+                by_pressure = value_and_derivative(lambda p, path=unit.path: volume(path, p), pressure)[1]
+            volumes.append(AirVolume(at, slope * _path_rate(unit, state.velocity.angles), by_pressure))
+        return volumes
+
+    def project(self, state: RobotState) -> RobotState:
+        if state.friction:
+            joints = zip(self.robot.joints, state.friction, state.posture.angles, strict=True)
+            friction = tuple(joint.friction.project(held, at) if joint.friction else held for joint, held, at in joints)
+            state = state._replace(friction=friction)
+        if not any(one.friction or one.creep for one in state.muscles):
+            return state
+        muscles = []
+        units = self.robot.routed_muscles(state.posture.angles)
+        for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
+            contraction = unit.tendon.contraction(unit.muscle, unit.path, pressure, held)
+            muscles.append(unit.muscle.update_state(held, contraction, pressure))
+        return state._replace(muscles=tuple(muscles))
+
+    def energy(self, state: RobotState) -> Float[Array, ""]:
+        """Return the mechanical energy of the bodies [J]."""
+        found = motion(self.robot, state.posture, state.velocity, self.gravity)
+        return found.kinetic + found.potential
+
+
+def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
+    """Rate of the length of a muscle's path [m/s]."""
+    return jnp.asarray(sum(slope * rates[joint] for joint, slope in unit.slopes.items()))
+
+
+def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
+    """Power [W] of forces at the rates of their coordinates."""
+    return jnp.asarray(sum(force * rate for force, rate in zip(forces, rates, strict=True)))
+
+
+def _check_inside(what: str, field: str, value: Any, lower: Any, upper: Any, unit: str, remedy: str) -> None:
+    """Raise if a concrete number at the start is outside its range; traced ones pass."""
+    if not all(isinstance(one, Real) for one in (value, lower, upper)):
+        return
+    if not lower - _ROUNDING[unit] <= value <= upper + _ROUNDING[unit]:
+        raise RangeError(
+            f"{what}: the start is at {show(float(value), 'deg' if unit == 'rad' else 'bar')}",
+            field=field,
+            value=float(value),
+            lower=float(lower),
+            upper=float(upper),
+            unit=unit,
+            remedy=remedy,
+        )

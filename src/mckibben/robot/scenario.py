@@ -1,0 +1,330 @@
+"""Files of a robot: bodies, joints, muscles, valves, ground, and the studies of landing, jumping and stiffness."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from mckibben.actuator import IdealValve
+from mckibben.component.schema import ComponentField, parse_component
+from mckibben.config.document import to_text
+from mckibben.config.fields import Title
+from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.errors import quoted, suggest
+from mckibben.muscle import SpringLaw
+from mckibben.plant import PerfectSensors
+from mckibben.robot.ground import Ground
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.plant import RobotPlant
+from mckibben.scenario.scenario import RunSettings, SensorsPart, Substeps, ValvePart
+from mckibben.simulation.accuracy import ACCURACY
+from mckibben.units import (
+    Accuracy,
+    Angle,
+    BoundedInt,
+    CommandDelay,
+    Duration,
+    Percent,
+    PositiveTime,
+    Pressure,
+    Quantity,
+    SignedForce,
+    Stiffness,
+    bar,
+    deg,
+    mm,
+)
+
+FootStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
+DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
+Spread = Annotated[float, Percent("1", "%", 0, 50)]
+Correlation = Annotated[float, Quantity("1", "1", -1, 1)]
+
+_DEEPEST = 50 * mm
+"""Largest static deflection of the ground under the weight of the robot."""
+
+
+Angles = dict[str, Angle]
+"""Angles [rad] by the name of the joint."""
+
+
+class DrawSettings(ConfigModel):
+    """Relative standard deviations of the strength of each muscle, of the mass of each body, and of the air.
+
+    All but the air with `correlations` are independent; the inertia of a body follows its mass. Muscles whose law is a
+    fit file vary within the errors of the fit as well, those with the same file identically. The numbers of the air are
+    those of the valve, which all muscles share, with logarithmic deviations; 0 where they are not given. Those of all
+    but the polytropic index are known from `identify_air`, with their correlations. Fewer than 20 draws have no 5th and
+    95th percentiles.
+    """
+
+    strength: Spread = 0.05
+    mass: Spread = 0.03
+    wall_conductance: Spread = 0.0
+    leak: Spread = 0.0
+    dead_volume: Spread = 0.0
+    polytropic_index: Spread = 0.0
+    correlations: dict[str, dict[str, Correlation]] = Field(default_factory=dict)
+    draws: Annotated[int, BoundedInt(20, 10_000)] = 64
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
+
+    @property
+    def air(self) -> dict[str, float]:
+        """Deviations of the uncertain numbers of the air, by the fields of valves."""
+        names = ("wall_conductance", "leak", "dead_volume", "polytropic_index")
+        return {name: spread for name in names if (spread := getattr(self, name))}
+
+    @property
+    def air_correlation(self) -> NDArray[np.float64]:
+        """Matrix of the correlations of `air`."""
+        names = list(self.air)
+        found = np.eye(len(names))
+        for one, others in self.correlations.items():
+            for other, value in others.items():
+                i, j = names.index(one), names.index(other)
+                found[i, j] = found[j, i] = value
+        return found
+
+    @model_validator(mode="after")
+    def _correlated(self) -> DrawSettings:
+        for one, others in self.correlations.items():
+            for name in (one, *others):
+                if name not in self.air:
+                    remedy = f"give a deviation of {name}, or leave this out"
+                    fail_validation(f"{quoted(name)} does not vary", remedy, field="correlations")
+            if one in others:
+                fail_validation(f"{one} is correlated with itself", "leave this out", field="correlations")
+        if np.linalg.eigvalsh(self.air_correlation).min(initial=1.0) <= 0:
+            remedy = "give those of one test, such as `identify --of air` prints"
+            fail_validation("no quantities have these correlations", remedy, field="correlations")
+        return self
+
+
+class LandingSettings(ConfigModel):
+    """Drops on the ground over stiffness of a joint, drop height and valve."""
+
+    joint: Title  # whose stiffness varies; the others have the middle of their attainable range
+    touchdown: Angles = Field(default_factory=dict)
+    stiffness: Annotated[tuple[Stiffness, ...], Field(min_length=2)] | None = None  # commanded, isobaric
+    levels: Annotated[int, BoundedInt(3, 200)] = 13  # values over the attainable range, without `stiffness`
+    drop: Annotated[tuple[DropHeight, ...], Field(min_length=1)] = (0.02, 0.05, 0.1)
+    time_constants: tuple[PositiveTime, ...] = (0.02,)  # see `valve_with`; constant pressures and closed valves, too
+    duration: Duration = 0.3
+
+
+class JumpSettings(ConfigModel):
+    """A jump from a squat."""
+
+    squat: Angles = Field(default_factory=dict)  # at the start, held by the muscles at rest
+    low: Pressure = 0.0  # the muscles are switched between these pressures
+    high: Pressure = 6e5
+    latest: Duration = 0.15  # switching time
+    duration: Duration = 0.5
+
+    @model_validator(mode="after")
+    def _in_order(self) -> JumpSettings:
+        if self.high <= self.low:
+            fail_validation(
+                f"high, {self.high / bar:g} bar, is not above low", "give a higher pressure", value=self.high
+            )
+        if self.duration <= self.latest:
+            fail_validation(
+                f"the duration of {self.duration:g} s ends before the latest switching time of {self.latest:g} s",
+                "give a longer duration",
+                value=self.duration,
+            )
+        return self
+
+
+class StiffnessSettings(ConfigModel):
+    """A stiffness of the foot at a posture, as its main axes; see `foot_matrix`."""
+
+    principal: tuple[FootStiffnessValue, FootStiffnessValue]
+    direction: Angle = 0.0
+    sideways: FootStiffnessValue | None = None
+    posture: Angles = Field(default_factory=dict)
+    force: tuple[SignedForce, ...] | None = None  # of the ground: forwards and up, or forwards, to the left and up
+
+
+class RobotScenario(RunSettings):
+    """Robot, valves, ground, and studies; `read` and `dumps` know the units.
+
+    Forces are sampled every `step` [s], which has as many integration steps as the `accuracy` of the angles [rad]
+    needs, or `substeps`.
+
+    Examples
+    --------
+    >>> scenario = RobotScenario.read("examples/robot/lei-leg.yaml")
+    >>> scenario.plant()
+    RobotPlant(...)
+    """
+
+    kind = "robot"
+    examples = "examples/robot/"
+
+    name: Title
+    robot: Annotated[Robot, ComponentField(Robot)]
+    valve: ValvePart = IdealValve()
+    ground: Annotated[Ground, ComponentField(Ground)] = Ground()
+    sensors: SensorsPart = PerfectSensors()
+    command_delay: CommandDelay | None = None
+    landing: LandingSettings | None = None
+    jump: JumpSettings | None = None
+    stiffness: StiffnessSettings | None = None
+    uncertainty: DrawSettings = DrawSettings()
+    step: PositiveTime = 0.25e-3
+    accuracy: Accuracy = ACCURACY
+    substeps: Substeps | None = None
+
+    @field_validator("ground", mode="after")
+    @classmethod
+    def _carries(cls, value: Ground, info: ValidationInfo) -> Ground:
+        robot = info.data.get("robot")
+        if robot is None:
+            return value
+        weight = float(robot.total_mass) * RobotPlant.gravity
+        if (depth := weight / value.stiffness) > _DEEPEST:
+            fail_validation(
+                f"the robot would stand {depth / mm:.3g} mm deep in the ground",
+                f"give a stiffness of {weight / _DEEPEST:.2g} N/m or more",
+                value=value.stiffness,
+            )
+        return value
+
+    @field_validator("stiffness", mode="after")
+    @classmethod
+    def _directions(cls, value: StiffnessSettings | None, info: ValidationInfo) -> StiffnessSettings | None:
+        robot = info.data.get("robot")
+        if value is None or robot is None:
+            return value
+        directions = 2 if robot.is_planar else 3
+        if (value.sideways is None) != robot.is_planar:
+            remedy = "leave sideways out" if robot.is_planar else "give sideways, the stiffness to the side"
+            fail_validation(f"the robot moves in {directions} directions", remedy)
+        if value.force is not None and len(value.force) != directions:
+            fail_validation(f"force has {len(value.force)} numbers", f"give {directions}")
+        return value
+
+    @field_validator("landing", "jump", "stiffness", mode="after")
+    @classmethod
+    def _joints_known(cls, value: Any, info: ValidationInfo) -> Any:
+        robot = info.data.get("robot")
+        if value is None or robot is None:
+            return value
+        if robot.trunk.freedom == "fixed" and not isinstance(value, StiffnessSettings):
+            fail_validation("needs a trunk that can move", "give the trunk a freedom such as vertical")
+        postures: dict[str, Angles] = {}
+        if isinstance(value, LandingSettings):
+            postures["touchdown"] = value.touchdown
+            if value.joint not in [joint.name for joint in robot.joints]:
+                fail_validation(*_unknown_joint(robot, value.joint), field="joint")
+            if robot.joints[robot.index(value.joint)].muscles is None:
+                fail_validation(f"{value.joint} has no pair of muscles", "name a joint that has one", field="joint")
+            if robot.joints[robot.index(value.joint)].locked is not None:
+                fail_validation(
+                    f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move", field="joint"
+                )
+        elif isinstance(value, JumpSettings):
+            postures["squat"] = value.squat
+        else:
+            postures["posture"] = value.posture
+        for field, angles in postures.items():
+            _check_posture(robot, angles, field)
+        return value
+
+    @field_validator("jump", mode="after")
+    @classmethod
+    def _supplied(cls, value: JumpSettings | None, info: ValidationInfo) -> JumpSettings | None:
+        robot, supply = info.data.get("robot"), getattr(info.data.get("valve"), "supply", None)
+        if value is None or robot is None:
+            return value
+        muscles = [one for one in robot.muscles if not isinstance(one.law, SpringLaw)]
+        rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
+        for what, highest in (("rating of a muscle", rated), ("supply", supply)):
+            if highest is not None and value.high > highest:
+                fail_validation(
+                    f"high is {value.high / bar:g} bar, above the {what} of {highest / bar:g} bar",
+                    "lower it",
+                    value=value.high,
+                    field="high",
+                )
+        return value
+
+    @field_validator("uncertainty", mode="after")
+    @classmethod
+    def _of_the_air(cls, value: DrawSettings, info: ValidationInfo) -> DrawSettings:
+        if (valve := info.data.get("valve")) is None:
+            return value
+        valve = getattr(valve, "valve", valve)  # of a tube
+        for name in value.air:
+            if valve.muscle_count is not None:
+                remedy = "leave it out, or give all muscles one valve"
+                fail_validation("is not supported with unequal valves", remedy, field=name)
+            if not valve.holds_air:
+                remedy = "leave it out, or use a valve with air, such as {from: smc-itv0050, supply: 7 bar}"
+                fail_validation("the valve has no air", remedy, field=name)
+            if not getattr(valve, name, None):
+                fail_validation(f"the valve has no {name}", f"give it a {name}, or leave this out", field=name)
+            if name == "polytropic_index" and valve.wall_conductance is not None:
+                remedy = "leave it out, and give the deviation of the wall_conductance"
+                fail_validation("has no effect on air with a temperature", remedy, field=name)
+        return value
+
+    @model_validator(mode="after")
+    def _with_air(self) -> RobotScenario:
+        if self.landing is not None and self.landing.time_constants and not self.valve.holds_air:
+            fail_validation(
+                "landing.time_constants (default: 20 ms) are of a valve with air, and the valve has none",
+                "give a valve such as {class: regulator, ...}, or `time_constants: []`",
+            )
+        return self
+
+    @property
+    def steps(self) -> dict[str, Any]:
+        """Arguments of a simulation for its integration steps."""
+        return {"control_period": self.step, "accuracy": self.accuracy, "substeps": self.substeps}
+
+    def whole_steps(self, duration: float) -> float:
+        """The duration [s] as a multiple of the step."""
+        return self.step * round(duration / self.step)
+
+    def plant(self) -> RobotPlant:
+        """The simulated robot."""
+        plant = RobotPlant(self.robot, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
+        return plant.with_period(self.step)
+
+
+def _unknown_joint(robot: Robot, name: str) -> tuple[str, str]:
+    return f"there is no joint {quoted(name)}", suggest(name, [joint.name for joint in robot.joints])
+
+
+def _check_posture(robot: Robot, angles: Angles, field: str) -> None:
+    """Refuse angles of unknown joints, of joints that are locked elsewhere, and beyond stops."""
+    joints = {joint.name: joint for joint in robot.joints}
+    for name, angle in angles.items():
+        if name not in joints:
+            fail_validation(*_unknown_joint(robot, name), field=f"{field}.{name}")
+        lower, upper, locked = joints[name].lower, joints[name].upper, joints[name].locked
+        if locked is not None and abs(angle - locked) > 1e-9:
+            fail_validation(
+                f"{name} is locked at {locked / deg:g} deg", "leave it out", value=angle, field=f"{field}.{name}"
+            )
+        if not lower <= angle <= upper:
+            fail_validation(
+                f"{name} is at {angle / deg:.4g} deg, beyond its stops",
+                f"give an angle of {lower / deg:.4g} to {upper / deg:.4g} deg",
+                value=angle,
+                field=f"{field}.{name}",
+            )
+
+
+def read_robot(name: str | os.PathLike[str]) -> Robot:
+    """The robot of the catalog of that name, or of a file; raises ScenarioError."""
+    text = os.fspath(name)
+    if text.endswith((".yaml", ".yml")):
+        return RobotScenario.read(name).robot
+    return parse_component(Robot, to_text({"from": text}), source=text)

@@ -1,0 +1,96 @@
+"""Draws of robots with scatter of muscles, bodies and air: laws, their strength, masses, and the air behind valves."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.actuator import Actuator
+from mckibben.component.schema import ENDINGS, origin_of
+from mckibben.identification import Fit
+from mckibben.muscle import ForceLaw, Muscle, SpringLaw
+from mckibben.muscle.air import HEAT_CAPACITY_RATIO
+from mckibben.robot.plant import RobotPlant
+from mckibben.robot.scenario import DrawSettings, RobotScenario
+
+
+def drawn_plant(scenario: RobotScenario) -> RobotPlant:
+    """Return the plant of a scenario with arrays over draws in place of uncertain numbers; the first is nominal."""
+    spec, plant = scenario.uncertainty, scenario.plant()
+    rng = np.random.default_rng(spec.seed)
+    count = spec.draws + 1
+
+    def factors(spread: float) -> NDArray[np.float64]:
+        """Factors with a standard deviation, not below a tenth; the first is 1."""
+        found = np.maximum(1 + spread * rng.standard_normal(count), 0.1)
+        found[0] = 1.0
+        return found
+
+    robot = plant.robot
+    fits: dict[str, ForceLaw] = {}  # one draw of a fit for all muscles that have it
+
+    def drawn(muscle: Muscle) -> Muscle:
+        """A muscle with arrays in its law; springs do not scatter."""
+        if isinstance(muscle.law, SpringLaw):
+            return muscle
+        file = origin_of(muscle.law)
+        if file.endswith(ENDINGS):
+            if file not in fits:
+                fit = Fit.from_yaml(file)
+                draws = fit.draws(rng, spec.draws)
+                draws = {name: np.append(fit.estimates[name], values) for name, values in draws.items()}
+                fits[file] = dataclasses.replace(fit.law, **draws)  # pyrefly: ignore[bad-argument-type]
+            muscle = eqx.tree_at(lambda x: x.law, muscle, fits[file])
+        strength = factors(spec.strength) * (1.0 if muscle.strength is None else muscle.strength)
+        return dataclasses.replace(muscle, strength=strength)  # pyrefly: ignore[bad-argument-type]
+
+    trunk = with_mass(robot.trunk, factors(spec.mass))
+    links = tuple(with_mass(link, factors(spec.mass)) for link in robot.links)
+    joints = []
+    for joint in robot.joints:
+        if joint.muscles is not None:
+            muscles = drawn(joint.muscles.muscle1), drawn(joint.muscles.muscle2)
+            joint = eqx.tree_at(lambda x: (x.muscles.muscle1, x.muscles.muscle2), joint, muscles)
+        joints.append(joint)
+    robot = eqx.tree_at(lambda x: (x.trunk, x.links, x.joints), robot, (trunk, links, tuple(joints)))
+    for name in ("biarticular", "spanning"):
+        if units := getattr(robot, name):
+            units = tuple(eqx.tree_at(lambda x: x.muscle, unit, drawn(unit.muscle)) for unit in units)
+            robot = eqx.tree_at(lambda x, name=name: getattr(x, name), robot, units)
+    return eqx.tree_at(lambda x: (x.robot, x.valve), plant, (robot, drawn_air(plant.valve, spec)))
+
+
+def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
+    """Return a valve with arrays over draws in place of the uncertain numbers of its air; the same for any valve."""
+    if (inner := getattr(valve, "valve", None)) is not None:  # of a tube
+        return eqx.tree_at(lambda x: x.valve, valve, drawn_air(inner, spec))
+    if not (valve.holds_air and spec.air):
+        return valve
+    own = [np.random.default_rng((spec.seed, *name.encode())) for name in spec.air]  # as spreads must not affect others
+    normal = np.linalg.cholesky(spec.air_correlation) @ [rng.standard_normal(spec.draws) for rng in own]
+    normal = np.pad(normal, ((0, 0), (1, 0)))  # the first is nominal
+    drawn = {
+        name: getattr(valve, name) * np.exp(spread * values)
+        for (name, spread), values in zip(spec.air.items(), normal, strict=True)
+    }
+    if (index := drawn.get("polytropic_index")) is not None:
+        drawn["polytropic_index"] = np.clip(index, 1.0, max(HEAT_CAPACITY_RATIO, index[0]))
+    return eqx.tree_at(lambda x: [getattr(x, name) for name in drawn], valve, list(drawn.values()))
+
+
+def with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
+    """A body with mass and inertias times factors."""
+    names = ("mass", "inertia", "roll_inertia", "yaw_inertia", "axial_inertia")
+    known = [name for name in names if getattr(body, name, None) is not None]
+    scaled = [getattr(body, name) * factors for name in known]
+    return eqx.tree_at(lambda x: [getattr(x, name) for name in known], body, scaled)
+
+
+def take(tree: Any, index: NDArray[np.int64]) -> Any:
+    """Return a tree with arrays over runs in place of draws; each run has the index of its draw."""
+    return jax.tree.map(lambda x: x[index] if eqx.is_array(x) and np.ndim(x) else x, tree)

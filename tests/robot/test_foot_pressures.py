@@ -1,0 +1,309 @@
+"""Pressures for a stiffness of the foot: against brute force, springs in closed form, and pushes in MuJoCo."""
+
+import dataclasses
+import itertools
+import json
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mckibben as mk
+from mckibben.cli import app
+from mckibben.errors import RangeError, ScenarioError, UnreachableError
+from mckibben.robot import (
+    BiarticularMuscle,
+    RobotPlant,
+    RobotScenario,
+    attainable_foot_stiffness,
+    foot_matrix,
+    foot_stiffness,
+    pressures_for_foot_stiffness,
+    read_robot,
+)
+from mckibben.robot.foot import foot_jacobian
+from mckibben.robot.stiffness_map import map_at
+from mckibben.units import bar, deg
+
+POSTURES = {"lei-leg-planar": (0.02, -0.3), "lei-leg": (0.05, 0.02, -0.3)}
+
+
+def with_rectus(name):
+    """A robot with a muscle over hip and knee."""
+    robot = read_robot(name)
+    muscle = robot.muscles[0]
+    paths = mk.joint.Pulley(0.03, 0.08), mk.joint.Pulley(0.02, 0.08)
+    rectus = BiarticularMuscle(muscle, *paths, "hip", "knee", "shortens", "shortens", "rectus")
+    return dataclasses.replace(robot, biarticular=(rectus,))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(POSTURES))
+def test_the_affine_map_is_the_derivative_of_the_torques(name):
+    robot, angles = with_rectus(name), np.array(POSTURES[name])
+    pressures = np.linspace(3.5e5, 4.5e5, len(robot.muscles))
+    found = map_at(robot, angles.tolist())
+    np.testing.assert_allclose(found.torque_at(pressures), robot.torques(angles, pressures), atol=1e-12)
+    for joint in range(len(angles)):
+        step = 1e-6 * np.eye(len(angles))[joint]
+        change = np.subtract(robot.torques(angles + step, pressures), robot.torques(angles - step, pressures)) / 2e-6
+        np.testing.assert_allclose(found.stiffness_at(pressures)[:, joint], -change, atol=1e-6)
+    assert abs(found.stiffness_at(pressures)[-1, -2]) > 1  # coupling
+
+
+@pytest.mark.parametrize("name", list(POSTURES))
+@pytest.mark.parametrize("force", [None, (4.0, 20.0)])
+def test_an_attainable_stiffness_is_exact(name, force):
+    robot, angles = with_rectus(name), POSTURES[name]
+    if force is not None and not robot.is_planar:
+        force = (force[0], 1.0, force[1])
+    pressures = np.full(len(robot.muscles), 4.0e5)
+    pressures[::2] += 0.3e5
+    affine = map_at(robot, angles)
+    torques = affine.torque_at(pressures)
+    target = foot_stiffness(robot, angles, affine.stiffness_at(pressures), force=force)
+    wanted = np.linalg.inv(target.compliance)
+    found = pressures_for_foot_stiffness(robot, angles, wanted, force=force, torques=torques)
+    assert found.exact and not found.limits and found.least <= found.error
+    np.testing.assert_allclose(found.stiffness.compliance, target.compliance, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(robot.torques(angles, found.pressures), torques, atol=1e-7)
+    np.testing.assert_allclose(found.joint_stiffness, found.wanted_joint_stiffness, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_force_is_held_by_the_muscles():
+    robot, angles = read_robot("lei-leg-planar"), POSTURES["lei-leg-planar"]
+    found = pressures_for_foot_stiffness(robot, angles, foot_matrix((40.0, 600.0), -0.2), force=(2.0, 15.0))
+    jacobian, _ = foot_jacobian(robot, angles)
+    np.testing.assert_allclose(robot.torques(angles, found.pressures), -jacobian.T @ [2.0, 15.0], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("principal", "direction"),
+    [((25.0, 800.0), -0.15), ((200.0, 300.0), 1.0), ((15.0, 3000.0), 0.3), ((60.0, 70.0), 0.0)],
+)
+def test_no_point_of_a_grid_is_nearer(principal, direction):
+    """The two pairs at rest, over all their co-contractions, by the forward map alone."""
+    robot, angles = read_robot("lei-leg-planar"), (0.0, -0.3)
+    wanted = foot_matrix(principal, direction)
+    found = pressures_for_foot_stiffness(robot, angles, wanted, minimum_tension=0.0)
+    values, vectors = np.linalg.eigh(wanted)
+    root = vectors @ np.diag(values**-0.5) @ vectors.T
+
+    def error(stiffness):
+        own = np.linalg.inv(foot_stiffness(robot, angles, stiffness).compliance)
+        return float(np.linalg.norm(root @ own @ root - np.eye(2)))
+
+    ranges = [
+        np.linspace(*one.muscles.attainable_stiffness(at, 0.0), 13)
+        for one, at in zip(robot.joints, angles, strict=True)
+    ]
+    best = min(error(one) for one in itertools.product(*ranges))
+    assert found.least <= found.error <= best * (1 + 1e-6)
+    assert found.error == pytest.approx(best, rel=0.01)
+    assert found.least == pytest.approx(found.error, rel=1e-6)
+    assert found.error == pytest.approx(error(tuple(np.diag(found.joint_stiffness))), rel=1e-9)
+
+
+def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space():
+    robot, angles = with_rectus("lei-leg"), POSTURES["lei-leg"]
+    wanted = foot_matrix((60.0, 400.0), -0.6, sideways=30.0)
+    found = pressures_for_foot_stiffness(robot, angles, wanted)
+    affine = map_at(robot, angles)
+    null = np.linalg.svd(affine.torque[1])[2][len(angles) :]
+    rng = np.random.default_rng(1)
+    tried = np.array(found.pressures) + rng.normal(0, 1e5, (4000, len(null))) @ null  # the same torques
+    tensions = affine.tension[0] + affine.tension[1] * tried
+    inside = ((tensions >= 1) & (tried >= 0) & (tried <= 6e5)).all(axis=1)
+    values, vectors = np.linalg.eigh(wanted)
+    root = vectors @ np.diag(values**-0.5) @ vectors.T
+    compliances = [foot_stiffness(robot, angles, affine.stiffness_at(one)).compliance for one in tried[inside]]
+    errors = [np.linalg.norm(root @ np.linalg.inv(one) @ root - np.eye(3)) for one in compliances]
+    assert len(errors) > 10
+    assert min(errors) >= found.least - 1e-9
+    assert found.error - found.least < 1e-6
+    assert found.limits
+
+
+@pytest.mark.parametrize("name", list(POSTURES))
+def test_the_attainable_set_holds_what_random_pressures_attain(name):
+    """With a biarticular muscle, in random directions of the joints' stiffness; torques are those of the pressures."""
+    robot, angles = with_rectus(name), POSTURES[name]
+    affine, rng = map_at(robot, angles), np.random.default_rng(2)
+    middle = np.full(len(robot.muscles), 3.5e5)
+    torques = affine.torque_at(middle)
+    null = np.linalg.svd(affine.torque[1])[2][len(angles) :]
+    tried = middle + rng.normal(0, 1e5, (20_000, len(null))) @ null
+    tensions = affine.tension[0] + affine.tension[1] * tried
+    highest = [float(one.domain.pressure_max) for one in robot.muscles]
+    strongest = [float(one.specimen.force_limit) for one in robot.muscles]
+    inside = tried[((tensions >= 1) & (tensions <= strongest) & (tried >= 0) & (tried <= highest)).all(axis=1)]
+    assert len(inside) > 100
+    moved, _ = foot_jacobian(robot, angles)
+
+    def joints(foot):
+        return moved.T @ np.linalg.inv(foot) @ moved
+
+    levels = 9 if robot.is_planar else 5
+    found = np.array(
+        [joints(one.compliance) for one in attainable_foot_stiffness(robot, angles, torques, levels=levels)]
+    )
+    random = np.array([affine.stiffness_at(one) for one in inside])
+    assert np.ptp(found[:, -1, -2]) > 1  # the coupling varies
+    for direction in rng.normal(size=(20, *found.shape[1:])):
+        ours, theirs = (np.einsum("nij,ij->n", one, direction) for one in (found, random))
+        slack = 0.02 * np.ptp(ours)
+        assert ours.min() - slack <= theirs.min() and theirs.max() <= ours.max() + slack
+
+
+def test_a_limit_that_is_relaxed_reduces_the_error():
+    """The supply limits the stiffness of stiff joints: with more of it the error falls."""
+    robot, angles = with_rectus("lei-leg-planar"), POSTURES["lei-leg-planar"]
+    wanted = 1.5 * np.linalg.inv(foot_stiffness(robot, angles, (18.0, 17.0)).compliance)
+    low, high = (pressures_for_foot_stiffness(robot, angles, wanted, supply=one) for one in (4.5 * bar, 5.5 * bar))
+    assert low.limits
+    limiting = dict(low.limits)
+    assert set(limiting.values()) <= {"lowest pressure", "highest pressure", "slack", "rated force"}
+    assert high.error <= low.error
+    for name, limit in limiting.items():
+        place = robot.muscle_names.index(name)
+        if limit == "highest pressure":
+            assert low.pressures[place] == pytest.approx(4.5 * bar)
+        if limit == "slack":
+            assert low.tensions[place] == pytest.approx(1.0)
+
+
+def test_what_is_not_possible_is_refused():
+    robot, angles = read_robot("lei-leg-planar"), POSTURES["lei-leg-planar"]
+    wanted = foot_matrix((30.0, 800.0), -0.2)
+    locked = dataclasses.replace(robot, joints=(robot.joints[0], dataclasses.replace(robot.joints[1], locked=-0.3)))
+    spring = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
+    sprung = dataclasses.replace(robot.joints[0], muscles=dataclasses.replace(robot.joints[0].muscles, tendon=spring))
+    for call, kind, field in (
+        (lambda: pressures_for_foot_stiffness(robot, angles, -wanted), RangeError, "wanted"),
+        (lambda: pressures_for_foot_stiffness(robot, angles, np.eye(3)), RangeError, "wanted"),
+        (lambda: pressures_for_foot_stiffness(robot, (0.0, 30 * deg), wanted), RangeError, "angles"),
+        (lambda: pressures_for_foot_stiffness(robot, (0.0, -1.0), wanted), RangeError, "angle"),
+        (lambda: pressures_for_foot_stiffness(locked, angles, wanted), RangeError, "joints"),
+        (
+            lambda: pressures_for_foot_stiffness(
+                dataclasses.replace(robot, joints=(sprung, robot.joints[1])), angles, wanted
+            ),
+            RangeError,
+            "muscle",
+        ),
+        (lambda: pressures_for_foot_stiffness(robot, angles, wanted, force=(1.0, 2.0, 3.0)), RangeError, "force"),
+        (lambda: pressures_for_foot_stiffness(robot, angles, wanted, force=(0.0, 500.0)), UnreachableError, ""),
+    ):
+        with pytest.raises(kind) as caught:
+            call()
+        assert caught.value.field == field or not field
+        assert caught.value.remedy
+
+
+def test_a_slack_return_spring_cannot_hold_a_torque():
+    robot, angles = read_robot("lei-leg-planar"), (0.0, -0.3)
+    hip, knee = robot.joints
+    path = float(robot.routed_muscles(angles)[3].path)
+    for longer, kind in ((-0.02, None), (0.005, UnreachableError)):
+        spring = mk.muscle.return_spring(5000.0, path + longer)
+        sprung = dataclasses.replace(knee, muscles=dataclasses.replace(knee.muscles, muscle2=spring))
+        one = dataclasses.replace(robot, joints=(hip, sprung))
+        if kind is None:
+            assert pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15)).tensions[3] > 0
+            continue
+        with pytest.raises(kind) as caught:
+            pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15))
+        assert caught.value.value < caught.value.lower and caught.value.remedy
+
+
+def test_the_direction_is_that_in_the_plane_where_the_foot_is_softest_to_the_side():
+    space = foot_stiffness(read_robot("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
+    plane = foot_stiffness(read_robot("lei-leg-planar"), (0.0, 0.0), (20.0, 15.0))
+    assert space.direction == pytest.approx(plane.direction, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")
+@pytest.mark.parametrize("name", list(POSTURES))
+def test_a_pushed_foot_in_mujoco_yields_as_computed(name, tmp_path):
+    import mujoco
+
+    from mckibben.export.mujoco import load_mujoco
+    from mckibben.export.robot_mjcf import robot_files
+
+    robot, angles = with_rectus(name), POSTURES[name]
+    wanted = foot_matrix((30.0, 700.0), -0.25, None if robot.is_planar else 30.0)
+    found = pressures_for_foot_stiffness(robot, angles, wanted)
+    joints = tuple(dataclasses.replace(one, damping=2.0) for one in robot.joints)
+    trunk = dataclasses.replace(robot.trunk, freedom="fixed")
+    plant = RobotPlant(dataclasses.replace(robot, trunk=trunk, joints=joints), mk.FirstOrderValve(0.02), gravity=0.0)
+    start = plant.init_state(angles, found.pressures, clearance=0.5)
+    made = robot_files(plant, name.replace("-", "_"), start=start)
+    for file, content in made.contents.items():
+        (tmp_path / file).write_text(content)
+    model = load_mujoco(tmp_path, name.replace("-", "_"))
+    rows = [0, 2] if robot.is_planar else [0, 1, 2]
+
+    def place(push):
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        data.ctrl[:] = found.pressures
+        body = model.geom("foot").bodyid[0]
+        for _ in range(40):
+            mujoco.mj_forward(model, data)
+            moment = np.cross(data.geom("foot").xpos - data.xipos[body], push)
+            data.xfrc_applied[body] = [*push, *moment]
+            mujoco.mj_step(model, data, nstep=200)
+        assert np.abs(data.qvel).max() < 1e-4
+        return data.geom("foot").xpos[rows].copy()
+
+    for direction in np.eye(3)[rows]:
+        size = 0.02
+        moved = (place(size * direction) - place(-size * direction)) / (2 * size)
+        expected = found.stiffness.compliance @ direction[rows]
+        np.testing.assert_allclose(moved, expected, atol=0.01 * np.abs(expected).max())
+
+
+TEXT = """name: x
+robot: lei-leg-planar
+stiffness:
+  posture: {knee: -17 deg}
+  principal: [25 N/m, 800 N/m]
+  direction: -9 deg
+"""
+
+
+@pytest.mark.slow
+def test_the_command_prints_and_keeps_the_pressures(tmp_path):
+    file, out = tmp_path / "robot.yaml", tmp_path / "out"
+    file.write_text(TEXT)
+    result = CliRunner().invoke(app, ["robot", "stiffness", str(file), "--json", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)
+    found = pressures_for_foot_stiffness(
+        read_robot("lei-leg-planar"), (0.0, -17 * deg), foot_matrix((25, 800), -9 * deg)
+    )
+    assert numbers["error"] == pytest.approx(found.error)
+    assert list(numbers["pressures_bar"].values()) == pytest.approx([one / bar for one in found.pressures])
+    assert json.loads((out / "results.json").read_text()) == numbers
+    assert (out / "foot_stiffness.svg").stat().st_size > 1000
+    shown = CliRunner().invoke(app, ["robot", "stiffness", str(file)])
+    assert shown.exit_code == 0 and "knee2" in shown.output
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("knee: -17", "ankle: -17", 4),
+        ("knee: -17", "knee: -77", 4),
+        ("25 N/m,", "-25 N/m,", 5),
+        ("direction: -9 deg", "sideways: 30 N/m", 3),
+        ("direction: -9 deg", "force: [1 N, 2 N, 3 N]", 3),
+    ],
+)
+def test_mistakes_in_a_file_have_lines(before, after, line):
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(TEXT.replace(before, after))
+    assert caught.value.problems[0].line in (line, 3) and caught.value.problems[0].remedy

@@ -1,0 +1,284 @@
+"""MuJoCo judges the robot: the same motion from its own dynamics, in flight, on the ground, and in space."""
+
+import dataclasses
+import shutil
+
+import mujoco
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ExportError, ParameterError
+from mckibben.export import export
+from mckibben.export.mujoco import load_mujoco
+from mckibben.export.robot_compliance import compliance
+from mckibben.export.robot_mjcf import robot_files, robot_model
+from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
+from mckibben.robot import (
+    BiarticularMuscle,
+    Ground,
+    Joint,
+    Link,
+    PressureSchedule,
+    Robot,
+    RobotPlant,
+    RobotScenario,
+    RobotStart,
+    Trunk,
+    simulate_robot,
+)
+from mckibben.units import bar, deg
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")]
+PERIOD, SUBSTEPS = 1e-3, 4
+MUSCLE = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
+KNEE = mk.KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.208)
+PULLEYS = PairedPaths(Pulley(0.025, 0.165), Pulley(0.03, 0.165))
+LEVEL, SLOPE = Ground(), Ground(slope=8 * deg, side_slope=-5 * deg)
+HAMSTRING = BiarticularMuscle(
+    MUSCLE,
+    TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.0),
+    TwoBonePath(0.02, 0.20, 0.02, -0.005, 0.27),  # x is where the angle turns: backwards
+    joint1="hip",
+    joint2="knee",
+    action1="lengthens",
+    action2="shortens",
+    name="hamstring",
+)
+
+
+def pair(geometry):
+    return mk.AntagonisticJoint(geometry, MUSCLE, MUSCLE)
+
+
+def plant_of(freedom, *, side=False, valve=None, ground=LEVEL):
+    """Robot with hip, knee and pulleys at the ankle, whose angles grow backwards at the knee; and a hamstring.
+
+    In space a side swing above the hip, and a turn about an oblique axis in place of the ankle's.
+    """
+    joints = (
+        Joint(-15 * deg, 15 * deg, pair(KNEE), name="hip", damping=0.05, link_angle=20 * deg),
+        Joint(-25 * deg, 30 * deg, pair(KNEE), name="knee", damping=0.05, link_angle=-40 * deg, forward=False),
+        Joint(-20 * deg, 20 * deg, pair(PULLEYS), name="ankle", damping=0.03, link_angle=50 * deg),
+    )
+    links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005), Link(0.12, 0.2, 0.05, 0.002)
+    trunk = Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom)
+    if side:
+        swing = Joint(-15 * deg, 15 * deg, pair(KNEE), name="side", damping=0.05, axis=(1.0, 0.0, 0.0))
+        joints = swing, *joints[:2], dataclasses.replace(joints[2], axis=(0.3, -0.8, 0.2))
+        links = Link(0.0, 0.0, 0.0, 0.0), *(dataclasses.replace(one, axial_inertia=0.001) for one in links)
+    robot = Robot(trunk, links, joints, (HAMSTRING,), foot_radius=0.02)
+    return RobotPlant(robot, valve or mk.FirstOrderValve(0.02), ground)
+
+
+ANGLES = (3 * deg, -4 * deg, 2 * deg)
+PRESSURES = tuple(one * bar for one in (3.0, 2.5, 3.0, 3.2, 2.0, 2.0, 1.0))
+COMMANDS = tuple(one * bar for one in (2.6, 3.0, 3.4, 2.9, 2.1, 2.0, 1.5))
+SIDE = 2 * deg, (2.5 * bar, 3.0 * bar), (3.5 * bar, 2.0 * bar)
+"""Angle, pressures and commands of the side swing."""
+IN_SPACE = [("planar", False), ("free", False), ("vertical", True), ("spatial", True), ("floating", True)]
+
+
+def start_of(plant, clearance, speed):
+    """A start in the posture, and the commands."""
+    if plant.robot.is_planar:
+        return RobotStart(ANGLES, PRESSURES, clearance, speed), COMMANDS
+    angle, pressures, commands = SIDE
+    return RobotStart((angle, *ANGLES), (*pressures, *PRESSURES), clearance, speed), (*commands, *COMMANDS)
+
+
+def name_of(plant):
+    return "plane" if plant.robot.is_planar else "space"
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """Folder with the plugins of the robots in the plane and in space."""
+    folder = tmp_path_factory.mktemp("robot")
+    for side in (False, True):
+        plant = plant_of("vertical", side=side)
+        for name, content in robot_files(plant, name_of(plant)).contents.items():
+            (folder / name).write_text(content)
+        load_mujoco(folder, name_of(plant))
+    return folder
+
+
+def model_of(plant, start, commands, library):
+    """Model and data at a start, under the commands."""
+    assert library.exists()
+    state = plant.begin(start)
+    model = mujoco.MjModel.from_xml_string(robot_model(plant, name_of(plant), PERIOD / SUBSTEPS, state).xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = commands
+    return model, data
+
+
+def moved(plant, start, commands):
+    """Positions in MuJoCo's order, and the run, by our own dynamics."""
+    schedule = PressureSchedule(tuple((one,) for one in commands))
+    run = simulate_robot(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
+    return np.stack([*(run[name] for name in plant.robot.trunk.motions), *run["angle"]], -1), run
+
+
+def stepped(model, data, seen=lambda: None):
+    """Positions by MuJoCo at the start of each period, where `seen` is called."""
+    found = []
+    for _ in range(100):
+        seen()
+        found.append(data.qpos.copy())
+        mujoco.mj_step(model, data, nstep=SUBSTEPS)
+    return np.array(found)
+
+
+def own_contact(plant):
+    """Contact and stops of the plant in plain NumPy, as passive forces of MuJoCo at each stage of its integration."""
+    ground, joints = plant.ground, plant.robot.joints
+    slopes = [one or 0.0 for one in (ground.slope, ground.side_slope)]
+    normal = np.cross([1, 0, np.tan(slopes[0])], [0, 1, np.tan(slopes[1])])
+    normal /= np.linalg.norm(normal)
+
+    def pressed(depth, rate, stiffness, damping):
+        return stiffness * max(depth, 0.0) * max(1 + damping * rate, 0.0)
+
+    def passive(model, data):
+        foot = model.geom("foot").id
+        point = data.geom_xpos[foot] - plant.robot.foot_radius * normal
+        jacobian = np.empty((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[foot])
+        speed = jacobian @ data.qvel
+        push = pressed(-point @ normal, -speed @ normal, ground.stiffness, ground.damping)
+        along = speed - (speed @ normal) * normal
+        slip = np.hypot(np.linalg.norm(along), ground.slip_speed)
+        data.qfrc_passive += jacobian.T @ (push * normal - ground.friction * push * along / slip)
+        for joint in joints:
+            at, given = model.joint(joint.name).dofadr[0], (joint.stop_stiffness, joint.stop_damping)
+            angle, rate = data.qpos[at], data.qvel[at]
+            data.qfrc_passive[at] += pressed(joint.lower - angle, -rate, *given)
+            data.qfrc_passive[at] -= pressed(angle - joint.upper, rate, *given)
+
+    return passive
+
+
+@pytest.fixture
+def passive():
+    """Sets a function for passive forces, which is removed again."""
+    yield mujoco.set_mjcb_passive
+    mujoco.set_mjcb_passive(None)
+
+
+@pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
+def test_bodies_muscles_and_valves_move_alike_in_flight(freedom, side, library):
+    plant = plant_of(freedom, side=side)
+    start, commands = start_of(plant, 0.5, 1.0)
+    model, data = model_of(plant, start, commands, library)
+    ours, run = moved(plant, start, commands)
+    assert not run["stop_torque"].any()
+    assert np.ptp(ours, axis=0).min() > 1e-4
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
+def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, side, library, passive):
+    plant = plant_of(freedom, side=side, ground=SLOPE if side else LEVEL)
+    start, commands = start_of(plant, 0.0, -1.5)
+    model, data = model_of(plant, start, commands, library)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    passive(own_contact(plant))
+    ours, run = moved(plant, start, commands)
+    assert run["stop_torque"].any()
+    assert run["ground_up"].max() > 100
+    assert np.abs(run["ground_left"]).max() > 10 or not side
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "free"])
+def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, library):
+    plant = plant_of(freedom)
+    start, commands = start_of(plant, 0.0, -1.0)
+    model, data = model_of(plant, start, commands, library)
+    ours, run = moved(plant, start, commands)
+    foot, forces = np.zeros(6), []
+
+    def upward():
+        mujoco.mj_forward(model, data)
+        foot[:] = 0
+        if data.ncon:
+            mujoco.mj_contactForce(model, data, 0, foot)
+        forces.append(foot[0])
+
+    theirs = stepped(model, data, upward)
+    z = {"vertical": 0, "free": 1}[freedom]
+    assert max(forces) == pytest.approx(float(run["ground_up"].max()), rel=0.05)
+    assert np.ptp(theirs[:, z]) == pytest.approx(np.ptp(ours[:, z]), rel=0.04)
+    assert np.abs(theirs - ours).max() < 3 * deg
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "free", "floating"])
+def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
+    plant = plant_of(freedom, side=True)
+    start, commands = start_of(plant, 0.0, 0.0)
+    model, _ = model_of(plant, start, commands, library)
+    found = compliance(plant, plant.begin(start))
+    assert found["ground"].stiffness / plant.ground.stiffness == pytest.approx(
+        model.body_invweight0[model.geom("foot").bodyid[0], 0], rel=2e-3
+    )
+    for joint in plant.robot.joints:
+        mobility = model.dof_invweight0[model.joint(joint.name).dofadr[0]]
+        assert found[joint.name].stiffness / joint.stop_stiffness == pytest.approx(mobility, rel=2e-3)
+
+
+OTHER = BiarticularMuscle(
+    MUSCLE, Pulley(0.02, 0.1), Pulley(0.015, 0.072), "hip", "knee", "shortens", "lengthens", "rope"
+)
+
+
+def test_cams_pulleys_locked_joints_and_air(tmp_path):
+    """Torques as those of the robot, with a plugin of its own; a muscle that MuJoCo cannot move is left out."""
+    plant = plant_of("free", valve=mk.FlowValve(conductance=1e-9, supply=6e5))
+    cams = PairedPaths(Cam(0.025, 0.165, arm_slope=0.004), Pulley(0.03, 0.165))
+    hip, knee, ankle = plant.robot.joints
+    joints = (
+        dataclasses.replace(hip, muscles=pair(cams)),
+        dataclasses.replace(knee, locked=5 * deg),
+        dataclasses.replace(ankle, locked=0.0),
+    )
+    plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=joints, biarticular=(OTHER,)))
+    start = plant.init_state(ANGLES, PRESSURES)
+    made = robot_files(plant, "other", start=start)
+    assert sum("hip1" in one for one in made.left_out) == 1
+    assert sum("ankle" in one for one in made.left_out) == 2
+    for name, content in made.contents.items():
+        (tmp_path / name).write_text(content)
+    model = load_mujoco(tmp_path)  # the only model of the folder
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    assert [model.actuator(i).name for i in range(model.nu)] == ["hip1", "hip2", "knee1", "knee2", "rope"]
+    assert model.na == 10  # pressures and spools
+    place = model.joint("hip").dofadr[0]
+    for angle in (-0.2, 0.1):
+        data.qpos[place] = angle
+        mujoco.mj_forward(model, data)
+        wanted = plant.robot.torques(plant.robot.held((angle, 0.0, 0.0)), PRESSURES)[0]
+        assert data.qfrc_actuator[place] == pytest.approx(float(wanted), abs=1e-12)
+
+
+def test_what_mujoco_cannot_hold_is_refused():
+    plant = plant_of("free")
+    above = TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.1)
+    mixed = dataclasses.replace(HAMSTRING, path1=above, path2=Pulley(0.02, 0.04))
+    for robot, valve, field in (
+        (dataclasses.replace(plant.robot, biarticular=(mixed,)), plant.valve, "path1"),
+        (plant.robot, mk.SwitchingValves(conductance=1e-9, supply=7e5, period=0.01), "valve"),
+    ):
+        with pytest.raises(ExportError) as caught:
+            robot_model(RobotPlant(robot, valve))
+        assert caught.value.field == field
+        assert caught.value.remedy
+
+
+def test_a_robot_of_a_file_is_written_under_a_name_of_c(tmp_path):
+    scenario = RobotScenario.read("examples/robot/lei-leg.yaml")
+    with pytest.raises(ParameterError) as caught:
+        export(scenario, "mjcf", tmp_path, name="two legs")
+    assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])

@@ -1,0 +1,199 @@
+"""A robot in space: conservation laws, closed forms, batches in both engines, gradients, and files."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+import mckibben as mk
+from mckibben.errors import RangeError, ScenarioError, SimulationError
+from mckibben.numerics.batching import batched_program
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.spatial import ZERO, Vector
+from mckibben.robot import Ground, Joint, Link, Robot, RobotPlant, RobotScenario, RobotStart, Trunk, read_robot
+from mckibben.robot.dynamics import Posture, acceleration, at_rest, contact, frames, motion, posture_of
+from mckibben.units import deg
+from tests.robot.conftest import robot_of
+
+FILE = "examples/robot/lei-leg-in-space.yaml"
+AXES = (1.0, 0.0, 0.0), (0.3, -0.8, 0.2), (0.0, -1.0, 0.0)
+
+
+def oblique(pair, freedom):
+    """A robot of three joints in space, the last of which is parallel to no other."""
+    robot = robot_of(pair, freedom)
+    joints = tuple(dataclasses.replace(one, axis=axis) for one, axis in zip(robot.joints, AXES, strict=True))
+    links = tuple(dataclasses.replace(link, axial_inertia=0.0004) for link in robot.links)
+    trunk = dataclasses.replace(robot.trunk, roll_inertia=0.015, yaw_inertia=0.011)
+    return dataclasses.replace(robot, joints=joints, links=links, trunk=trunk)
+
+
+def in_motion(robot):
+    posture = posture_of(robot, (0.5, -0.8, 0.3), z=1.0)
+    velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, (2.0, -3.0, 1.0))))
+    turned = {"yaw": 0.4, "pitch": 0.2, "roll": -0.3, "x": 0.3, "y": -0.2, "z": 1.0}
+    rates = {name: jnp.asarray(turned[name]) for name in robot.trunk.motions}
+    posture = posture._replace(**{name: one for name, one in rates.items() if name in ("yaw", "pitch", "roll")})
+    return posture, velocity._replace(**rates)
+
+
+@pytest.mark.slow
+def test_energy_and_momenta_in_flight(pair):
+    robot = oblique(pair, "floating")
+
+    def rate(state):
+        posture, velocity = state
+        return Posture(*velocity), acceleration(robot, posture, velocity, (0.0, 0.0, 0.0), ZERO, 9.81)
+
+    def step(_, state):
+        return rk4(rate, state, 1e-4)
+
+    start = in_motion(robot)
+    with batched_program():
+        end = jax.jit(lambda state: jax.lax.fori_loop(0, 2000, step, state))(start)
+    before, after = motion(robot, *start, 9.81), motion(robot, *end, 9.81)
+    assert float(after.kinetic + after.potential) == pytest.approx(float(before.kinetic + before.potential), abs=1e-10)
+    assert float(after.forward_speed) == pytest.approx(float(before.forward_speed), abs=1e-12)
+    assert float(after.sideward_speed) == pytest.approx(float(before.sideward_speed), abs=1e-12)
+    assert float(after.upward_speed) == pytest.approx(float(before.upward_speed) - 9.81 * 0.2, abs=1e-12)
+    np.testing.assert_allclose(after.spin, before.spin, atol=1e-12)
+    assert np.linalg.norm(np.array(before.spin)) > 0.01
+
+
+def test_a_side_swing_alone_is_a_pendulum(pair):
+    """About the forward axis with the robot locked: I theta'' = torque - m g c sin(theta)."""
+    link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004)
+    side = Joint(-10 * deg, 10 * deg, pair, name="side", axis=(0.5, 0.0, 0.0))  # of any length
+    robot = Robot(Trunk(1.0, freedom="fixed"), (link,), (side,))
+    posture = posture_of(robot, (0.1,))
+    found = acceleration(robot, posture, at_rest(posture), (0.7,), ZERO, 9.81).angles[0]
+    inertia = 0.009 + 0.5 * 0.19**2
+    assert float(found) == pytest.approx((0.7 - 0.5 * 9.81 * 0.19 * np.sin(0.1)) / inertia, rel=1e-13)
+    foot = contact(robot, frames(robot, posture, at_rest(posture))).position
+    np.testing.assert_allclose(foot, [0.0, 0.4 * np.sin(0.1), -0.4 * np.cos(0.1)], atol=1e-15)
+
+
+def test_a_robot_without_swing_to_the_side_is_the_planar_robot():
+    """The same accelerations, also under a force in the plane."""
+    robots = [read_robot(name) for name in ("lei-leg-planar", "lei-leg")]
+    assert [robot.is_planar for robot in robots] == [True, False]
+    assert robots[1].muscle_names == ("side1", "side2", "hip1", "hip2", "knee1", "knee2")
+    found = []
+    for robot, before in zip(robots, ((), (0.0,)), strict=True):
+        posture = posture_of(robot, (*before, 0.05, -0.2))
+        velocity = at_rest(posture)._replace(z=jnp.asarray(-1.0), angles=tuple(map(jnp.asarray, (*before, 1.0, -2.0))))
+        found.append(acceleration(robot, posture, velocity, (*before, 2.0, -1.0), Vector(20.0, 0.0, 90.0), 9.81))
+    assert float(found[1].angles[0]) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose([found[1].z, *found[1].angles[1:]], [found[0].z, *found[0].angles], rtol=1e-12)
+
+
+def test_friction_is_along_the_ground_and_against_the_slip():
+    ground = Ground(friction=0.5, slope=10 * deg, side_slope=-20 * deg)
+    normal = np.array(ground.normal)
+    rise = np.array([[1, 0, np.tan(10 * deg)], [0, 1, np.tan(-20 * deg)]])
+    np.testing.assert_allclose(rise @ normal, 0, atol=1e-15)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    velocity = np.array([0.3, -0.4, 0.1])
+    robot = read_robot("lei-leg")
+    posture = posture_of(robot, (0.0, 0.0, 0.0))
+    point = contact(robot, frames(robot, posture, at_rest(posture)), ground.normal)
+    deep = point._replace(position=Vector(*(-0.002 * normal)), velocity=Vector(*velocity))
+    force = np.array(ground.force(deep))
+    along = velocity - normal * (velocity @ normal)
+    pressed = force @ normal
+    assert pressed == pytest.approx(20e3 * 0.002 * (1 - 0.5 * velocity @ normal))
+    np.testing.assert_allclose(
+        force - pressed * normal, -0.5 * pressed * along / np.hypot(np.linalg.norm(along), 0.1), atol=1e-12
+    )
+
+
+@pytest.mark.slow
+def test_gradients_are_those_of_finite_differences():
+    """The rate of a robot on the ground, over its posture and pressures."""
+    plant = RobotScenario.read(FILE).plant()
+    state = plant.begin(RobotStart((1 * deg, 0.0, 0.0), (2e5,) * 6, clearance=0.0, upward_speed=-1.0))
+    angles, pressures = (jnp.stack(list(map(jnp.asarray, one))) for one in (state.posture.angles, state.pressures))
+
+    @jax.jit
+    def accelerations(change):
+        posture = state.posture._replace(z=state.posture.z - 3e-3 + change[0], angles=tuple(angles + change[1:4]))
+        moved = plant.rate(state._replace(posture=posture, pressures=tuple(pressures + 1e6 * change[4:])))
+        return jnp.stack([moved.velocity.z, *moved.velocity.angles])
+
+    found = np.asarray(jax.jit(jax.jacfwd(accelerations))(jnp.zeros(10)))
+    expected = approx_fprime(np.zeros(10), lambda x: np.asarray(accelerations(x)), 1e-7)
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(found).max())
+
+
+def test_what_cannot_be_is_refused(pair):
+    link = Link(0.4, 0.5, 0.19, 0.009)
+    joint = Joint(-5 * deg, 5 * deg, pair)
+    for make, field in (
+        (lambda: dataclasses.replace(joint, axis=(0.0, 0.0, 0.0)), "axis"),
+        (lambda: dataclasses.replace(joint, axis=(1.0, 0.0)), "axis"),
+        (lambda: Robot(Trunk(1.0), (Link(0.0, 0.0, 0.0, 0.0),), (joint,)), "links"),
+        (lambda: dataclasses.replace(link, axial_inertia=-1.0), "axial_inertia"),
+        (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.0), "roll_inertia"),
+        (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.03), "inertia"),
+        (lambda: dataclasses.replace(link, axial_inertia=0.019), "axial_inertia"),
+        (lambda: Ground(slope=80 * deg), "slope"),
+    ):
+        with pytest.raises(RangeError) as caught:
+            make()
+        assert caught.value.field == field and caught.value.remedy
+
+
+def test_a_slender_link_cannot_turn_about_its_own_line(pair):
+    turn = Joint(-5 * deg, 5 * deg, pair, name="yaw", axis=(0.0, 0.0, 1.0))
+    for axial, field in ((0.0, "axial_inertia"), (1e-4, None)):
+        link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=axial)
+        plant = RobotPlant(Robot(Trunk(1.0), (link,), (turn,), foot_radius=0.02), mk.FirstOrderValve(0.02))
+        if field is None:
+            assert plant.needed_substeps((0.0,), None, 0.25e-3) < 100
+            continue
+        with pytest.raises(SimulationError) as caught:
+            plant.needed_substeps((0.0,), None, 0.25e-3)
+        assert caught.value.field == field and caught.value.remedy
+
+
+def test_files_of_a_robot_in_space():
+    scenario = RobotScenario.read(FILE)
+    assert RobotScenario.parse(scenario.dumps()) == scenario
+    head = "name: x\nrobot:\n  from: lei-leg\n"
+    turned = RobotScenario.parse(head + "  joints: {hip: {axis: [0, 0, 1]}}\nground: {slope: 5 deg}\n")
+    assert turned.robot.joints[1].axis == (0.0, 0.0, 1.0)
+    assert turned.plant().ground.slope == pytest.approx(5 * deg)
+    assert RobotScenario.parse(turned.dumps()) == turned
+    for text, line, field in (
+        ("  trunk: {freedom: floating, inertia: 0 kg*m^2}\n", 4, "robot.trunk.inertia"),
+        ("ground: {side_slope: 70 deg}\n", 4, "ground.side_slope"),
+        ("  joints: {hip: {axis: [0, 0, 2]}}\n", 4, "robot.joints[1].axis[2]"),
+    ):
+        with pytest.raises(ScenarioError) as caught:
+            RobotScenario.parse(head + text)
+        problem = caught.value.problems[0]
+        assert (problem.line, problem.field) == (line, field) and problem.remedy
+
+
+@pytest.mark.parametrize("written", ["[1, 0, 7]", "[1, 0]", "up"])
+def test_a_wrong_axis_is_reported_with_its_line(written):
+    geometry = "{from: knee-table-2, connector_length: 208 mm}"
+    muscles = f"{{geometry: {geometry}, muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}}}"
+    text = f"""name: x
+robot:
+  trunk: {{mass: 1 kg}}
+  links:
+    - {{length: 400 mm, mass: 0.5 kg, centre: 190 mm, inertia: 0.009 kg*m^2, axial_inertia: 0.0004 kg*m^2}}
+  joints:
+    - name: side
+      axis: {written}
+      lower: -5 deg
+      upper: 5 deg
+      muscles: {muscles}
+"""
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(text)
+    assert {one.line for one in caught.value.problems if (one.field or "").startswith("robot.joints[0].axis")} == {8}

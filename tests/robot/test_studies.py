@@ -1,0 +1,477 @@
+"""Files of a robot, landing and jump studies, and the commands."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mckibben.actuator import IdealValve, Tube
+from mckibben.cli import app
+from mckibben.errors import FileError, RangeError, ScenarioError
+from mckibben.robot import (
+    Link,
+    RobotScenario,
+    RobotStart,
+    Trunk,
+    jump_search,
+    jumping,
+    landing,
+    study_jump,
+    study_landing,
+)
+from mckibben.robot.landing import valve_with
+from mckibben.robot.scenario import DrawSettings
+from mckibben.robot.uncertainty import drawn_air, drawn_plant, with_mass
+from mckibben.storage.files import file_lock
+from tests.robot.conftest import FILE
+
+HEAD = "name: x\nrobot:\n  from: lei-leg-planar\n"
+
+
+def test_text_reads_back(scenario):
+    assert RobotScenario.parse(scenario.dumps()) == scenario
+
+
+def file_of_the_docs():
+    return Path("docs/robot.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
+
+
+def test_the_file_of_the_docs_is_a_robot():
+    assert RobotScenario.parse(file_of_the_docs()).plant().robot.muscle_names[-1] == "rectus"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line_of", "field"),
+    [
+        ("joint2: knee", "joint2: ankle", "joint2:", "robot.biarticular[0].joint2"),
+        ("joint2: knee", "joint2: hip", "joint2:", "robot.biarticular[0].joint2"),
+        ("- name: knee", "- name: hip", "link_angle: -30 deg", "robot.joints[1].name"),
+        ("- name: rectus", "- name: knee1", "biarticular:", "robot.biarticular[0].name"),
+        ("radius: 20 mm, rest_length: 80", "radius: 20 mm, rest_length: 300", "joint1: hip", "robot.biarticular[0]"),
+    ],
+)
+def test_a_mistake_in_a_part_of_a_robot_has_its_line(old, new, line_of, field):
+    text = file_of_the_docs()
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(text.replace(old, new))
+    (problem,) = caught.value.problems
+    near = text[: text.index(line_of)].count("\n") + 1
+    assert problem.field is not None and problem.field.startswith(field) and problem.remedy
+    assert problem.line is not None and abs(problem.line - near) <= (0 if line_of == "joint2:" else 3)
+
+
+def test_changes_of_the_catalog_name_the_joint():
+    read = RobotScenario.parse(HEAD + "  trunk: {mass: 2 kg}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n")
+    robot = read.robot
+    assert robot.trunk.mass == 2.0 and robot.joints[1].damping == 0.1 and robot.joints[0].damping == 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        (HEAD + "  joints: {knee: {muscles: {geometry: {connector_length: 190 mm}}}}\n", 4, "too short"),
+        (HEAD + "  joints: {knee: {lower: -80 deg}}\n", 4, "too long"),
+        (HEAD + "  joints: {ankle: {damping: 0.1 N*m*s/rad}}\n", 2, "ankle"),
+        (HEAD + "  trunk: {mass: 2 kg, freedom: flying}\n", 4, "freedom"),
+        (HEAD + "landing: {joint: kne}\n", 4, "kne"),
+        (HEAD + "landing: {joint: knee, touchdown: {knee: 70 deg}, time_constants: []}\n", 4, "stops"),
+        (HEAD + "  trunk: {freedom: fixed}\nlanding: {joint: knee, time_constants: []}\n", 5, "move"),
+        (HEAD + "  joints: {knee: {locked: 5 deg}}\nlanding: {joint: knee, time_constants: []}\n", 5, "locked"),
+        (HEAD + "  joints: {knee: {locked: 50 deg}}\n", 4, "locked"),
+        (HEAD + "landing: {joint: knee, drop: [], time_constants: []}\n", 4, "drop"),
+        (HEAD + "ground: {stiffness: 20 N/m}\n", 4, "ground"),
+        (HEAD + "jump: {high: 9 bar}\n", 4, "rating"),
+        (HEAD + "jump: {low: 3 bar, high: 2 bar}\n", 4, "low"),
+        (HEAD + "jump: {latest: 1 s}\n", 4, "latest"),
+        (HEAD + "valve: {time_constant: 20 ms, supply: 4 bar}\njump: {high: 6 bar}\n", 5, "supply"),
+        (HEAD + "valve: {time_constant: 20 ms}\nlanding: {joint: knee}\n", None, "air"),
+    ],
+)
+def test_bad_files_name_line_and_remedy(text, line, word):
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(text)
+    problem = caught.value.problems[0]
+    assert word in str(problem) and problem.remedy
+    assert line is None or problem.line == line
+
+
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        (
+            "robot: {from: lei-leg-planar, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
+            ["robot.trunk", "landing.time_constants", "landing.drop[0]"],
+        ),
+        ("robot: {from: lei-leg-planar, joints: {knee: {muscle1: null}}}\n", ["robot.joints.knee.muscle1"]),
+        ("robot: null\n", ["robot"]),
+        (
+            "robot: lei-leg-planar\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
+            ["landing.drop[0]", "landing.drop[1]"],
+        ),
+        (
+            "robot: lei-leg-planar\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n",
+            ["landing.stiffness"],
+        ),
+    ],
+)
+def test_what_follows_from_another_mistake_is_not_said(text, fields):
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse("name: x\n" + text)
+    assert [problem.field for problem in caught.value.problems] == fields
+
+
+def test_stiffness_that_is_not_attainable(scenario):
+    beyond = scenario.landing.model_copy(update={"stiffness": (40.0,)})
+    with pytest.raises(ScenarioError) as caught:
+        study_landing(scenario.model_copy(update={"landing": beyond}))
+    assert "knee" in str(caught.value) and "attainable" in str(caught.value)
+
+
+def test_step_that_is_too_long(scenario):
+    for study in (study_landing, jumping.study_jump):
+        with pytest.raises(ScenarioError) as caught:
+            study(scenario.model_copy(update={"step": 2e-3, "substeps": 1}))
+        assert caught.value.problems[0].field == "step" and caught.value.problems[0].remedy
+
+
+def test_supply_that_is_too_low(scenario):
+    weak = scenario.model_copy(update={"valve": dataclasses.replace(scenario.valve, supply=1e5)})
+    with pytest.raises(ScenarioError) as caught:
+        study_landing(weak)
+    assert "supply" in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def study(scenario):
+    """In six blocks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(landing.Landings, "block_size", lambda self: 42)
+        return study_landing(scenario)
+
+
+@pytest.mark.slow
+def test_landing_study(scenario, study):
+    assert study.table["peak_force"].shape == (3, 1, 4, 21)
+    forces = study.table["peak_trunk_force"].to_numpy()
+    best = study.best()
+    assert best.shape == (3, 1, 21)
+    for v in range(3):  # no softer one has so little force
+        at = best[v, 0, 0]
+        assert forces[v, 0, at, 0] <= forces[v, 0, :, 0].min() * 1.02
+        assert (forces[v, 0, :at, 0] > forces[v, 0, :, 0].min() * 1.02).all()
+    deflection = study.table["deflection"].to_numpy()[:, 0, -1, 0]
+    assert deflection[2] < deflection[1] < deflection[0]  # closed valves are the stiffest
+    assert len(next(study.listings()).rows()) == 3 and len(study.to_dict()["landings"]) == 3
+    assert study.table["substeps"].shape == study.table["chaotic"].shape == forces.shape
+    integration = study.to_dict()["integration"]
+    assert integration["substeps"] == study.table["substeps"].max() >= 1
+    errors = study.table["error_estimate"].to_numpy()
+    assert scenario.accuracy >= integration["error_estimate_rad"] == np.nanmax(errors) > 0
+    assert integration["runs_chaotic"] == study.table["chaotic"].sum()
+    coarse = study_landing(scenario.model_copy(update={"substeps": 1}))
+    assert coarse.to_dict()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
+
+
+@pytest.mark.slow
+def test_the_robust_stiffness_has_the_least_quantile_over_the_draws(study):
+    quantile = np.percentile(study.trunk_weights()[..., 1:], 95, axis=-1)
+    for record, (v, d) in zip(study.to_dict()["landings"], np.ndindex(quantile.shape[:2]), strict=True):
+        at = quantile[v, d].argmin()
+        assert record["robust_stiffness"] == study.table["stiffness"][at]
+        assert record["robust_trunk_force_95_weights"] == quantile[v, d, at] <= record["best_trunk_force_95_weights"]
+        stopped = study.table["stop_torque"].to_numpy()[v, d, at, 1:] > 0
+        assert record["robust_bottoms_out_share"] == stopped.mean()
+
+
+@pytest.mark.slow
+def test_a_best_stiffness_that_bottoms_out_is_said(study):
+    at = int(study.best()[0, 0, 0])
+    torque = study.table["stop_torque"] * 0.0
+    torque[0, 0, at], torque[1] = 1.0, 1.0
+    said = dataclasses.replace(study, table=study.table.assign(stop_torque=torque))
+    found = [(record["avoids_stop"], record["best_bottoms_out"]) for record in said.to_dict()["landings"]]
+    assert found == [(True, True), (False, True), (True, False)]
+    marked = ["bottoms out" in row[-1] or "stop" in row[-1] for row in next(said.listings()).rows()]
+    assert marked == [True, True, False]
+
+
+def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario):
+    text = scenario.dumps().replace("draws: 20", "draws: 19")
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(text)
+    (problem,) = caught.value.problems
+    assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
+
+
+@pytest.mark.slow
+def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypatch):
+    monkeypatch.setattr(landing.Landings, "block_size", lambda self: 42)
+    run, runs = landing.Landings.compute, []
+
+    def counted(self, rows):
+        runs.append(1)
+        if len(runs) == 3:
+            raise KeyboardInterrupt
+        return run(self, rows)
+
+    monkeypatch.setattr(landing.Landings, "compute", counted)
+    with pytest.raises(KeyboardInterrupt):
+        study_landing(scenario, out=tmp_path)
+    with pytest.raises(FileError):  # it exists
+        study_landing(scenario, out=tmp_path)
+    with file_lock(tmp_path / ".study.sqlite.lock", "computing this study"), pytest.raises(FileError):
+        study_landing(scenario, out=tmp_path, resume=True)
+    with pytest.raises(FileError) as caught:
+        study_landing(scenario.model_copy(update={"step": 0.2e-3}), out=tmp_path, resume=True)
+    assert caught.value.problems
+    before = len(runs)
+    again = study_landing(scenario, out=tmp_path, resume=True)
+    assert 1 <= len(runs) - before < 6  # of six blocks, the finished ones are kept
+    assert again.table.equals(study.table)
+
+
+def test_time_constant_of_the_valve(scenario):
+    plant = scenario.plant()
+    muscle = plant.robot.muscles[0]
+    volume = float(muscle.specimen.volume((muscle.domain.contraction_min + muscle.domain.contraction_max) / 2))
+    middle = (muscle.domain.pressure_min + muscle.domain.pressure_max) / 2
+    for wanted in (0.01, 0.05):
+        valve = valve_with(plant.valve, plant, wanted)
+        assert float(valve.time_constant_at(middle, volume)) == pytest.approx(wanted, rel=1e-12)
+    with pytest.raises(RangeError):
+        valve_with(plant.valve, plant, 0.001)
+
+
+def test_draws_scatter_about_the_nominal_robot(scenario):
+    many = scenario.model_copy(update={"uncertainty": scenario.uncertainty.model_copy(update={"draws": 2000})})
+    plant = drawn_plant(many)
+    strength = np.asarray(plant.robot.joints[1].muscles.muscle2.strength)
+    assert strength[0] == 1.0 and strength[1:].std() == pytest.approx(0.05, rel=0.1)
+    mass = np.asarray(plant.robot.trunk.mass)
+    assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
+    assert np.ndim(plant.valve.polytropic_index) == 0
+
+
+def test_draws_of_the_air(scenario):
+    spec = DrawSettings(wall_conductance=0.3, polytropic_index=0.2, draws=2000)
+    warm = dataclasses.replace(scenario.valve, wall_conductance=0.5)
+    valve = drawn_air(warm, spec)
+    wall, index = np.asarray(valve.wall_conductance), np.asarray(valve.polytropic_index)
+    assert wall[0] == 0.5 and np.log(wall[1:]).std() == pytest.approx(0.3, rel=0.1) and np.ndim(valve.leak) == 0
+    assert index[0] == 1.2 and (index.min(), index.max()) == (1.0, 1.4)
+    tube = drawn_air(Tube(warm, volume=3e-6, conductance=2e-9), spec)
+    np.testing.assert_array_equal(tube.wall_conductance, wall)
+    assert drawn_air(IdealValve(), spec) == IdealValve()
+    alone = drawn_air(warm, spec.model_copy(update={"wall_conductance": 0.0}))
+    np.testing.assert_array_equal(alone.polytropic_index, index)
+    assert abs(np.corrcoef(np.log(wall), index)[0, 1]) < 0.1
+
+
+def test_draws_of_the_air_may_be_correlated(scenario):
+    valve = dataclasses.replace(scenario.valve, wall_conductance=0.5, leak=2e-12, dead_volume=3e-6)
+    correlations = {"wall_conductance": {"leak": 0.9}, "leak": {"dead_volume": -0.3}}
+    spec = DrawSettings(wall_conductance=0.1, leak=0.2, dead_volume=0.05, correlations=correlations, draws=4000)
+    drawn = drawn_air(valve, spec)
+    logs = np.log([drawn.wall_conductance, drawn.leak, drawn.dead_volume])
+    assert logs[:, 0] == pytest.approx(np.log([0.5, 2e-12, 3e-6]))
+    np.testing.assert_allclose(logs[:, 1:].std(axis=1), [0.1, 0.2, 0.05], rtol=0.05)
+    np.testing.assert_allclose(np.corrcoef(logs[:, 1:])[np.triu_indices(3, 1)], [0.9, 0.0, -0.3], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "leak: 10 %, correlations: {leak: {dead_volume: 0.5}}",
+        "leak: 10 %, correlations: {leak: {leak: 0.5}}",
+        "leak: 10 %, dead_volume: 5 %, correlations: {leak: {dead_volume: 1}}",
+        "leak: 10 %, dead_volume: 5 %, correlations: {leak: {dead_volume: 1.5}}",
+    ],
+)
+def test_correlations_that_cannot_be(given):
+    valve = "{from: smc-itv0050, supply: 7 bar, leak: 1e-5 L/(s*bar), dead_volume: 3 cm^3}"
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{given}}}\n")
+    (problem,) = caught.value.problems
+    assert problem.field.startswith("uncertainty.correlations")
+
+
+REGULATOR = "{from: smc-itv0050, supply: 7 bar}"
+WARM = "{from: smc-itv0050, supply: 7 bar, wall_conductance: 0.5 W/K}"
+
+
+@pytest.mark.parametrize(
+    ("name", "valve", "remedy"),
+    [
+        ("wall_conductance", REGULATOR, "give it a wall_conductance"),
+        ("leak", REGULATOR, "give it a leak"),
+        ("dead_volume", REGULATOR, "give it a dead_volume"),
+        ("polytropic_index", WARM, "wall_conductance"),
+        ("polytropic_index", "ideal", "a valve with air"),
+        ("leak", "{time_constant: 20 ms}", "a valve with air"),
+        ("polytropic_index", f"{{class: unequal, muscle: {REGULATOR}}}", "one valve"),
+    ],
+)
+def test_scatter_of_air_that_the_valve_does_not_have(name, valve, remedy):
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
+    (problem,) = caught.value.problems
+    assert problem.field == f"uncertainty.{name}" and remedy in problem.remedy
+
+
+@pytest.mark.slow
+def test_a_landing_of_a_draw_is_that_with_its_air(scenario):
+    none = {"strength": 0.0, "mass": 0.0}
+    spec = scenario.uncertainty.model_copy(update=none | {"polytropic_index": 0.1})
+    drawn = study_landing(scenario.model_copy(update={"uncertainty": spec}))
+    draw = 7
+    index = float(np.asarray(drawn_air(scenario.valve, spec).polytropic_index)[draw])
+    own = dataclasses.replace(scenario.valve, polytropic_index=index)
+    spec = scenario.uncertainty.model_copy(update=none)
+    alone = study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": own}))
+    found, expected = (one.table["peak_trunk_force"].sel(valve=landing.CLOSED) for one in (drawn, alone))
+    np.testing.assert_allclose(found.sel(draw=draw), expected.sel(draw=0), rtol=1e-5)
+    assert np.ptp(found.to_numpy(), axis=-1).max() > 100 * np.ptp(expected.to_numpy(), axis=-1).max()
+    low, high = drawn.to_dict()["landings"][-1]["peak_trunk_force_interval"]
+    assert high > low
+
+
+def test_draws_of_the_mass_scale_every_inertia():
+    factors = np.array([1.0, 1.2])
+    trunk = with_mass(Trunk(2.0, 0.02, freedom="floating", roll_inertia=0.03, yaw_inertia=0.012), factors)
+    link = with_mass(Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004), factors)
+    for body, inertias in ((trunk, (0.03, 0.02, 0.012)), (link, (0.009, 0.009, 0.0004))):
+        np.testing.assert_allclose(body.inertias, np.outer(inertias, factors))
+    assert with_mass(Trunk(2.0, 0.02), factors).roll_inertia is None
+
+
+@pytest.mark.slow
+def test_gradient_of_the_apex_is_that_of_differences(scenario):
+    plant = scenario.plant()
+    angles = (0.0, -0.35)
+    pressures = plant.robot.pressures_for(angles, jumping.standing_torques(plant, angles).tolist(), (None, None))
+    variables = jump_search.ScheduleVariables(pressures, 0.0, 6e5, 0.05, timed=True)
+    runs = jump_search.JumpRuns(plant, RobotStart(angles, pressures), variables, 0.25, 0.25e-3, 1)
+    tried = np.random.default_rng(1).uniform(0.1, 0.9, (16, 64))
+    x = tried[:, runs.heights(tried).argmax()]
+    height, gradient = runs.height_and_gradient(x)
+    steps = 1e-6 * np.eye(16)
+    around = runs.heights(np.concatenate([x + steps, x - steps]).T)
+    assert height == pytest.approx(float(runs.heights(tried).max()), abs=1e-9)
+    assert np.abs(gradient - (around[:16] - around[16:]) / 2e-6).max() < 1e-6 * np.abs(gradient).max()
+
+
+@pytest.mark.slow
+def test_standing_is_the_highest_posture(scenario):
+    plant, drawn = scenario.plant(), drawn_plant(scenario)
+    standing, hip = jumping._standing_heights(plant, drawn)
+    assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
+    assert 0.75 < hip < 0.79 and np.ptp(standing) > 0
+
+
+@pytest.fixture(scope="module")
+def short_searches():
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("_GENERATIONS", "_POPULATION", "_POLISHING"):
+            patch.setattr(jump_search, name, 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def jumps(scenario, short_searches):
+    return study_jump(scenario)
+
+
+@pytest.mark.slow
+def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
+    assert jumps.timed.heights[0] >= jumps.constant.heights[0] - 1e-9 > 0
+    assert 0 < jumps.timed.work < jumps.timed.air_energy
+    assert (jumps.timed.rises[0] > 0) and jumps.timed.work < 20
+    assert jumps.constant.run.engine == "native"
+    record = jumps.to_dict()
+    for jump in (record["constant"], record["timed"]):
+        assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
+        assert jump["integration"]["substeps"] >= 1
+    for jump in jumps.jumps.values():
+        assert abs(jump.balance.residual) < 0.01  # J
+    assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
+    assert len(next(jumps.listings()).rows()) == 2
+
+
+@pytest.mark.slow
+def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeypatch):
+    computed, run = [], jump_search.JumpRuns.heights
+
+    def counted(self, variables):
+        computed.append(1)
+        if len(computed) == 3:
+            raise KeyboardInterrupt
+        return run(self, variables)
+
+    monkeypatch.setattr(jump_search.JumpRuns, "heights", counted)
+    with pytest.raises(KeyboardInterrupt):
+        study_jump(scenario, out=tmp_path)
+    with pytest.raises(FileError):  # it exists
+        study_jump(scenario, out=tmp_path)
+    again = study_jump(scenario, out=tmp_path, resume=True)
+    np.testing.assert_array_equal(again.timed.heights, jumps.timed.heights)
+    before = len(computed)
+    assert study_jump(scenario, out=tmp_path, resume=True).to_dict() == jumps.to_dict()
+    assert len(computed) == before
+    with pytest.raises(FileError):
+        study_jump(scenario.model_copy(update={"step": 0.2e-3}), out=tmp_path, resume=True)
+
+
+@pytest.mark.slow
+def test_commands_write_their_results(scenario, tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text(scenario.dumps(), encoding="utf-8")
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["robot", "land", str(file), "--out", str(out), "--json"])
+    assert done.exit_code == 0
+    numbers = json.loads(done.stdout)
+    assert numbers == json.loads((out / "results.json").read_text())
+    assert any(path.suffix == ".png" for path in out.iterdir())
+    assert RobotScenario.read(out / "robot.yaml") == scenario
+    resumed = CliRunner().invoke(app, ["robot", "land", str(file), "--out", str(out), "--json", "--resume"])
+    assert resumed.exit_code == 0
+    assert json.loads(resumed.stdout) == numbers
+    again = CliRunner().invoke(app, ["robot", "land", str(file), "--out", str(out)])
+    assert again.exit_code != 0  # results are not replaced
+
+
+@pytest.mark.parametrize("command", ["land", "jump"])
+def test_there_is_no_study_to_continue(command, tmp_path, monkeypatch):
+    monkeypatch.setattr(RobotScenario, "plant", lambda self: pytest.fail("work before the check"))
+    done = CliRunner().invoke(app, ["robot", command, FILE, "--out", str(tmp_path), "--resume"])
+    assert isinstance(done.exception, FileError)
+    problem = done.exception.problems[0]
+    assert "no study" in problem.message and "--resume" in problem.remedy
+
+
+def test_file_without_a_study(tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text(HEAD, encoding="utf-8")
+    for command in ("land", "jump"):
+        done = CliRunner().invoke(app, ["robot", command, str(file)])
+        assert isinstance(done.exception, ScenarioError)
+    assert RobotScenario.read(FILE).name
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("squat: {hip: 0 deg, knee: -20 deg}", "squat: {hip: 0 deg, knee: -40 deg}", 23),
+        ("high: 6 bar", "high: 9 bar", 24),
+        ("joint: knee", "joint: ankle", 14),
+    ],
+)
+def test_a_mistake_in_a_section_has_the_line_of_its_key(old, new, line):
+    text = Path(FILE).read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(text.replace(old, new))
+    (problem,) = caught.value.problems
+    assert problem.line == line
