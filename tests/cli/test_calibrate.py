@@ -201,17 +201,3 @@ def test_valves_are_calibrated_and_their_recordings_give_the_same(cli, calibrate
     again = cli("calibrate", "s.yaml", "--valves", *files, "--out", "again", "--json")
     assert again.code == 0, again.err
     assert estimates(json.loads(again.out)) == found
-
-
-@pytest.mark.slow
-def test_valves_from_a_csv_file(cli, tmp_path):
-    time = np.arange(0, 8, 0.005)
-    command, pressure, lag = np.where(time % 2 < 1, 3.0, 1.0), np.full(time.size, 3.0), np.exp(-5e-3 / 0.04)
-    for k in range(time.size - 1):
-        pressure[k + 1] = command[k] + (pressure[k] - command[k]) * lag
-    head = "time_s,angle_deg,command1_bar,command2_bar,pressure1_bar,pressure2_bar"
-    path = written(tmp_path, "one.csv", (head, time, 0 * time, command, command, pressure, pressure))
-    done = cli("calibrate", str(EXAMPLE), "--valves", "--recording", path, "--out", "x", "--json")
-    assert done.code == 0, done.err
-    found = estimates(json.loads(done.out))
-    assert found["valve2.time_constant"]["estimate"] == pytest.approx(40, rel=0.01)

@@ -47,15 +47,6 @@ def test_help_is_had_without_heavy_imports(arguments):
     assert "mckibben" in found.stdout
 
 
-@pytest.mark.slow
-def test_a_process_that_is_done_ends_with_0(tmp_path):
-    found = run("identify", "festo-tool-10mm", "--json", cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
-    assert (found.returncode, found.stderr) == (0, "")
-    columns = next(t for t in json.loads(found.stdout)["tables"] if t["title"] == "parameters")["columns"]
-    estimates = dict(zip(columns["parameter"]["values"], columns["estimate"]["values"], strict=True))
-    assert float(estimates["decay"]) == pytest.approx(0.340, abs=5e-4)
-
-
 @pytest.mark.parametrize("arguments", [["identify"], ["identify", "x", "--lw", "y"]])
 def test_bad_usage_ends_with_2(cli, arguments):
     found = cli(*arguments)

@@ -15,23 +15,8 @@ from mckibben.component.columns import labels_of
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics, SimulationResult
 from mckibben.simulation.metrics import METRICS
-from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.mark.slow
-def test_an_example_in_full(cli):
-    found = cli("simulate", str(ROOT / "examples" / "pre-contracted-step-pid.yaml"), "--json")
-    assert (found.code, found.err) == (0, "")
-    numbers = json.loads(found.out)
-    assert (numbers["result"], numbers["ok"], numbers["verdict"]) == ("SimulationResult", True, "completed")
-    assert [remark["field"] for remark in numbers["remarks"]] == ["accuracy"]
-    values = {name: scalar["value"] for name, scalar in numbers["scalars"].items()}
-    assert set(values) == set(Metrics._fields)
-    assert 0.5 * deg < values["angle_rmse"] < 3 * deg
-    assert 0 < values["stiffness_settling"] < 0.5
-    assert values["estimate_rmse"] < 1e-9
 
 
 @pytest.mark.slow
@@ -80,30 +65,6 @@ def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option)
     again = run_scenario(Scenario.read(kept / "scenario.yaml"))
     assert again.to_dataset().drop_attrs().identical(result.to_dataset().drop_attrs())
     assert result.metrics["stiffness_rmse"] == numbers["scalars"]["stiffness_rmse"]["value"]
-
-
-def test_three_mistakes_are_three_errors_with_their_lines(cli, tmp_path, shortened):
-    text = shortened("pre-contracted-step-pid")
-    for old, new in (
-        ("connector_length: 208 mm", "connector_length: 208 N"),
-        ("kd: 0 bar*s/(N*m/rad)", "kd: 0"),
-        ("control_period: 1 ms", "control_period: 3 ms"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    (tmp_path / "bad.yaml").write_text(text, encoding="utf-8")
-    found = cli("simulate", "bad.yaml")
-    assert (found.code, found.out) == (2, "")
-    first, *lines = found.err.splitlines()
-    assert first == "error: bad.yaml: 3 problems"
-    assert len(lines) == 3
-    numbered = text.splitlines()
-    for line, mistake, field in zip(
-        lines, ("208 N", "kd: 0}", "3 ms"), ("connector_length", "kd", "control_period"), strict=True
-    ):
-        number = next(i for i, row in enumerate(numbered, start=1) if mistake in row)
-        assert line.startswith(f"  line {number}, ")
-        assert field in line
 
 
 def test_the_mistakes_of_the_documentation_give_its_words(cli, tmp_path):

@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 from mckibben.scenario import Scenario, list_parameters
-from mckibben.simulation.metrics import METRICS
 from mckibben.storage.store import STUDY
 from mckibben.study.sweep import sweep
 from mckibben.study.tune import read_trials
@@ -42,11 +41,6 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path, each_progress):
     assert json.loads((kept / "results.json").read_text(encoding="utf-8"))["verdict"] == swept.verdict()
     assert " ".join(done.out.split()).startswith(swept.verdict())
     assert re.search(r"completed +20 +50", done.out) and re.search(r"not run: no pressures.* +20 +50", done.out)
-    for metric, unit, size in METRICS.values():
-        if metric != "coupling" and (values := swept.values(metric) / size).size:
-            median = re.escape(f"{np.median(values):.4g}")
-            assert re.search(rf"{metric.replace('_', ' ')} +{re.escape(unit)} +{median} ", done.out), metric
-    assert re.search(r"start\.stiffness +failed +1", done.out)
     assert "40 of 40 runs" in done.err
 
     again = cli("sweep", "s.yaml", "--resume", "--out", "kept", "--details")
@@ -188,21 +182,6 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
         assert new.start.stiffness == pytest.approx(11 * (20 / 11) ** best.point[1], rel=1e-5)
     assert tuned[0].signals.angle.file == tmp_path / "a" / "reference.csv"
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("known", "believed"), [((), 208e-3), (("--model-follows", "joint.geometry.connector_length"), None)]
-)
-@pytest.mark.slow
-def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, still, tmp_path, monkeypatch, known, believed):
-    monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 0])  # what is found does not matter here
-    plant = ("--over", "joint.geometry.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
-    found = cli("tune", "s.yaml", *plant, *known)
-    assert found.code == 0, found.err
-    tuned = Scenario.read(tmp_path / "kept" / "s-tuned.yaml")
-    assert 206e-3 <= tuned.joint.geometry.connector_length < 208e-3
-    true = tuned.joint.geometry.connector_length
-    assert tuned.controller.model.geometry.connector_length == pytest.approx(believed or true, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["s-tuned-2.yaml", "tuning.png"])

@@ -51,14 +51,6 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), lag)).valve == IdealValve()
 
 
-def test_the_delay_of_the_commands_is_a_condition():
-    late = Suite.parse(TEXT.replace("conditions:", "conditions:\n  - command_delay=0..20 ms", 1))
-    (delay,) = [swept for swept in late.conditions_over() if swept.parameter.name == "command_delay"]
-    assert delay.parameter.shown == "ms"
-    assert np.ptp(draw(late, 16, 3).groups[0].plant.command_delay) > 5 * ms
-    assert Suite.parse(TEXT + "command_delay: 5 ms\n").example().plant().command_delay == 5 * ms
-
-
 @pytest.mark.parametrize("controller", ["PID 3", "decoupling"])
 def test_controllers_believe_in_the_suites_own_plant(suite, controller):
     """In whatever plant a run has; and two plants whose numbers all differ have the same controller."""

@@ -6,17 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben import check_reference, identify, read_dataset
+from mckibben import identify, read_dataset
 from mckibben.control import Measurement
 from mckibben.muscle import ExponentialLaw
 from mckibben.scenario import Scenario, run_scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-SCENARIOS = [
-    path
-    for path in sorted(EXAMPLES.rglob("*.yaml"))
-    if {"controller:", "reference:"} <= {*path.read_text(encoding="utf-8").splitlines()}
-]
 SMALLER = {  # numbers of scripts that take long
     "plot_12_batch": {"duration=4.0": "duration=0.4"},
     "plot_17_landing": {"drop: [20 mm, 50 mm]": "drop: [50 mm]", "draws: 32": "draws: 20"},
@@ -36,21 +31,6 @@ def test_a_scenario_starts_at_rest_and_runs_without_a_warning(path):
     assert np.isfinite(float(state.estimate))
     result = run_scenario(scenario)
     assert result.outcome.usable and not result.poor_tracking
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_a_scenario_has_a_feasible_reference(path):
-    read = Scenario.read(path)
-    amplitude = read.controller.stiffness_amplitude
-    found = check_reference(
-        read.plant(),
-        read.reference(),
-        duration=read.duration,
-        control_period=read.control_period,
-        stiffness_amplitude=amplitude,
-    )
-    assert found.feasible == (path.stem != "linear-axis")  # which says so: its stiffness cannot be chosen
 
 
 @pytest.mark.slow

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mckibben.errors import McKibbenError, ParameterError
+from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.study.parameters import (
     LogUniform,
@@ -40,16 +40,13 @@ def spread(text, scenario=BACKPROP):
     ("text", "expected"),
     [
         ("load.mass2=0.2 kg..1.0 kg", Uniform(0.2, 1.0)),
-        ("load.mass2 = 200 g .. 1 kg", Uniform(0.2, 1.0)),
         ("load.mass2=0.2..1.0 kg in 9", Uniform(0.2, 1.0, 9)),
-        ("load.mass2=1.0 kg", Values((1.0,))),
         ("load.mass2=1 kg, 2 kg,4 kg", Values((1.0, 2.0, 4.0))),
         ("load.mass2=+-10 %", Uniform(0.45, 0.55)),
         ("load.mass2=+- 100 g", Uniform(0.4, 0.6)),
         ("controller.position.base.kp=1..100 bar/rad log in 3", LogUniform(1 * bar, 100 * bar, 3)),
         ("controller.position.base.kp=-100 bar/rad..-1 bar/rad log", LogUniform(-100 * bar, -1 * bar)),
         ("controller.position.seed=0..19", Values(tuple(range(20)))),
-        ("controller.position.seed=3", Values((3,))),
         ("controller.position.seed=0,5, 1", Values((0, 5, 1))),
         ("controller.position.momentum=+-10 %", Uniform(0.45, 0.55)),  # a percentage is one of the nominal value
         ("controller.position.momentum=+-0.1", Uniform(0.4, 0.6)),
@@ -82,9 +79,6 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("load.mass2=1 N..2 N", ["'N'", "'kg'"]),
         ("load.mass2=1 kg..2", ["'2' has no unit", "2 kg"]),
         ("load.mass2=4,5 kg", ["comma between digits", "point"]),
-        ("load.mass2=0,2..1,0 kg", ["'1,0 kg' is not a number and a unit"]),
-        ("valve.time_constant=0 ms, 1 ms", ["outside above 0 to"]),
-        ("load.mass2=0 kg..1e999 kg", ["not a finite number"]),
         ("load.mass2=1 kg, 1 kg", ["listed twice"]),
         ("load.mass2=0 kg..1 kg log", ["has no logarithm", "log"]),
         ("load.mass2=0..1 kg in 1", ["1 points"]),
@@ -95,7 +89,6 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("controller.position.seed=0..1.5", ["'1.5' is not a whole number"]),
         ("controller.position.seed=0..3 log", ["all of them"]),
         ("controller.position.seed=+-10 %", ["is a whole number", "0..19"]),
-        ("load.mass2=" + "1" * 200 + " kg", ["not a number"]),
         ("controller.position.seed=0..100000", ["more than 100000"]),
         ("duration=1 s..2 s", ["cannot be varied"]),
     ],
@@ -117,37 +110,6 @@ def test_an_amount_around_nothing_is_an_error():
     with pytest.raises(ParameterError, match="no nominal value in the scenario"):
         parse_sweep("start.stiffness=+-1 N*m/rad", scenario)
     assert parse_sweep("start.stiffness=12..14 N*m/rad", scenario).distribution == Uniform(12.0, 14.0)
-
-
-def test_two_texts_about_one_number_are_an_error():
-    with pytest.raises(ParameterError, match=r"load\.mass2 is varied twice"):
-        parse_sweeps(["load.mass2=1 kg", "load.mass1=2 kg", "load.mass2=2 kg"], PID)
-    read = parse_sweeps(["load.mass2=1 kg", "load.mass1=2 kg"], PID)
-    assert [swept.name for swept in read] == ["load.mass2", "load.mass1"]
-
-
-PIECES = "load.mass2|controller.position.seed|start.angle|=|..|,| |+-|±|normal|log|in|kg|deg|%|percent|1|0.5|-2|1e308|."
-PIECES = [*PIECES.split("|"), *"1e-320|1e9999|nan|inf|kg^9*kg^9*kg^9|(|/|in 9|é|\n|\0".split("|"), "9" * 30]
-
-
-@settings(max_examples=200)
-@given(st.text(max_size=60) | st.lists(st.sampled_from(PIECES), max_size=9).map("".join))
-@example("load.mass2=normal 1e-320 kg")
-@example("load.mass2=+-1e-320 kg")
-@example("load.mass2=normal 1e-322 %")
-@example("load.mass2=+-" + "9" * 400 + " %")
-@example("load.mass2=1 kg^9*kg^9*kg^9*kg^9")
-@pytest.mark.slow
-def test_any_text_is_read_or_an_error_of_ours(said):
-    for text in (said, f"load.mass2={said}", f"controller.position.seed={said}", f"start.angle={said}"):
-        try:
-            read = parse_sweep(text, BACKPROP)
-        except McKibbenError as error:
-            assert isinstance(error, ParameterError)
-            continue
-        values = read.distribution.ppf([0.0, 0.3, 1.0])
-        assert np.all(read.parameter.holds(values))
-        assert np.all(np.isfinite(values))
 
 
 @st.composite

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import mckibben as mk
-from mckibben import units
 from mckibben.errors import ScenarioError
 from mckibben.scenario import Scenario
-from mckibben.units import Quantity, bar, deg, factor
+from mckibben.units import bar, deg
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BASE = (EXAMPLES / "pre-contracted-step-pid.yaml").read_text()
@@ -138,12 +137,6 @@ def test_another_controller_runs_in_a_scenario():
     assert np.ptp(scenario.simulate()["command1"]) > 0
 
 
-def test_completion_lists_the_methods_of_scenarios_alone():
-    names = dir(Scenario.parse(BASE))
-    assert {"simulate", "replace", "duration"} <= set(names)
-    assert not {"model_copy", "construct", "parse_obj", "json"} & set(names)
-
-
 # Errors ---------------------------------------------------------------------------------------------------------------
 
 
@@ -187,6 +180,7 @@ MISTAKES = [
     ("start: {angle", "disturbance: {amplitude: 1 N*m}\nstart: {angle", "disturbance", "give one of none, pulses"),
     (VALVE, "valve: perfect", "valve", "known are"),
     ("ki: 60", "ki: -60", "controller.position", "differ in sign"),
+    ("rad}\n", "rad, derivative_on_error: yes}\n", "controller.position.derivative_on_error", "neither true nor false"),
     ("kp: 2 bar/rad, ", "", "controller.position.kp", "add it, such as `kp: 12.5 bar/rad`"),
     (SINE, "{sine: {amplitude: 10 deg}}", "reference.angle", "class: sine"),
     (SINE, "{}", "reference.angle", "lacks the key `class`"),
@@ -241,22 +235,6 @@ def test_one_mistake_is_told_with_its_place(old, new, field, words):
     if "nested" in words:  # far too deep for the parser, which then knows no line
         expected = 1
     assert problem.line is not None and expected <= problem.line <= expected + 2
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("momentum: 0.25", "momentum: 1", "outside 0 to 0.999999"),
-        ("momentum: 0.25", "gain_ratio: 1", "outside above 1"),
-        ("seed: 3", "seed: -1", "outside 0 to 2147483647"),
-        ("ki: 3 bar/(N*m*s/rad)", "ki: -3 bar/(N*m*s/rad)", "differ in sign"),
-        ("derivative_on_error: true", "derivative_on_error: yes", "neither true nor false"),
-        ("    error_scale: 1 N*m/rad\n", "", "error_scale: is missing"),
-    ],
-)
-def test_bad_loops(old, new, words):
-    (problem,) = problems(changed(old, new, PLAIN))
-    assert words in str(problem)
 
 
 @pytest.mark.parametrize(
@@ -338,37 +316,7 @@ def test_integration_steps_are_given_or_follow_from_an_accuracy(text, accuracy, 
 # Any numbers and texts ------------------------------------------------------------------------------------------------
 
 TEXTS = [path.read_text() for path in sorted(EXAMPLES.glob("*.yaml"))]
-MARKS = [mark for kind in vars(units).values() for mark in getattr(kind, "__metadata__", ())]
-KINDS = [mark for mark in MARKS if isinstance(mark, Quantity) and mark.unit not in units.SYMBOLS]
 quick = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-
-
-def floats(kind: Quantity) -> st.SearchStrategy[float]:
-    scale = factor(kind.shown, kind.unit)
-    return st.floats(
-        kind.lower * scale,
-        kind.upper * scale,
-        exclude_min=kind.open_lower,
-        exclude_max=kind.open_upper,
-        allow_subnormal=False,  # XLA takes them for 0
-    )
-
-
-@settings(quick, max_examples=400)
-@given(st.data())
-def test_every_quantity_comes_back_to_the_last_bit(data):
-    kind = data.draw(st.sampled_from(KINDS))
-    value = data.draw(floats(kind))
-    assert kind.read(kind.write(value)) == value
-
-
-@quick
-@given(st.sampled_from(KINDS), st.integers(1, 9999))
-def test_what_people_write_is_written_back(kind, number):
-    assume(number / 10000 >= kind.lower)
-    text = f"{number / 10000:g} {kind.shown}"
-    if kind.unit != "1":
-        assert kind.write(kind.read(text)) == text
 
 
 INDICATORS = ["\n  ", ": ", "- ", " #", "&a ", "!!int ", "|\n", "---\n", "...\n", "<<: ", *"\t\n:[]{},*|>%@`'\"#?-/()~"]
@@ -383,12 +331,6 @@ def test_a_damaged_scenario_is_a_scenario_or_an_error(text, damages):
     for where, removed, inserted in damages:
         at = math.floor(where * len(text))
         text = text[:at] + inserted + text[at + removed :]
-    accepts(text)
-
-
-@settings(quick, max_examples=150)
-@given(st.text(st.sampled_from("abz019 .:-{}[],&*!|>'\"%@`#?\n\t\\_~<=^()/"), max_size=60) | st.text(max_size=30))
-def test_any_text_is_a_scenario_or_an_error(text):
     accepts(text)
 
 

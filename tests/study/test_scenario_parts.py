@@ -9,17 +9,12 @@ import xarray as xr
 
 from mckibben.actuator import IdealValve, UnequalValves
 from mckibben.control import (
-    ActuatorAdaptation,
     DecouplingControl,
     ExtendedStateObserver,
-    LawAdaptation,
     PolePlacement,
     PressureObserver,
 )
 from mckibben.errors import RangeError, ScenarioError, SimulationError
-from mckibben.muscle import PressureAffineLaw
-from mckibben.plant import SampledSensors, TorquePulses
-from mckibben.reachability import check_trackability
 from mckibben.reachability.envelope import envelope
 from mckibben.scenario import Scenario, batched, find_parameter, run_many, run_scenario
 from mckibben.simulation import Outcome
@@ -65,10 +60,6 @@ def flow():
 @pytest.mark.parametrize(
     ("text", "field"),
     [
-        ("{class: FlowValv, conductance: 1 L/(s*bar), supply: 7 bar}", "valve"),
-        ("{class: FlowValve, conductance: 1 L/s, supply: 7 bar}", "valve.conductance"),
-        ("{class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, deadzone: 3 %}", "valve.deadzone"),
-        ("{class: FlowValve, conductance: 1 L/(s*bar)}", "valve.supply"),
         ("{class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}", "controller"),
         ("{from: festo-mh2, supply: 7 bar, period: 20 ms}", "valve"),
     ],
@@ -96,23 +87,6 @@ def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
         assert float(abs(saved["opening1"]).max()) > 0.05
         assert 6 * bar < float(saved["reservoir"].min()) < 6.999 * bar
         assert saved["opening2"].attrs["units"] == "1" and saved["reservoir"].attrs["units"] == "Pa"
-
-
-@pytest.mark.slow
-def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
-    batch = run_many(flow, {"valve.conductance": np.array([2e-10, 4e-9])})
-    small, large = batch.table["angle_rmse"].values
-    assert small > 1.1 * large
-    trackable = {
-        conductance: check_trackability(
-            with_valve(FLOW.replace("0.4 L", f"{conductance} L")).plant(),
-            flow.reference(),
-            duration=0.4,
-            control_period=0.01,
-        ).verdict()
-        for conductance in (0.4, 0.005)
-    }
-    assert "trackable throughout" in trackable[0.4] and "at the rate limit" in trackable[0.005]
 
 
 @pytest.mark.slow
@@ -194,46 +168,7 @@ def test_an_envelope_of_the_isobaric_stiffness_refuses_another():
     assert refused.value.field == "controller.stiffness_amplitude"
 
 
-@pytest.mark.slow
-def test_a_loop_that_is_unstable_while_the_joint_sticks_oscillates_after_a_push():
-    text = BASE[: BASE.index("reference:")] + "reference: {angle: 5 deg, stiffness: 15 N*m/rad}\n"
-    text += "start: {angle: 0 deg, stiffness: 12 N*m/rad}\nduration: 30 s\ncontrol_period: 1 ms\n"
-    text += "friction: {torque: 1.5 N*m}\n"
-    push = "disturbance: {height: 0.02 N*m, width: 50 ms, interval: 200 s, start: 10 s}\n"
-    assert Scenario.parse(text).margins(2).radius[0] > 1
-    quiet, pushed = (Scenario.parse(one).simulate() for one in (text, text + push))
-    assert np.ptp(quiet["angle"][-2000:]) < 1e-6 * deg
-    assert 0.1 * deg < np.ptp(pushed["angle"][-2000:]) < 0.5 * deg
-
-
 # Real sensors, pushes, muscles of another strength, and a law corrected on line ---------------------------------------
-
-SENSORS = "sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 0.5, seed: 7}\n"
-PULSES = "disturbance: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}\n"
-ADAPTATION = """\
-  adaptation: {strength_spread: 0.08, mass_spread: 0.1 kg, friction_spread: 0.4, torque_error: 0.03 N*m,
-    bandwidth: 25 rad/s}
-  actuator_adaptation: {}
-"""
-
-
-@pytest.fixture(scope="module")
-def real():
-    weaker = BEFORE.replace(MUSCLE, MUSCLE.replace("}", ", strength: 0.93}"))
-    return controlled(DECOUPLING + ADAPTATION, f"{weaker}{SENSORS}{PULSES}")
-
-
-def test_it_builds_what_it_says(real):
-    plant, control = real.plant(), real.control()
-    assert plant.sensors == SampledSensors(0.022 * deg, 4e3, 0.5, 7)
-    assert plant.disturbance == TorquePulses(0.5, 100 * ms, 1.0, 250 * ms)
-    assert isinstance(control, DecouplingControl)
-    assert control.adaptation == LawAdaptation(0.08, 0.1, 0.4, 0.03, 25.0)
-    assert control.actuator_adaptation == ActuatorAdaptation()
-    plain = Scenario.parse(BASE).plant().joint
-    for muscle in (plant.joint.muscle1, plant.joint.muscle2, control.model.muscle1):
-        assert isinstance(muscle.law, PressureAffineLaw)
-        assert float(muscle.force(0.1, 3e5)) == pytest.approx(0.93 * float(plain.muscle1.force(0.1, 3e5)), rel=1e-12)
 
 
 def test_the_model_keeps_its_own_strength():
@@ -243,7 +178,3 @@ def test_the_model_keeps_its_own_strength():
     np.testing.assert_array_equal(many.plant().joint.muscle1.strength, [0.9, 1.1])
     np.testing.assert_array_equal(many.control().model.muscle1.strength, [1.0, 1.0])
     assert batched(own, {"joint.muscle.strength": [0.9, 1.1]}).control().model.muscle1.strength is None
-
-
-def test_what_an_adaptation_takes_for_true_is_no_gain(real):
-    assert not [name for name in gain_ranges(real) if ".adaptation." in name]

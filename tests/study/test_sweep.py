@@ -322,12 +322,3 @@ def test_the_figure(made, panels, tmp_path):
         assert np.isfinite([low, high]).all() and low < high
     labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
     assert labels and all(re.search(r"\[.+\]$", label) for label in labels), labels
-
-
-@pytest.mark.slow
-def test_the_figure_shows_the_four_inputs_that_matter_most():
-    figure = report.sweep(made_up(count=2000))
-    shown = " ".join(axes.get_xlabel().replace("\n", "") for axes in figure.axes)
-    assert "load.mass2 [kg]" in shown
-    assert "controller.position.kp [bar/rad]" in shown
-    assert "1 input with weaker correlation" in figure._suptitle.get_text()
