@@ -140,12 +140,6 @@ def test_a_program_that_is_too_large_is_left_to_xla(programs, monkeypatch):
         BatchFunction(double)("native", None, LANES)
 
 
-def test_a_compiler_of_cc_that_is_not_found_is_reported(programs, monkeypatch):
-    monkeypatch.setenv("CC", "no-such-compiler -O3")
-    with pytest.warns(McKibbenWarning, match="no-such-compiler"):
-        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
-
-
 def replaced(file, library):
     """Write another library into a stored program, with a valid checksum."""
     _, leaves, tree = pickle.loads(private.read_private(file))

@@ -140,17 +140,6 @@ def test_it_takes_over_the_pressures_as_they_are(run, plant, load, modelled):
         np.testing.assert_allclose(command, float(pressure[0]), rtol=1e-6)
 
 
-def test_with_a_minimum_tension_no_muscle_goes_slack_where_one_did(run, plant, knee, alone, modelled):
-    """Where a stiffness is setpoints_of for that the joint cannot have: the loops alone, and with 5 N."""
-
-    def least(control):
-        record, _ = run(plant, rated(control, 0.0), Sine(10 * deg, 0.5, 0.0, np.pi / 2), 5.0)
-        return tensions(knee, record).min()
-
-    assert least(alone) == 0.0
-    assert least(modelled) > 2.5  # the joint moves on while a valve follows
-
-
 START = InitialOffset(*map(jnp.asarray, (14.0, 0.1e5, 1e5)))
 
 

@@ -74,28 +74,6 @@ def test_samples_are_joined_by_straight_lines_and_held_beyond():
     np.testing.assert_allclose(signal(np.array([0.0, 1.0, 1.5, 3.0, 4.0, 9.0])), [10, 10, 15, 10, 0, 0])
 
 
-@pytest.mark.parametrize(
-    ("times", "values", "words"),
-    [
-        ([0.0, 1.0], [1.0], "2 times"),
-        ([], [], "0 times"),
-        ([0.0, 2.0, 1.0], [1.0, 2.0, 3.0], "times"),
-        ([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], "times"),
-        ([0.0, np.nan], [1.0, 2.0], "times"),
-    ],
-)
-def test_samples_that_are_none_are_refused(times, values, words):
-    with pytest.raises(RangeError, match=words):
-        Samples(times, values)
-
-
-def test_a_multisine_needs_one_of_each_for_every_sine():
-    with pytest.raises(RangeError, match="1 frequencies for 2"):
-        Multisine((0.1, 0.2), (0.5,))
-    with pytest.raises(RangeError, match="1 phases for 2"):
-        Multisine((0.1, 0.2), (0.5, 0.6), (0.1,))
-
-
 def test_a_sum_is_all_of_its_parts():
     parts = Step(13.0, 17.0, at=5.0), Sine(0.5, 0.3, 1.0, 0.2), Samples([0.0, 10.0], [0.0, 2.0])
     expected = np.where(TIMES < 5, 13.0, 17.0) + 1 + 0.5 * np.sin(0.6 * np.pi * TIMES + 0.2) + 0.2 * TIMES

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -83,20 +82,6 @@ def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, 
     assert estimate == pytest.approx(ASKED, rel=5e-3)
     isobaric = float(joint.stiffness(state.angle, state.pressures))
     assert isobaric < ASKED - 15  # friction adds the rest
-
-
-@pytest.mark.slow
-def test_a_wrong_friction_of_the_model_is_an_error_of_the_stiffness(joint, load, plant, settle):
-    """Three quarters of the friction: the rest of what it adds comes on top."""
-    weaker = eqx.tree_at(
-        lambda j: (j.muscle1.friction.half_width, j.muscle2.friction.half_width), joint, (5.625, 5.625)
-    )
-    asked = 34.0
-    state, estimate = settle(controllers(weaker, load)["decoupling"], asked)
-    real, believed = (float(each.secant_stiffness(state.angle, state.pressures, SIZE)) for each in (joint, weaker))
-    assert estimate == pytest.approx(asked, rel=5e-3) == believed
-    assert real > asked + 4
-    assert met(plant, state) == pytest.approx(real, rel=2e-3)
 
 
 @pytest.mark.slow

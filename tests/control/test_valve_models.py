@@ -62,16 +62,6 @@ def test_valves_with_air_are_controlled_as_well_as_lags(run, make, kind, conduct
 
 
 @pytest.mark.slow
-def test_with_a_lag_in_place_of_the_air_they_end_in_a_limit_cycle(run, make):
-    """The fault that the model of the valve mends, named in the result, with its amplitude and period."""
-    valve = VALVES[0.05]
-    result = run(valve, make("decoupling", mk.FirstOrderValve(20 * ms), 98.0))
-    assert result.outcome is Outcome.LIMIT_CYCLE
-    assert result.metrics["oscillation_amplitude"] > 1 * deg
-    assert 0.05 < result.metrics["oscillation_period"] < 0.5
-
-
-@pytest.mark.slow
 def test_a_step_too_fast_for_the_valves_is_braked_in_time(run, make):
     """A regulator of 0.0091 L/(s*bar), as in the paper: bandwidths that its flow allows for small errors alone."""
     valve = mk.catalog.valve("smc-itv0050", supply=8 * bar)

@@ -42,13 +42,6 @@ def test_a_dataset_keeps_what_it_was_given_with_units_and_attributes():
     assert "initial_length" not in grid().table.attrs
 
 
-def test_repr_says_what_is_in_it():
-    text = repr(grid(specimen="X"))
-    for part in ("'X'", "12 points (1 slack)", "1..4.5 bar", "0..20 %", "loading and unloading", "repeats 1, 2"):
-        assert part in text
-    assert "0 points" in repr(grid().select(np.zeros(12, bool)))
-
-
 def test_the_arrays_of_the_caller_and_of_the_dataset_do_not_touch():
     force = np.arange(3.0)
     data = IsobaricDataset.of(pressure=[0, 0, 0], contraction=[0, 0, 0], force=force)
@@ -153,13 +146,6 @@ def test_plateau_means_are_those_of_numpy(dtype, points, samples, seed):
     assert set(means.table) == {"pressure", "contraction", "force", "repeat", "force_spread"}
     assert means.repeats.tolist() == list(range(points))
     assert means.plateau_means() is means
-
-
-def test_samples_are_not_copied():
-    samples = np.zeros((12, 100), np.float32)
-    data = grid(force_samples=samples)
-    assert np.shares_memory(data.table["force_samples"].to_numpy(), samples)
-    assert samples.flags.writeable
 
 
 def test_force_samples_alone_leave_the_pressure():

@@ -9,9 +9,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.points import points
 from mckibben.dataset import Recording, read_dataset
-from mckibben.errors import DatasetError, FileError, ParameterError, RangeError, UnitError
-
-from .conftest import C, F, P, problems_of
+from mckibben.errors import DatasetError, ParameterError, RangeError, UnitError
 
 APP = typer.Typer()
 APP.command()(points)
@@ -69,33 +67,6 @@ def test_numbers_for_machines_have_units(run):
     assert columns["approach"]["values"] == ["-", "filling", "filling", "venting", "venting"]
 
 
-def test_the_sign_of_a_load_cell_is_turned(run):
-    write("rig.csv", LEVEL)
-    write("turned.csv", LEVEL, gain=-1)
-    Path("turned.csv").write_text(Path("turned.csv").read_text().replace("Force (N)", "Zug (N)"))
-    run("rig.csv", *COLUMN, "--out", "as-is")
-    run("turned.csv", *COLUMN, "--column", "Zug (N)=-force_N", "--out", "turned")
-    as_is, turned = (read_dataset(f"{name}/points.csv") for name in ("as-is", "turned"))
-    np.testing.assert_array_equal(turned.force, as_is.force)
-    run("turned.csv", *COLUMN, "--column", "Zug (N)=force_N", error=DatasetError)
-
-
-def test_earlier_results_are_replaced_only_if_asked(run):
-    write("rig.csv", LEVEL)
-    run("rig.csv", *COLUMN, "--out", "found")
-    run("rig.csv", *COLUMN, "--out", "found", error=FileError)
-    run("rig.csv", *COLUMN, "--out", "found", "--force")
-
-
-def test_corrupt_rows_are_refused_or_left_out_and_named(run):
-    write("rig.csv", LEVEL, "30.00,1.0,x\n30.0")
-    assert "line 1502, Force (N): 'x' is not a number" in run("rig.csv", *COLUMN, error=DatasetError)
-    remarks = json.loads(run("rig.csv", *COLUMN, "--read", "accept=corrupt", "--json"))["remarks"]
-    texts = [remark["text"] for remark in remarks]
-    assert "left out: line 1502, Force (N): 'x' is not a number" in texts
-    assert "left out: line 1503: has 1 cell, the header 3" in texts
-
-
 @pytest.mark.parametrize(
     ("arguments", "error", "expected"),
     [
@@ -132,20 +103,3 @@ def test_the_samples_of_a_recording_are_points_for_a_fit(tmp_path):
     data = read_dataset(tmp_path / "rig.nc", slack_force=0.0)
     np.testing.assert_array_equal(data.force, force)
     assert data.pressures.tolist() == [2e5, 3e5, 4e5, 5e5] and len(data.directions) == 2
-
-
-@pytest.mark.parametrize(
-    ("header", "shift", "option"),
-    [
-        ("Druck [barr]", 0.0, "--column 'Druck [barr]=pressure_bar'"),
-        ("Druck (bar)", 1.013, "--column 'Druck (bar)=pressure_bar_abs'"),
-    ],
-)
-def test_a_question_names_the_column_and_an_option_that_answers_it(header, shift, option, tmp_path):
-    points = np.column_stack([P + shift, C, F])
-    np.savetxt(tmp_path / "a.csv", points, "%.3f", ";", header=f"{header};Kontraktion [%];Kraft [N]", comments="")
-    (problem,) = problems_of(tmp_path / "a.csv")
-    assert option in problem
-    name, _, meant = option.removeprefix("--column ").strip("'").rpartition("=")
-    data = read_dataset(tmp_path / "a.csv", columns={name: meant}, ambient=1.013e5 if shift else None)
-    np.testing.assert_allclose(data.pressure, P * 1e5, rtol=1e-3)

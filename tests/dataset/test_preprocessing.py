@@ -200,10 +200,6 @@ def test_points_without_levels_have_blocks_all_the_same(written):
     assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_level) == 8
 
 
-def test_an_empty_dataset_stays_empty():
-    assert len(IsobaricDataset.of(pressure=[], contraction=[], force=[])) == 0
-
-
 @pytest.mark.parametrize("zero", [0.0, -200.0])
 def test_repeats_of_one_taut_point_are_not_slack(zero):
     """Four lengths at three pressures, each five times: the least force is measured five times at one point."""

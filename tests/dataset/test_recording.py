@@ -1,9 +1,5 @@
-import time as clock
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mckibben.dataset import Recording, read_dataset, read_recording
 from mckibben.dataset.points import saturated_samples
@@ -198,47 +194,6 @@ def test_a_slow_ramp_is_no_plateau():
     ramp = Recording.of(time=time, pressure=2e5 + 0 * time, force=100 - time, contraction=0.2 * time / 60)
     with pytest.raises(RangeError, match="nothing in the recording is steady"):
         ramp.plateaus()
-
-
-@pytest.mark.filterwarnings("ignore::mckibben.errors.McKibbenWarning")  # forces of no muscle
-@given(
-    seed=st.integers(0, 20),
-    drop=st.floats(0, 0.4),
-    jitter=st.floats(0, 2e-3),
-    dwell=st.sampled_from([0.02, 0.5, 1.0, 2.5]),
-    settle=st.sampled_from([0.0, 0.01]),
-)
-@pytest.mark.slow
-def test_whatever_the_record_all_samples_are_accounted_for_and_plateaus_are_steady(seed, drop, jitter, dwell, settle):
-    rng = np.random.default_rng(seed)
-    kept = rng.uniform(size=len(RUN.time)) >= drop
-    record = Recording.of(
-        time=(RUN.time + rng.normal(0, jitter, len(kept)))[kept],
-        pressure=RUN.pressure[kept],
-        force=np.clip(RUN.force, 20 * (seed % 2), None)[kept],
-        contraction=RUN.contraction[kept],
-    )
-    try:
-        points = record.plateaus(dwell=dwell, settle=settle)
-    except RangeError as error:
-        assert "nothing in the recording" in str(error)
-        return
-    accounted(points, record)
-    assert np.all(np.diff(points.dataset.table["time"]) > -5 * jitter)
-    if dwell >= 0.5:
-        planned = np.array(RUN.plan)[:, 1]
-        assert np.abs(points.dataset.contraction[:, None] - planned).min(axis=1).max() < 1e-3
-
-
-@pytest.mark.slow
-def test_five_million_samples_take_a_second_or_so():
-    test = Run(rate=43_000)
-    record = test.record()
-    assert len(record) > 4.9e6
-    start = clock.process_time()
-    points = record.plateaus()
-    assert clock.process_time() - start < 4  # 0.5 s on a slow core that has nothing else to do
-    assert len(points.dataset) == len(test.plan)
 
 
 def test_set_pressures_of_the_record_go_before_clusters():

@@ -79,15 +79,6 @@ def test_csv_gives_the_same_dataset_back(data, tmp_path):
         assert_same(read_dataset(path), data)
 
 
-def test_csv_has_the_plateau_means(tmp_path):
-    data = IsobaricDataset.of(
-        pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[10.0, 20.0]], pressure_samples=[[1e5, 3e5]]
-    )
-    data.to_csv(tmp_path / "data.csv")
-    again = read_dataset(tmp_path / "data.csv")
-    assert (again.force.tolist(), again.pressure.tolist()) == ([15.0], [2e5])
-
-
 def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):
     data = IsobaricDataset.of(pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[1.0, 2.0]])
     means = data.plateau_means()
@@ -100,34 +91,12 @@ def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):
     assert_same(IsobaricDataset.from_netcdf(tmp_path / "again.nc"), warm)
 
 
-def test_samples_that_were_compressed_are_read_like_others(tmp_path):
-    force = np.random.default_rng(0).normal(np.linspace(60, 30, 6)[:, None], 1.0, (6, 100))
-    data = IsobaricDataset.of(
-        pressure=np.full(6, 1e5), contraction=np.linspace(0, 0.1, 6), force=force.mean(axis=1), force_samples=force
-    )
-    packed = {"force_samples": {"zlib": True, "complevel": 1, "shuffle": True}}
-    data.table.to_netcdf(tmp_path / "packed.nc", engine="h5netcdf", encoding=packed)
-    assert_same(read_dataset(tmp_path / "packed.nc"), data)
-
-
 def test_arguments_go_before_what_a_netcdf_file_says(tmp_path):
     given = IsobaricDataset.of(pressure=[1e5, 1e5], contraction=[0, 0.1], force=[6, 3], specimen="A")
     given.to_netcdf(tmp_path / "a.nc")
     data = read_dataset(tmp_path / "a.nc", specimen="B", initial_length=0.18, slack_force=5.0)
     assert data.table.attrs == {"specimen": "B", "source": "", "initial_length": 0.18, "slack_force": 5.0}
     assert data.slack.tolist() == [False, True]
-
-
-def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
-    path = tmp_path / "data.nc"
-    data = IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3])
-    data.to_netcdf(path)
-    before = path.read_bytes()
-    unwritable = IsobaricDataset(data.table.assign_attrs(extra={"a": "mapping"}))
-    with pytest.raises(TypeError):
-        unwritable.to_netcdf(path)
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["data.nc"]
 
 
 @pytest.mark.parametrize("content", [b"", b"pressure_bar,force_N\n1,2\n", b"\x89HDF\r\n\x1a\n" + bytes(200)])
@@ -158,12 +127,3 @@ def test_a_netcdf_file_that_lost_values_is_refused(cut, tmp_path):
     part.write_bytes(values[: int(cut * len(values))])
     with pytest.raises(DatasetError):
         read_dataset(part)
-
-
-def test_a_write_that_cannot_end_leaves_nothing_behind(tmp_path):
-    data = IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3])
-    (tmp_path / "taken").mkdir()
-    for write in (data.to_netcdf, data.to_csv):
-        with pytest.raises(OSError, match="taken"):
-            write(tmp_path / "taken")
-    assert [file.name for file in tmp_path.iterdir()] == ["taken"]

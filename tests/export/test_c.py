@@ -15,7 +15,7 @@ from mckibben.codegen import write_c
 from mckibben.codegen.c import comment_text
 from mckibben.codegen.native import compiler
 from mckibben.containment.limits import Limits
-from mckibben.errors import ExportError, FileError, ParameterError
+from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
 from mckibben.export.controller import controller_functions, controller_program
 from mckibben.firmware import Hardware
@@ -266,16 +266,6 @@ def test_a_changed_file_is_seen_by_the_replay(scenarios, tmp_path):
     source.write_text(defaults.replace("self->parameters.position_kp = ", "self->parameters.position_kp = 1.001 * "))
     assert source.read_text() != defaults
     assert subprocess.run(["make", "-s", "check"], cwd=tmp_path, capture_output=True).returncode != 0
-
-
-@pytest.mark.slow
-def test_nothing_is_overwritten_without_force(scenarios, tmp_path):
-    (tmp_path / "knee.c").write_text("mine")
-    with pytest.raises(FileError):
-        export(scenarios["PID"], "c", tmp_path, name="knee")
-    assert [path.name for path in tmp_path.iterdir()] == ["knee.c"]
-    export(scenarios["PID"], "c", tmp_path, name="knee", overwrite=True)
-    assert (tmp_path / "knee.c").read_text() != "mine"
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from mckibben.identification import identify
 from mckibben.identification.friction import identify_hysteresis
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths
-from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, ReynoldsLaw, forces
+from mckibben.muscle import ExponentialLaw, MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
-from mckibben.units import bar, mm, percent
+from mckibben.units import bar, mm
 
 SPECIMEN, LAW = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
 MUSCLE = Muscle(SPECIMEN, LAW)
@@ -170,25 +170,6 @@ def test_the_jacobian_is_that_of_small_changes(model):
         assert smooth.mean() > 0.98  # but at points where a slider just gives way
     drift = model.residuals(values, offsets + np.eye(len(offsets))[-1]) - model.residuals(values, offsets)
     np.testing.assert_allclose(columns[:, -1], drift, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_law_of_another_kind_leaves_what_it_cannot_say_to_the_residuals():
-    """Chou's law has no exponential: the friction is still found, roughly, and the residuals show the rest."""
-    chou = Muscle(SPECIMEN, ChouLaw.of(SPECIMEN))
-    narrow = dataclasses.replace(PROTOCOL, contraction_min=2 * percent)
-    found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(chou).run(narrow, seed=1))
-    assert found.friction.half_width == pytest.approx(12, rel=0.02)
-    assert any("decay is held at the bound" in warning for warning in found.warnings)
-
-
-@pytest.mark.slow
-def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
-    data, found = drifting
-    assert found.rmse < 0.25 * 10
-    bad = identify_hysteresis(ReynoldsLaw, data)
-    assert bad.rmse > 20
-    assert "ReynoldsLaw leaves residuals of" in bad.warnings[-1] and "friction or drift" in bad.warnings[-1]
 
 
 @pytest.mark.parametrize("overshot", [True, False])

@@ -111,14 +111,6 @@ def test_good_points_are_named_in_one_data_set_of_a_hundred(clipped):
 # --- recovery -----------------------------------------------------------------------------------------------
 
 
-def test_recovers_chou():
-    law = ChouLaw(25 * deg, 10 * mm)
-    fit = identify(ChouLaw, grid(law))
-    assert fit.law.braid_angle == pytest.approx(25 * deg, rel=1e-8)
-    assert fit.law.initial_diameter == pytest.approx(10 * mm, rel=1e-8)
-    assert fit.warnings == ()
-
-
 def test_domain_is_the_range_of_the_points_used():
     data = catalog.dataset("dmsp-10-250-martens2017")
     assert identify(ExponentialLaw, data).law.domain == Domain(0.0, 0.184, 68750.0, 650000.0)
@@ -199,15 +191,6 @@ def test_leaving_one_pressure_out_equals_a_loop_over_identify():
     assert cross_validation.max_error == pytest.approx(np.abs(pooled).max(), rel=1e-6)
 
 
-def test_levels_are_the_set_pressures_where_they_are_known():
-    clean = grid(EQ_3, noise=1.0)
-    measured = clean.pressure + np.random.default_rng(0).uniform(0, 500, len(clean))
-    values = {"contraction": clean.contraction, "force": clean.force, "pressure": measured}
-    with_levels = identify(ExponentialLaw, IsobaricDataset.of(**values, set_pressure=clean.pressure))
-    assert len(with_levels.leave_one_pressure_out.by_level) == 13
-    assert with_levels.law.domain.pressure_max == 6 * bar
-
-
 # --- too little data ----------------------------------------------------------------------------------------
 
 
@@ -262,17 +245,6 @@ def test_slack_points_do_not_matter():
     assert whole.estimates == taut.estimates
     assert whole.points_slack == np.count_nonzero(data.slack)
     assert taut.points_slack == 0
-
-
-def test_raw_samples_count_as_their_means():
-    data = grid(EQ_3, noise=0.5)
-    samples = data.force[:, None] + np.random.default_rng(0).normal(size=(len(data), 50))
-    values = {"pressure": data.pressure, "contraction": data.contraction}
-    raw = IsobaricDataset.of(**values, force=samples.mean(axis=1), force_samples=samples, slack_force=1.0)
-    means = IsobaricDataset.of(**values, force=samples.mean(axis=1), slack_force=1.0)
-    assert identify(ExponentialLaw, raw).law.decay == pytest.approx(
-        identify(ExponentialLaw, means).law.decay, rel=1e-12
-    )
 
 
 def narrow(contraction, pressure_max, diameter=20e-3):

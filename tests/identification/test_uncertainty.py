@@ -45,16 +45,6 @@ def measured(law, levels, contractions, noise, seed=0, **columns):
 # --- groups -------------------------------------------------------------------------------------------------
 
 
-def test_a_stroke_is_a_level_a_direction_and_a_repeat_as_far_as_they_are_recorded():
-    columns = {"pressure": [1e5, 1.01e5, 2e5, 2e5], "contraction": [0.0, 0.1, 0.0, 0.1], "force": [80, 40, 170, 90]}
-    bare = IsobaricDataset.of(**columns, set_pressure=[1e5, 1e5, 2e5, 2e5])
-    assert group_labels(bare, Grouping.STROKE).tolist() == [0, 0, 1, 1]  # the set pressure, not the measured one
-    repeats = IsobaricDataset.of(**columns, set_pressure=[1e5, 1e5, 2e5, 2e5], repeat=[0, 1, 0, 0])
-    assert group_labels(repeats, Grouping.STROKE).tolist() == [0, 1, 2, 2]
-    assert group_labels(repeats, Grouping.PRESSURE).tolist() == [0, 0, 1, 1]
-    assert group_labels(bare, Grouping.POINT).tolist() == [0, 1, 2, 3]
-
-
 # --- the sandwich -------------------------------------------------------------------------------------------
 
 

@@ -242,20 +242,6 @@ def test_friction_is_that_of_the_highest_pressure_and_speed():
     assert lost[1] == pytest.approx(12.0 + damping + opposing, rel=1e-2)
 
 
-def test_both_muscles_rub_at_the_highest_pressure_where_a_stiffness_is_required():
-    ten = catalog_makes()[0]
-    growing = mk.MaxwellSlip(7.0, 0.5 * mm, growth=10 / bar, reference_pressure=3.5 * bar)
-    light = dataclasses.replace(NEED, load=mk.PendulumLoad(0.5, 150 * mm), torque=0.0, stiffness=(3.0, 3.0))
-    found = size(light, [Make("ten", Muscle(ten.muscle.specimen, ten.muscle.law, growing), 0.0)]).best
-    angles = np.linspace(*light.angles, 13)
-    reserve = light.reserve + 2 * (7.0 + 10 * 1.9) * 0.99 * found.lengths["radius"]
-    for sign in (-1, 1):
-        low, high = found.plant.joint.attainable_stiffness(
-            angles, sign * reserve - light.load.gravity_torque(angles), minimum_tension=5.0
-        )
-        assert np.all(low <= 3.0) and np.all(high >= 3.0)
-
-
 def test_a_braid_gives_a_make_by_chous_law():
     braid = mk.Specimen(
         "braid", 200 * mm, initial_diameter=12 * mm, braid_angle=25 * deg, domain=mk.Domain(-0.03, 0.25, 0.0, 5 * bar)
@@ -271,16 +257,6 @@ def test_a_law_that_is_not_affine_and_no_makes_are_refused():
     for makes in ([Make.of("smooth", Muscle(catalog.specimen("DMSP-10-250"), smooth), None)], []):
         with pytest.raises(ParameterError):
             size(NEED, makes)
-
-
-def test_the_measured_map_of_20_mm_agrees_with_its_rating():
-    """Martens and Boblan's muscle gives 1460 N at 6 bar and its initial length; the maker rates it for 1500 N."""
-    data = catalog.dataset("dmsp-20-300-martens2017")
-    assert len(data) == 126 and len(data.taut) == 60
-    at = (np.abs(data.pressure - 6 * bar) < 1) & (np.abs(data.contraction) < 1e-9)
-    assert float(data.force[at][0]) == 1460.1
-    fit = mk.identify(mk.ExponentialLaw, data)
-    assert fit.rmse < 0.01 * 1460
 
 
 def test_the_uncertainties_of_the_page():

@@ -75,14 +75,3 @@ def test_errors_are_distributions(result):
             assert np.allclose(values[finite], [expected[0], *expected])
             assert np.allclose(share[finite], np.arange(expected.size + 1) / 16)
     assert lines["as it is"].get_ydata()[finite][-1] == 14 / 16
-
-
-def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result):
-    (axes,) = comparison_air(result).axes
-    (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
-    middle = [
-        np.nanmedian(result.metric("decoupling", name)) / unit for name, unit in (("air", 1e-3), ("angle_rmse", deg))
-    ]
-    assert mark.get_xydata()[0] == pytest.approx(middle)
-    across = axes.lines[axes.lines.index(mark) - 2].get_xdata()
-    assert across == pytest.approx(np.percentile(result.metric("decoupling", "air") * 1e3, [5, 95]))

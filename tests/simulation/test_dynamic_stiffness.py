@@ -11,12 +11,10 @@ import pytest
 from mckibben.actuator import IdealValve, PressureRegulator
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import KneeLoad
 from mckibben.muscle import MaxwellSlip
 from mckibben.muscle.friction import polygon
-from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointFriction, JointPlant, TorquePulses
-from mckibben.simulation import closed_valves, compiled_episode, dynamic_stiffness
+from mckibben.plant import JointFriction, JointPlant
+from mckibben.simulation import closed_valves, dynamic_stiffness
 from mckibben.units import bar, deg, mm, ms
 
 SLIP = MaxwellSlip(7.5, 0.5 * mm)
@@ -82,16 +80,6 @@ def test_friction_of_the_joint_adds_to_the_stiffness_and_its_loop_to_the_loss(kn
 
 
 @pytest.mark.slow
-def test_the_loss_is_the_area_of_the_hysteresis_loop(held, start):
-    angle = 1 * deg
-    found = float(dynamic_stiffness(held, start, angle, FAST).loss[0, 0])
-    length = 0.03 * angle * np.sin(np.linspace(0, 4 * np.pi, 8001))  # arms of 30 mm at 0 deg, nearly constant
-    force = SLIP.path_response(length, 130.0, 3e5)[4000:]
-    area = np.trapezoid(force, length[4000:])
-    assert found == pytest.approx(2 * area / (math.pi * angle**2), rel=2e-3)
-
-
-@pytest.mark.slow
 def test_with_closed_valves_the_air_adds_to_it(held, start):
     found = dynamic_stiffness(closed_valves(held, polytropic_index=1.4), start, AMPLITUDES, (SLOW, FAST))
     expected = np.asarray(secant(held.joint, start.pressures, AMPLITUDES, 1.4))
@@ -123,22 +111,6 @@ def test_regulators_hold_the_pressure_against_a_slow_push_and_the_air_against_a_
     np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=0.01 * air)
 
 
-@pytest.mark.slow
-def test_a_torque_pulse_deflects_the_joint_by_its_size_over_the_stiffness(held, start, playback):
-    """A load with much damping follows the pulse without overshoot, which friction would remember."""
-    period, height = 1e-3, 0.7
-    load = KneeLoad(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=3.0)
-    pulses = TorquePulses(height, width=3.0, interval=10.0, start=0.1)
-    plant = dataclasses.replace(held, load=load, disturbance=pulses)
-    pressures = Setpoint(*(jnp.full(3000, float(p)) for p in start.pressures))
-    begin = numeric(plant.complete_state(start))
-    final, _ = compiled_episode(numeric(plant), playback, pressures, begin, jnp.asarray(period), 4)
-    moved = float(final.angle)
-    gravity = float(load.gravity_torque(0.0) - load.gravity_torque(moved)) / moved
-    assert 0.5 * deg < moved < 2 * deg
-    assert height / moved - gravity == pytest.approx(float(secant(held.joint, start.pressures, moved)), rel=5e-3)
-
-
 def test_what_does_not_fit_is_refused(held, start):
     for field, given in (("frequency", (1 * deg, 20.0)), ("amplitude", (0.0, 1.0))):
         with pytest.raises(RangeError) as refused:
@@ -146,24 +118,3 @@ def test_what_does_not_fit_is_refused(held, start):
         assert refused.value.field == field
     with pytest.raises(RangeError):
         dynamic_stiffness(held, start, 1 * deg, 1.0, setpoint=Setpoint(jnp.asarray(0.0), jnp.asarray(15.0)))
-
-
-@pytest.mark.slow
-def test_air_with_a_temperature_is_stiffer_in_fast_motion_and_dissipates_in_between(knee, load):
-    """Against the linearised chamber, whose index is isothermal at 0.02 Hz and adiabatic at 10 Hz."""
-    valve = PressureRegulator(1e-10, 7 * bar, time_constant=20 * ms, wall_conductance=0.1, dead_volume=2e-6)
-    plant = JointPlant(knee, load, valve)
-    start, rates = plant.equilibrium(0.0, stiffness=15.0), np.array([0.02, 0.5, 1.0, 10.0])
-    closed = closed_valves(plant)
-    found = dynamic_stiffness(closed, start._replace(air=()), 0.01 * deg, rates, cycles=8)
-    volumes = [one.volume for one in plant.air_volumes(start)]
-    indices = [valve.index_at(p, v, rates) for p, v in zip(start.pressures, volumes, strict=True)]
-    expected = knee.closed_valve_stiffness(0.0, start.pressures, polytropic_index=tuple(indices), dead_volume=2e-6)
-    np.testing.assert_allclose(found.stiffness[:, 0], expected.real, rtol=1e-4)
-    np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=2e-4 * float(expected.real[0]))
-    ends = [
-        float(knee.closed_valve_stiffness(0.0, start.pressures, polytropic_index=n, dead_volume=2e-6))
-        for n in (1.0, 1.4)
-    ]
-    assert (found.stiffness[0, 0], found.stiffness[-1, 0]) == pytest.approx(ends, rel=5e-3)
-    assert found.loss[1, 0] > 0.1 * (ends[1] - ends[0])

@@ -1,7 +1,6 @@
 """The sampled-data loop against an independent solver, and its order, batches and precision."""
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,20 +60,6 @@ def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_p
     angle = solved(paper_precontracted, record, 0.02 if valve == "first order" else None)
     assert np.ptp(np.asarray(angle)) > 0.2
     np.testing.assert_allclose(record.state.angle, angle, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("time_constant", [1e-6, 50e-6])
-@pytest.mark.slow
-def test_a_valve_much_faster_than_the_step_is_nearly_an_ideal_one(plant, ideal_plant, control, time_constant):
-    setpoints = sampled(REFERENCE, 500 * PERIOD, PERIOD)[1]
-    fast = eqx.tree_at(lambda p: p.valve.time_constant, plant, jnp.asarray(time_constant))
-    start = numeric(plant.equilibrium(0.0))
-    angles = [
-        compiled_episode(p, control, setpoints, start, jnp.asarray(PERIOD), 4)[1].state.angle
-        for p in (fast, ideal_plant)
-    ]
-    assert np.ptp(np.asarray(angles[1])) > 0.1
-    np.testing.assert_allclose(angles[0], angles[1], rtol=0, atol=60 * time_constant)
 
 
 def test_the_loop_tracks_and_stays_within_limits(run):

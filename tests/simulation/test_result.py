@@ -1,7 +1,6 @@
 """What a run answers: its outcome in words, units, and files."""
 
 import dataclasses
-import pickle
 import re
 
 import equinox as eqx
@@ -89,23 +88,12 @@ def test_a_column_is_an_array_and_an_unknown_one_is_named(completed):
     assert caught.value.value == "wrench"
 
 
-def test_it_is_short_in_a_shell_and_a_table_in_a_notebook(completed):
-    assert repr(completed) == "<SimulationResult: completed>"
-    page = completed._repr_html_()
-    assert page.count("<tr>") == len(completed.metrics) and "root mean square error of the angle" in page
-
-
 def test_a_limit_cycle_counts_from_the_resolution_of_its_sensor(completed):
     cycle = 0.3 * deg * np.sin(2 * np.pi * 50 * 1e-3 * np.arange(200))
     columns = {**completed.columns, "angle": completed["desired_angle"] + cycle}
     for resolution, expected in (({}, 0.3 * deg), ({"angle_resolution": 1 * deg}, 0.0)):
         found = SimulationResult(columns, completed.control_period, **resolution)
         assert found.metrics["oscillation_amplitude"] == pytest.approx(expected, rel=0.1)
-
-
-def test_it_can_be_pickled(completed):
-    again = pickle.loads(pickle.dumps(completed))
-    assert again.to_dataset().identical(completed.to_dataset())
 
 
 def test_saturated(saturated, knee):
