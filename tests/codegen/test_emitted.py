@@ -9,7 +9,7 @@ import pytest
 from jax import lax
 
 from mckibben.codegen import SourceModule, write_c
-from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.codegen.native import NativeFunction, Split, compiler
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
@@ -208,3 +208,11 @@ def test_functions_of_one_run_are_right_to_about_an_ulp():
         np.testing.assert_allclose(found[1:-1], right[1:-1], rtol=0, atol=3e-16)
     assert exp[-6:].tolist() == [0.0, 0.0, 1.0, pytest.approx(exact[0][-3], rel=4e-16), np.inf, np.inf]
     assert np.isnan(values(np.array([np.nan]))).all()
+
+
+def test_an_array_in_two_places_of_a_tree_is_one_argument():
+    array = np.array(2.0)
+    split = Split.of({"model": array, "other": np.array(2.0), "plant": array})
+    assert len(split.arrays) == 2
+    assert split.filled([3.0, 5.0]) == {"model": 3.0, "other": 5.0, "plant": 3.0}
+    assert split.key != Split.of({"model": np.array(2.0), "other": array, "plant": array}).key

@@ -211,14 +211,20 @@ class NativeFunction:
         return Compiled(*load_library(program), leaves, tree)
 
 
+class Repeated(NamedTuple):
+    """An array that an earlier leaf of the tree is, too, by its place among the arguments."""
+
+    place: int
+
+
 @dataclass(frozen=True)
 class Split:
-    """Leaves of a tree, with the arrays separated.
+    """Leaves of a tree, with the arrays separated; an array that stands in several places is one argument.
 
     Attributes
     ----------
     static
-        All leaves, `ARRAY` in place of arrays.
+        All leaves, `ARRAY` in place of arrays, and a `Repeated` in place of one that came before.
     lanes
         Whether the last axis of each array is that of the runs.
 
@@ -230,7 +236,7 @@ class Split:
     """
 
     structure: PyTreeDef
-    static: tuple[object, ...]  # `ARRAY` in place of arrays
+    static: tuple[object, ...]
     arrays: list[NDArray]
     lanes: bool
 
@@ -238,9 +244,17 @@ class Split:
     def of(cls, tree: PyTree, *, lanes: bool = False) -> Split:
         """Split a tree."""
         leaves, structure = jax.tree.flatten(tree)
-        static = tuple([ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves])
-        arrays = [leaf if type(leaf) is np.ndarray else np.asarray(leaf) for leaf in leaves if isinstance(leaf, ARRAYS)]
-        return cls(structure, static, arrays, lanes)
+        places: dict[int, int] = {}  # of the arrays among the arguments, by identity
+        static, arrays = [], []
+        for leaf in leaves:
+            if not isinstance(leaf, ARRAYS):
+                static.append(leaf)
+            elif (place := places.setdefault(id(leaf), len(arrays))) < len(arrays):
+                static.append(Repeated(place))
+            else:
+                static.append(ARRAY)
+                arrays.append(leaf if type(leaf) is np.ndarray else np.asarray(leaf))
+        return cls(structure, tuple(static), arrays, lanes)
 
     @property
     def key(self) -> tuple[PyTree, ...]:
@@ -252,7 +266,11 @@ class Split:
     def filled(self, arrays: Sequence[NDArray]) -> PyTree:
         """The tree with new arrays."""
         rest = iter(arrays)
-        return jax.tree.unflatten(self.structure, [next(rest) if leaf is ARRAY else leaf for leaf in self.static])
+        leaves = [
+            next(rest) if leaf is ARRAY else arrays[leaf.place] if isinstance(leaf, Repeated) else leaf
+            for leaf in self.static
+        ]
+        return jax.tree.unflatten(self.structure, leaves)
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,25 @@ def split_problem(
     plant = type(plant).with_period(plant, control_period)
     whole = whole._replace(plant=plant, controller=type(controller).with_period(controller, control_period))
     count, varying = lanes_of(whole)
-    return (None, numeric(whole), None) if count is None else (*eqx.partition(numeric(whole), varying), count)
+    whole = numeric(whole)
+    whole = whole._replace(controller=_sharing(whole.controller, whole.plant))
+    return (None, whole, None) if count is None else (*eqx.partition(whole, varying), count)
+
+
+def _sharing(controller: PyTree, plant: Plant) -> PyTree:
+    """A controller whose model of the joint is that of the plant, if it equals it.
+
+    Programs then compute once what both need, such as the stiffness at the measured angle.
+    """
+    joint = getattr(plant, "joint", None)
+
+    def is_model(node: object) -> bool:
+        return type(node) is type(joint)
+
+    def shared(node: object) -> object:
+        return joint if is_model(node) and eqx.tree_equal(node, joint) else node
+
+    return controller if joint is None else jax.tree.map(shared, controller, is_leaf=is_model)
 
 
 def split_runs(
