@@ -95,7 +95,7 @@ BUDGET = {
     "calibration": 1970,
     "catalog": 230,
     "cli": 1490,
-    "codegen": 2550,
+    "codegen": 2590,
     "component": 1020,
     "config": 550,
     "containment": 290,
@@ -103,7 +103,7 @@ BUDGET = {
     "control": 2290,
     "dataset": 3000,
     "experiment_design": 740,
-    "export": 2470,
+    "export": 2480,
     "firmware": 140,
     "identification": 3600,
     "joint": 1160,
@@ -114,11 +114,11 @@ BUDGET = {
     "plant": 520,
     "reachability": 1210,
     "report": 2230,
-    "rig": 5490,
+    "rig": 5410,
     "scenario": 680,
     "serial_protocol": 160,
     "simulation": 2750,
-    "storage": 450,
+    "storage": 570,
     "study": 2860,
     "web": 2320,
 }
@@ -226,7 +226,6 @@ def imported(module: str) -> set[str]:
 
 def test_no_circle_of_imports_within_a_package():
     packages = {module for module in SOURCES if Path(SOURCES[module]).name == "__init__.py"}  # they re-export
-    packages |= {module for module in SOURCES if module.startswith("mckibben.rig.")}  # until its recorder is made anew
     TopologicalSorter({module: imported(module) - packages for module in SOURCES.keys() - packages}).prepare()
 
 

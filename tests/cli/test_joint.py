@@ -8,10 +8,12 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mckibben import report
 from mckibben.component.columns import labels_of
+from mckibben.dataset.formats import read_table
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics, SimulationResult
 from mckibben.simulation.metrics import METRICS
@@ -56,7 +58,9 @@ def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option)
     found = cli("simulate", "short.yaml", "--out", "kept", *option)
     assert found.code == 0
     kept = tmp_path / "kept"
-    assert {"result.nc", "results.json", "scenario.yaml", "tracking.png"} <= {p.name for p in kept.iterdir()}
+    assert {"result.nc", "result.mcap", "results.json", "scenario.yaml", "tracking.png"} <= {
+        p.name for p in kept.iterdir()
+    }
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
     if option:
         assert json.loads(found.out) == numbers
@@ -65,6 +69,10 @@ def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option)
     again = run_scenario(Scenario.read(kept / "scenario.yaml"))
     assert again.to_dataset().drop_attrs().identical(result.to_dataset().drop_attrs())
     assert result.metrics["stiffness_rmse"] == numbers["scalars"]["stiffness_rmse"]["value"]
+    table = read_table(kept / "result.mcap", {})
+    columns = {column.label: column for column in table.columns}
+    np.testing.assert_array_equal(columns["pressure1"].cells, result["pressure1"])
+    assert (columns["pressure1"].unit, columns["angle"].unit) == ("Pa", "rad")
 
 
 def test_the_mistakes_of_the_documentation_give_its_words(cli, tmp_path):

@@ -35,7 +35,7 @@ int main(void)
     REGISTER(0xE000E014) = 25000 - 1; /* system timer: 1 ms at 25 MHz */
     REGISTER(0xE000E018) = 0;
     REGISTER(0xE000E010) = 7;
-    simulated_begin();
+    simulated_begin(0, 0);
     firmware_begin(false);
     for (;;) {
         uint8_t byte = 1;

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
-from mckibben.errors import ExportError, ScenarioError
+from mckibben.errors import ExportError, RigError, ScenarioError
 from mckibben.export import export
 from mckibben.firmware import Hardware
 from mckibben.rig import JointRig, prepare
+from mckibben.rig.channel_probe import MOVED
+from mckibben.rig.joint_record import Phase
 from mckibben.rig.record import read_record
 from mckibben.rig.serial_line import SerialBackend
 from mckibben.scenario import Scenario
@@ -101,7 +103,7 @@ def session(folder):
     """The firmware of this computer on a pseudo-terminal."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    opened = Session(["./firmware", "lockstep"], folder, master, master, (slave, slave))
+    opened = Session(["./firmware"], folder, master, master, (slave, slave))
     yield opened
     opened.process.kill()
     opened.process.wait()
@@ -255,11 +257,12 @@ def test_a_missing_part_is_asked_for(tmp_path):
 def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
     """Both ends of the protocol, in real time: samples, arming, commands, and the vent; then a scenario."""
     pytest.importorskip("serial", reason="needs the extra rig")
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    with subprocess.Popen(["./firmware"], cwd=folder, stdin=master, stdout=master) as process:
+    port = tmp_path / "board"
+    with subprocess.Popen([folder / "firmware", port, "0.3", "0.2"]) as process:  # with a weight: it swings at first
         try:
-            backend = SerialBackend(os.ttyname(slave), digest=digest, period=1e-3)
+            while not port.exists():
+                time.sleep(0.01)
+            backend = SerialBackend(str(port), digest=digest, period=1e-3)
             assert [channel.name for channel in backend.inputs] == ["angle", "pressure1", "pressure2"]
             with backend.opened():
                 backend.read(2500, timeout=5.0)
@@ -272,14 +275,19 @@ def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
                 assert block.first + len(block.time) > 5000
                 backend.vent()
                 assert backend.read(1000).values[-1, 1:].max() < 2e4
-            time.sleep(2.5)  # the line is full, and nobody reads it
-            limits = "{late: 1 s, silence: 1 s, pressure_error: 5 bar}"
-            rig = JointRig.parse(f"rig: {{serial: {{port: {os.ttyname(slave)}}}}}\nlimits: {limits}")
-            ran = prepare(SCENARIO, rig).run(tmp_path / "run")
+            time.sleep(2.5)  # the line is full, and nobody reads it; the joint swings by more than its limits
+            limits = "{late: 1 s, silence: 1 s, pressure_error: 5 bar, angle_rate: 5000 deg/s}"
+            text = f"rig: {{serial: {{port: {port}, firmware: {folder / 'scenario.yaml'}}}}}\nlimits: {limits}"
+            softer = SCENARIO.model_copy(update={"name": "another, for the same firmware"})
+            with pytest.raises(RigError) as caught:
+                prepare(softer, JointRig.parse(text.partition(", firmware")[0] + "}}")).run(tmp_path / "refused")
+            assert caught.value.field == "digest"
+            ran = prepare(softer, JointRig.parse(text)).run(tmp_path / "run")
             assert ran.outcome.completed, ran.outcome.text
             assert ran.outcome.vented_after < 1.0
-            assert np.array_equal(read_record(tmp_path / "run").columns["sample"][:4500], np.arange(4500))
+            columns = read_record(tmp_path / "run").columns
+            assert np.array_equal(columns["sample"][:4500], np.arange(4500))
+            swinging = columns["angle"][columns["phase"] == Phase.PROBING]
+            assert np.ptp(swinging[:1000]) > 2 * MOVED > np.ptp(swinging[-2000:-1500])
         finally:
             process.kill()
-            os.close(master)
-            os.close(slave)

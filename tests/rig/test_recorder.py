@@ -14,8 +14,9 @@ import pytest
 
 from mckibben.errors import DatasetError, FileError, McKibbenWarning, RigError
 from mckibben.rig import recorder as recorder_module
-from mckibben.rig.record import Column, read_record, segments
-from mckibben.rig.recorder import McapWriter, Recorder
+from mckibben.rig.record import read_record, segments
+from mckibben.rig.recorder import Recorder
+from mckibben.storage.mcap import Column, McapWriter
 
 COLUMNS = [Column("time", "s"), Column("force", "N", "float32"), Column("pulses", "1", "int32")]
 

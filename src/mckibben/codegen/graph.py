@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 import math
 import operator
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -160,6 +161,25 @@ class Element:
     array: StoredArray
     stride: int
     offset: int
+
+
+def count_operations(scope: Scope) -> Counter[str]:
+    """Operations of a block by name, at most: each loop to its end, and of two branches the longer one.
+
+    Raises `ExportError` for a loop without a known length.
+    """
+    counts: Counter[str] = Counter()
+    for statement in scope.statements:
+        if isinstance(statement, ForLoop):
+            if statement.going is not None:
+                raise ExportError("a loop has no largest number of iterations", remedy="use one with a fixed number")
+            inner = count_operations(statement.scope)
+            counts.update({name: statement.length * number for name, number in inner.items()})
+        elif isinstance(statement, Branch):
+            counts.update(max(map(count_operations, statement.scopes), key=Counter.total))
+        elif isinstance(statement, Value) and statement.operation in {"select", *FOLDED}:
+            counts[statement.operation] += 1
+    return counts
 
 
 FOLDED: dict[str, Callable[..., Any]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
-from mckibben.codegen.graph import Graph, Kind, Scope, Value
+from mckibben.codegen.graph import Graph, Kind, Scope, Value, count_operations
 from mckibben.codegen.lowering import Lowering, kind_of
 
 _RESERVED = frozenset(
@@ -20,6 +21,12 @@ _RESERVED = frozenset(
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true "
     "false class delete export extends finally function import in instanceof let new null super this throw try typeof "
     "var with yield".split()
+)
+
+_SLOW = "div", "rem", "sqrt"
+_CALLED = (
+    *("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+    *("pow", "cbrt"),
 )
 
 
@@ -170,6 +177,26 @@ class SourceModule:
         self.graph.scope = self.graph.root
         guards = tuple(next(other for other in self.functions if other.name == guarding) for guarding in guard)
         self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text, guards))
+
+    def worst_case(self, name: str) -> dict[str, int]:
+        """Operations of a call of a function and its guards, at most, by kind; see `count_operations`.
+
+        >>> module, number = SourceModule("decay", {"rate": np.array(3.0)}), np.array(0.0)
+        >>> def repeated(p, x):
+        ...     return {"y": jax.lax.fori_loop(0, 5, lambda i, y: jax.numpy.exp(-y) / (p["rate"] + x), x)}
+        >>> module.add("repeated", "five times", repeated, {"x": number})
+        >>> module.worst_case("repeated")  # five negations, and a sum outside of the loop
+        {'additions, products, comparisons': 6, 'divisions, roots': 5, 'functions of math.h': 5}
+        """
+        function = next(function for function in self.functions if function.name == name)
+        counts = sum(map(count_operations, (part.scope for part in (function, *function.guard))), Counter[str]())
+        slow, called = ({kind: counts[kind] for kind in kinds} for kinds in (_SLOW, _CALLED))
+        other = counts.total() - sum(slow.values()) - sum(called.values())
+        return {
+            "additions, products, comparisons": other,
+            "divisions, roots": sum(slow.values()),
+            "functions of math.h": sum(called.values()),
+        }
 
     def _members(self, name: str, tree: PyTree) -> list[Member]:
         """Members of an argument or a result; the state has the prefix of the parameters."""

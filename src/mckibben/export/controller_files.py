@@ -44,7 +44,7 @@ def c_files(
     )
     title = f'the scenario "{scenario.name}"'
     files = program_files(made, name, title, comment, scenario.control_period, single=single)
-    return Exported({**files, "scenario.yaml": text}, made.left_out)
+    return Exported({**files, "scenario.yaml": text}, made.left_out, made.module.worst_case("step"))
 
 
 def program_files(
@@ -74,6 +74,7 @@ def program_files(
         "tolerance": _TOLERANCES[single],
         "seconds": f"{period!r}",
         "left_out": made.left_out,
+        "worst_case": ", ".join(f"{number} {kind}" for kind, number in made.module.worst_case("step").items()),
     }
     return {
         f"{name}.h": sources.header,
@@ -100,4 +101,5 @@ def js_files(scenario: Scenario, name: str, folder: Path, *, limits: Limits | No
         "measurement: {angle, pressures_0, pressures_1}, setpoint: {angle, stiffness}; rad, Pa (gauge), N*m/rad.\n"
         f"After changing self.parameters call {name}.prepare(self)."
     )
-    return Exported({f"{name}.js": write_js(module, comment), "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
+    files: dict[str, str | bytes] = {f"{name}.js": write_js(module, comment)}
+    return Exported({**files, "scenario.yaml": scenario.dumps(folder=folder)}, left_out, module.worst_case("step"))

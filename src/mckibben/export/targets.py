@@ -32,12 +32,15 @@ class Exported(Result):
         Text or bytes of each file by its path.
     left_out
         The parts of the scenario that the format cannot express.
+    worst_case
+        Operations of a step of a controller by kind, at most.
     margins
         Stability margins of the loop of a controller, if they were computed.
     """
 
     contents: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
+    worst_case: Mapping[str, int] | None = None
     margins: Margins | None = None
 
     def verdict(self) -> str:
@@ -52,10 +55,13 @@ class Exported(Result):
             yield Remark.warning("left_out", f"left out: {part}")
 
     def listings(self) -> Iterator[Listing]:
-        """Files and their sizes."""
+        """Files and their sizes, and the worst case of a step."""
         sizes = [len(content.encode() if isinstance(content, str) else content) for content in self.contents.values()]
         columns = {"file": (Column(), list(self.contents)), "bytes": (Column(), sizes)}
         yield Listing("files", columns)
+        if self.worst_case:
+            columns = {"operations": (Column(), [*self.worst_case]), "at most": (Column(), [*self.worst_case.values()])}
+            yield Listing("worst case of a step", columns)
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> list[str]:
         """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set."""

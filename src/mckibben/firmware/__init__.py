@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -174,11 +175,14 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
         files[f"{name}.ino"] = _filled(("board.ino",), values)["board.ino"]
     folder_name = f"{name}/" if hardware.board != "host" else ""  # a sketch stands in a folder of its name
     contents = {f"{folder_name}{path}": content for path, content in files.items()}
-    return Exported({**contents, "scenario.yaml": text}, left_out)
+    return Exported({**contents, "scenario.yaml": text}, left_out, module.worst_case("step"))
 
 
 def _plant(scenario: Scenario, period: float) -> SourceModule:
-    """Simulated joint with ideal sensors: `init`, hanging without pressure, and `advance` by a control period."""
+    """Simulated joint with ideal sensors: `init`, hanging without pressure, and `advance` by a control period.
+
+    The joint that advances has a weight [kg] on its limb, at a distance [m].
+    """
     hanging = vented_angle(scenario.plant())
     plant, substeps, zeros = numeric(scenario.plant().with_ideal_io()), scenario.needed_substeps(), (np.zeros(()),) * 2
     numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
@@ -187,12 +191,14 @@ def _plant(scenario: Scenario, period: float) -> SourceModule:
     def init(parameters: PyTree) -> dict[str, PyTree]:
         return {"state": eqx.combine(parameters, fixed).init_state(hanging, (0.0, 0.0))}
 
-    def advance(parameters: PyTree, state: PyTree, commands: PyTree) -> dict[str, PyTree]:
+    def advance(parameters: PyTree, state: PyTree, commands: PyTree, weight: PyTree) -> dict[str, PyTree]:
         plant = eqx.combine(parameters, fixed)
+        plant = dataclasses.replace(plant, load=plant.load.with_weight(weight["mass"], weight["distance"]))
         return {"state": plant.advance(state, plant.clip_commands(commands), period, substeps)}
 
+    inputs = {"state": state, "commands": zeros, "weight": {"mass": zeros[0], "distance": zeros[0]}}
     module.add("init", "state at rest without pressure", init, {})
-    module.add("advance", "state after a control period", advance, {"state": state, "commands": zeros})
+    module.add("advance", "state after a control period", advance, inputs)
     return module
 
 

@@ -13,6 +13,9 @@ from mckibben.rig.joint_record import JointReading
 from mckibben.rig.safety import PROBED
 from mckibben.units import bar, deg
 
+MOVED = 0.5 * deg
+"""Change of the angle [rad] that counts as a motion."""
+
 _TAUT = 0.01  # N*m, least torque of a muscle that is not slack
 
 
@@ -93,7 +96,7 @@ class ChannelProbe:
                 remedy=remedy,
             )
         torque = self.torques[muscle]
-        if abs(torque) > _TAUT and change[0] * np.sign(torque) < -0.5 * deg:
+        if abs(torque) > _TAUT and change[0] * np.sign(torque) < -MOVED:
             raise StoppedError(
                 f"{with_muscle}, the angle moves by {change[0] / deg:.2g} deg, against the muscle",
                 field="angle",

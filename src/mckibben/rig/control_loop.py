@@ -7,6 +7,7 @@ import gc
 import math
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.channel_probe import ChannelProbe
+from mckibben.rig.channel_probe import MOVED, ChannelProbe
 from mckibben.rig.compiled import ControlProgram, LimitCycleDetection
 from mckibben.rig.joint_record import COMMANDED_AT, COMMANDS, READING, REFERENCE, JointReading, Phase, columns
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import PROBED, JointMonitor, StopFlag
+from mckibben.rig.safety import MOST_READ, PROBED, JointMonitor, StopFlag
 from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
@@ -35,7 +36,7 @@ VENTED = 0.2 * bar
 """Below this pressure [Pa] a muscle counts as vented."""
 
 _VENTING = 5.0  # s for which the venting is observed
-_MOST = 1000  # samples read at once
+_RESTING = 60.0  # s for which a joint may swing before a run
 
 
 @dataclass(frozen=True)
@@ -316,6 +317,7 @@ class ControlLoop:
         self.monitor = JointMonitor(self.backend, self.limits, plan.period)
         self._no_command = [math.nan] * (len(columns(self.program.telemetry)) - REFERENCE.start)
         self._next = 0  # number of the next sample
+        self._begun = 0  # that of the plan's first period
         self._delay = math.inf  # shortest delay of a sample [s]
         self._missed = 0
         self._probe = ChannelProbe(plan.probing, plan.torques, [high >= PROBED for _, high in plan.command_limits])
@@ -330,8 +332,11 @@ class ControlLoop:
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
-        total, backend, plan = self.plan.periods, self.backend, self.plan
+        backend, plan = self.backend, self.plan
         silence = self.monitor.limits.silence
+        if plan.probing:
+            self._wait_for_rest()
+        total = self._begun + plan.periods
         while self._next < total:
             self.stop_flag.check()
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
@@ -347,6 +352,28 @@ class ControlLoop:
             self._next += len(block.time)
             self.record_venting(block)
 
+    def _wait_for_rest(self) -> None:
+        """Wait until the vented joint hangs still for a quarter of the probe, which compares angles.
+
+        It may swing beyond its limits until then.
+        """
+        quarter = math.ceil(self.plan.probing / 4)
+        angles: deque[float] = deque(maxlen=quarter)
+        while len(angles) < quarter or max(angles) - min(angles) > MOVED:
+            self.stop_flag.check()
+            if self._next * self.plan.period > _RESTING:
+                raise StoppedError(
+                    f"the vented joint moves by {(max(angles) - min(angles)) / deg:.2g} deg",
+                    field="angle",
+                    remedy="hold it still, or check the angle sensor",
+                )
+            block = self.backend.read(self._waiting(), timeout=self.monitor.limits.silence)
+            rows = self._rows(block, self.backend.clock())
+            self.monitor.heartbeat()
+            self._next = self._begun = block.first + len(block.time)
+            self.recorder.append(rows)
+            angles.extend(row[READING.start] for row in rows)
+
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""
         self.recorder.append(self._rows(block, self.backend.clock(), venting=True))
@@ -356,7 +383,7 @@ class ControlLoop:
         if not math.isfinite(self._delay):
             return 1
         due = math.floor((self.backend.clock() - self._delay) / self.plan.period + 1e-6) + 1
-        return min(max(due - self._next, 1), _MOST)
+        return min(max(due - self._next, 1), MOST_READ)
 
     def _step(self, block: Block, rows: list[list[float]], clock: float) -> None:
         """Check samples, act on the newest, send the heartbeat."""
@@ -368,7 +395,7 @@ class ControlLoop:
         self._delay = min(self._delay, clock - times[last])
         for i, (time, signals) in enumerate(zip(times, block.values.tolist(), strict=True)):
             monitor.check_sample(time, signals, self._commands, clock if i == last else None)
-        number = self._next - 1
+        number = self._next - 1 - self._begun
         if number >= plan.periods:  # the last samples were dropped
             return
         reading = JointReading(*rows[-1][READING])
@@ -390,7 +417,7 @@ class ControlLoop:
         for number, (time, signals) in enumerate(
             zip(block.time.tolist(), block.values.tolist(), strict=True), start=block.first
         ):
-            phase = Phase.VENTING if venting else self.plan.phase(number)
+            phase = Phase.VENTING if venting else self.plan.phase(number - self._begun)
             reading = [signals[column] for column in self._columns]
             rows.append([time, number, phase, clock, math.nan, *reading, *self._no_command])
         return rows

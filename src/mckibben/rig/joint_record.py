@@ -14,9 +14,9 @@ from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
-from mckibben.rig.record import Column
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
 from mckibben.simulation.loop import Record
+from mckibben.storage.mcap import Column
 
 
 class JointReading(NamedTuple):

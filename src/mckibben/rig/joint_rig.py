@@ -21,6 +21,7 @@ from mckibben.rig.bench import JointLimits
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.rig.ni import CardSettings, NiBackend
 from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
+from mckibben.scenario import Scenario
 from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
 
 
@@ -130,17 +131,27 @@ class JointCardSettings(CardSettings, JointHardware):
 
 @dataclass(frozen=True, kw_only=True)
 class SerialJoint(JointHardware):
-    """A joint at a microcontroller, see `SerialBackend`, whose firmware was exported from the scenario."""
+    """A joint at a microcontroller, see `SerialBackend`, whose firmware was exported from the scenario.
+
+    Parameters
+    ----------
+    port, baud
+        Serial port, and its rate [1/s].
+    firmware
+        Scenario that the firmware was exported from, if it is another one of this joint: its limits hold.
+    """
 
     short_name = "serial"
 
     port: str
     baud: Annotated[int, BoundedInt(1200, 10_000_000)] = 1_000_000
+    firmware: Path | None = None
 
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
         from mckibben.rig.serial_line import SerialBackend
 
-        return SerialBackend(self.port, baud=self.baud, digest=run.digest, period=run.period)
+        digest = run.digest if self.firmware is None else Scenario.read(self.firmware).digest
+        return SerialBackend(self.port, baud=self.baud, digest=digest, period=run.period)
 
 
 @dataclass(frozen=True, kw_only=True)

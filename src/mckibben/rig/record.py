@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
-import math
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -17,75 +15,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from pydantic_core import from_json
 
-from mckibben.errors import DatasetError, McKibbenWarning, Problem, RigError
+from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
+from mckibben.storage.mcap import MAGIC, Column, library, unpack_rows
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording
 
-SAMPLES, EVENTS = "samples", "events"
-"""Topics of a record; their channels are numbered from 1."""
 HEADER = "header.json"
 """Attachment that describes the record."""
-
-
-def library(name: str) -> Any:
-    """Module of the package mcap, or zstandard; `RigError` if it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        message = f"the package {name.split('.')[0]} is missing, which records are written and read with"
-        raise RigError(message, remedy="pip install 'mckibben[rig]'") from error
-
-
-class Column(NamedTuple):
-    """One quantity of a record.
-
-    Attributes
-    ----------
-    name, unit
-        Its name, and its SI unit.
-    dtype
-        NumPy type of its values; of float32, nine digits are recorded.
-    """
-
-    name: str
-    unit: str
-    dtype: str = "float64"
-
-
-def pack_rows(columns: Sequence[Column], rows: Iterable[Sequence[float]]) -> Iterator[bytes]:
-    """Return rows as objects of JSON; numbers that are missing (NaN) are left out.
-
-    Parameters
-    ----------
-    columns, rows
-        Columns, and a number for each of them in each row.
-
-    Examples
-    --------
-    >>> columns = [Column("time", "s"), Column("force", "N", "float32")]
-    >>> packed = [*pack_rows(columns, [(0.0, math.nan), (0.1, 2.0)])]
-    >>> packed, unpack_rows(columns, packed)["force"].tolist()
-    ([b'{"time":0.0}', b'{"time":0.1,"force":2}'], [nan, 2.0])
-    """
-    forms = [f'"{column.name}":{_FORMATS.get(column.dtype, "%d")}' for column in columns]
-    whole = "{" + ",".join(forms) + "}"
-    for row in rows:
-        if all(map(math.isfinite, row)):
-            yield (whole % tuple(row)).encode()
-        else:
-            known = [form % value for form, value in zip(forms, row, strict=True) if math.isfinite(value)]
-            yield ("{" + ",".join(known) + "}").encode()
-
-
-_FORMATS = {"float64": "%r", "float32": "%.9g"}
-
-
-def unpack_rows(columns: Sequence[Column], packed: Iterable[bytes]) -> dict[str, np.ndarray]:
-    """Columns of packed rows."""
-    rows = from_json(b"[" + b",".join(packed) + b"]")
-    return {column.name: np.array([row.get(column.name, math.nan) for row in rows], column.dtype) for column in columns}
 
 
 def _parts(path: Path) -> Iterator[Any]:
@@ -113,10 +51,6 @@ def _parts(path: Path) -> Iterator[Any]:
             if file.read() == MAGIC:  # it was closed; otherwise a kill has cut its end
                 problem = Problem("is damaged", remedy="`mcap recover` saves the rest of it")
                 raise DatasetError(str(path), [problem]) from error
-
-
-MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of a whole file."""
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:

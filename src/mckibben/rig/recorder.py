@@ -2,143 +2,25 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import platform
 import queue
 import threading
 import time
-import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import mckibben
 from mckibben.errors import FileError, Problem, RigError
-from mckibben.rig.record import (
-    EVENTS,
-    HEADER,
-    MAGIC,
-    SAMPLES,
-    Column,
-    library,
-    pack_rows,
-    read_header,
-    read_record,
-    segments,
-)
-from mckibben.storage.files import atomic_write, is_same_file, make_folder
+from mckibben.rig.record import HEADER, read_header, read_record, segments
+from mckibben.storage.files import make_folder
+from mckibben.storage.mcap import Column, McapWriter, pack_rows
 
 PERIOD = 0.25
 """Interval [s] at which appended rows are written and synced to the disk."""
-
-
-class McapWriter:
-    """Appends chunks of messages to a new MCAP file, https://mcap.dev/spec; each is on the disk when `append` returns.
-
-    A file that was closed has a summary, by which other tools seek in it.
-
-    Parameters
-    ----------
-    path
-        New file.
-    columns
-        Columns of the samples, whose messages have the channel 1; events have the channel 2.
-    attachments
-        Files that it carries, by name.
-    """
-
-    def __init__(self, path: Path, columns: Sequence[Column], attachments: Mapping[str, bytes]) -> None:
-        self.path, self._records, self._zstd = path, library("mcap.records"), library("zstandard")
-        self._indexes: list[Any] = []
-        self._attached: list[Any] = []
-        self._counts = {1: 0, 2: 0}
-        self._channels: list[Any] = []
-        units = {column.name: {"type": "number", "unit": column.unit} for column in columns}
-        for number, (topic, numbers) in enumerate(((SAMPLES, units), (EVENTS, {})), start=1):
-            schema = json.dumps({"type": "object", "title": topic, "properties": numbers}).encode()
-            self._channels.append(self._records.Schema(number, schema, "jsonschema", topic))
-            self._channels.append(self._records.Channel(number, topic, "json", {}, number))
-        content = MAGIC + _packed(self._records.Header(profile="", library="mckibben"))
-        for name, data in attachments.items():
-            packed = _packed(self._records.Attachment(0, 0, name, "text/plain", data))
-            size = len(content), len(packed), 0, 0, len(data)
-            self._attached.append(self._records.AttachmentIndex(*size, name, "text/plain"))
-            content += packed
-        with atomic_write(path) as temporary:
-            temporary.write_bytes(content)
-        self._file, self._end = path.open("r+b", buffering=0), len(content)
-
-    def append(self, chunks: Iterable[Sequence[tuple[int, int, float, bytes]]]) -> None:
-        """Append chunks of messages: channel, sequence, time [s] and data.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the file was removed or moved.
-        OSError
-            If they cannot be written; the file is then as before.
-        """
-        content, indexes = b"", []
-        for chunk in chunks:
-            packed, index = self._chunk(chunk, self._end + len(content))
-            content += packed
-            indexes.append(index)
-        self._write(content)
-        self._indexes += indexes
-        self._end += len(content)
-        if not is_same_file(self.path, self._file.fileno()):
-            raise FileNotFoundError(errno.ENOENT, "it was removed or moved during writing")
-
-    def _chunk(self, messages: Sequence[tuple[int, int, float, bytes]], position: int) -> tuple[bytes, Any]:
-        """Chunk of messages at a position of the file, and its index."""
-        records, times = [*self._channels], []
-        for channel, sequence, time_s, data in messages:
-            times.append(round(max(time_s, 0.0) * 1e9))
-            records.append(self._records.Message(channel, times[-1], data, times[-1], sequence & 0xFFFFFFFF))
-            self._counts[channel] += 1
-        content, first, last = _packed(*records), min(times), max(times)
-        packed = self._zstd.compress(content)
-        record = _packed(self._records.Chunk("zstd", packed, last, first, zlib.crc32(content), len(content)))
-        sizes = len(record), position, "zstd", len(packed)
-        return record, self._records.ChunkIndex(*sizes, last, 0, {}, first, len(content))
-
-    def close(self, *, summary: bool = True) -> None:
-        """Close the file with its summary; may be called again."""
-        with self._file:
-            if summary and not self._file.closed:
-                self._write(self._summary())
-
-    def _summary(self) -> bytes:
-        end = _packed(self._records.DataEnd(0))
-        times = [(index.message_start_time, index.message_end_time) for index in self._indexes] or [(0, 0)]
-        starts, ends = zip(*times, strict=True)
-        counts = len(self._attached), 2, self._counts, len(self._indexes), sum(self._counts.values())
-        statistics = self._records.Statistics(*counts, max(ends), min(starts), 0, 2)
-        summary = _packed(*self._channels, statistics, *self._indexes, *self._attached)
-        return end + summary + _packed(self._records.Footer(self._end + len(end), 0, 0)) + MAGIC
-
-    def _write(self, content: bytes) -> None:
-        """Write at the end, and sync."""
-        try:
-            self._file.seek(self._end)
-            view = memoryview(content)
-            while view:
-                view = view[self._file.write(view) :]
-            os.fsync(self._file.fileno())
-        except OSError:
-            self._file.truncate(self._end)
-            raise
-
-
-def _packed(*records: Any) -> bytes:
-    builder = library("mcap.data_stream").RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return builder.end()
 
 
 class Recorder:

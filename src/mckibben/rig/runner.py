@@ -11,9 +11,10 @@ from mckibben.errors import StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
-from mckibben.rig.record import PLACE, POINT, Column, Point
+from mckibben.rig.record import PLACE, POINT, Point
 from mckibben.rig.session import RigSession
 from mckibben.rig.steps import TURNING, Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
+from mckibben.storage.mcap import Column
 from mckibben.units import bar, percent
 
 DONE, RESUMED = "done", "resumed"

@@ -243,7 +243,7 @@ class SafetyMonitor:
             left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even if its clock stands still
             while left > 0:
                 waiting = int((backend.clock() - newest) * rate)
-                block = backend.read(min(max(waiting, samples), _MOST), timeout=timeout)
+                block = backend.read(min(max(waiting, samples), MOST_READ), timeout=timeout)
                 backend.vent()
                 record(block)
                 newest, left = float(block.time[-1]), left - len(block.time)
@@ -305,7 +305,8 @@ class SafetyMonitor:
                 raise _exceeded(f"rate of {one.name}", rate, -math.inf, one.rate, one.unit, per="/s")
 
 
-_MOST = 1000  # samples read at once
+MOST_READ = 1000
+"""Samples that are read at once."""
 
 PROBED = 0.5 * bar
 """Pressure [Pa] at which sensors, valves and supply are checked before a run of hardware."""
@@ -375,7 +376,7 @@ class RigMonitor(SafetyMonitor):
         if missing := bounds.keys() - {*names}:
             raise RigError(f"the rig has no {' and no '.join(sorted(missing))}", remedy="connect them by these names")
         self._force, self._pressure = names.index("force"), names.index("pressure")
-        ends = -limits.shorten - _PLAY, limits.stretch + _PLAY
+        ends = -limits.shorten - 1e-9, limits.stretch + 1e-9
         signals.append(SignalLimits("travel", len(signals), "m", -math.inf, math.inf, *ends))
         super().__init__(backend, signals, maximum_age=limits.gap, frozen=limits.frozen)
         self.limits = limits
@@ -434,9 +435,6 @@ class RigMonitor(SafetyMonitor):
             )
             raise StoppedError(message, value=pressure, unit="Pa", remedy="check the supply, the valve and the muscle")
         return BlockMeans(last, values[self._force], pressure, values[-1])
-
-
-_PLAY = 1e-9  # m
 
 
 class JointMonitor(SafetyMonitor):

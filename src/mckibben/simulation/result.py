@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import functools
 import importlib
+import importlib.util
 import os
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping
@@ -29,6 +30,7 @@ from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.simulation.trajectories import Trajectory, trajectory
+from mckibben.storage.mcap import write_samples
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -215,7 +217,7 @@ class SimulationResult(RunResult):
 
     kind = Metrics
     figures: ClassVar = ("tracking",)
-    files: ClassVar = ("result.nc", "scenario.yaml")
+    files: ClassVar = ("result.nc", "result.mcap", "scenario.yaml")
 
     angle_resolution: float = 0.0
     domains: tuple[Domain, ...] = ()
@@ -333,8 +335,17 @@ class SimulationResult(RunResult):
             yield Remark.note("stiffness", f"small-motion stiffness {small}, isobaric stiffness {isobaric}")
 
     def write(self, folder: Path) -> None:
-        """Write the columns as NetCDF, and the scenario if it is known."""
+        """Write the columns as NetCDF and, with the package mcap, as MCAP; and the scenario if it is known."""
         self.to_netcdf(folder / "result.nc")
+        if importlib.util.find_spec("mcap"):
+            table = self.to_dataset()
+            columns = {
+                str(name): (values.attrs.get("units", ""), values.to_numpy())
+                for name, values in table.variables.items()
+                if values.dims == ("time",)
+            }
+            columns = {"time": columns.pop("time"), **columns}
+            write_samples(folder / "result.mcap", columns, {"scenario.yaml": self.scenario.encode()})
         if self.scenario:  # its class is above this package
             scenario = importlib.import_module("mckibben.scenario").Scenario
             scenario.parse(self.scenario).to_yaml(folder / "scenario.yaml")

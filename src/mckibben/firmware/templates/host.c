@@ -1,29 +1,58 @@
-/* The board is this computer: its serial line is standard input and output, its joint is simulated.
- *     ./firmware            in real time
- *     ./firmware lockstep   a period after each frame from the host
+/* The board is this computer, its joint is simulated.
+ *     ./firmware PORT [MASS DISTANCE]   in real time, with a serial port of this name, which is made; a weight [kg] is
+ *                                       clipped on the limb, at a distance [m] from the axis
+ *     ./firmware                        a period after each frame from the host, on standard input and output
  */
-#define _POSIX_C_SOURCE 200809L
+#define _XOPEN_SOURCE 700
+#define _DEFAULT_SOURCE
+#define _DARWIN_C_SOURCE
 #include "firmware.h"
 #include "simulated.h"
 
+#include <fcntl.h>
 #include <poll.h>
 #include <stdio.h>
+#include <stdlib.h>
+#include <termios.h>
 #include <time.h>
 #include <unistd.h>
 
+static int input = STDIN_FILENO, output = STDOUT_FILENO;
+
 void board_write(const uint8_t *bytes, size_t size)
 {
-    fwrite(bytes, 1, size, stdout);
-    fflush(stdout);
+    while (size > 0) {
+        const ssize_t written = write(output, bytes, size);
+        if (written < 0)
+            exit(1);
+        bytes += written;
+        size -= (size_t)written;
+    }
+}
+
+/* A pseudo-terminal in place of the serial line, with a name. */
+static bool open_port(const char *name)
+{
+    struct termios raw;
+    int host;
+    input = output = posix_openpt(O_RDWR | O_NOCTTY);
+    if (input < 0 || grantpt(input) != 0 || unlockpt(input) != 0)
+        return false;
+    host = open(ptsname(input), O_RDWR | O_NOCTTY); /* stays open, as hosts come and go */
+    if (host < 0 || tcgetattr(host, &raw) != 0)
+        return false;
+    cfmakeraw(&raw);
+    unlink(name);
+    return tcsetattr(host, TCSANOW, &raw) == 0 && symlink(ptsname(input), name) == 0;
 }
 
 /* Bytes that are there; until the end of a frame, if that is to be waited for. False at the end of the input. */
 static bool receive(bool wait)
 {
-    struct pollfd input = {STDIN_FILENO, POLLIN, 0};
+    struct pollfd ready = {input, POLLIN, 0};
     uint8_t byte = 1;
-    while (poll(&input, 1, wait ? -1 : 0) > 0) {
-        if (read(STDIN_FILENO, &byte, 1) != 1)
+    while (poll(&ready, 1, wait ? -1 : 0) > 0) {
+        if (read(input, &byte, 1) != 1)
             return false;
         firmware_receive(byte);
         if (wait && !byte)
@@ -34,9 +63,13 @@ static bool receive(bool wait)
 
 int main(int count, char **arguments)
 {
-    const bool lockstep = count > 1 && arguments[1][0] == 'l';
+    const bool lockstep = count < 2;
     struct timespec next, now;
-    simulated_begin();
+    if (!lockstep && !open_port(arguments[1])) {
+        perror(arguments[1]);
+        return 1;
+    }
+    simulated_begin(count > 3 ? atof(arguments[2]) : 0, count > 3 ? atof(arguments[3]) : 0);
     firmware_begin(false);
     clock_gettime(CLOCK_MONOTONIC, &next);
     while (receive(lockstep)) {

@@ -6,6 +6,7 @@
 #include <string.h>
 
 static plant joint;
+static plant_weight on_limb;
 static double commands_sent[COMMANDS], draw = 0.5;
 static uint32_t periods;
 
@@ -33,8 +34,10 @@ void board_vent(bool open)
         memset(commands_sent, 0, sizeof commands_sent);
 }
 
-void simulated_begin(void)
+void simulated_begin(double mass, double distance)
 {
+    on_limb.mass = mass;
+    on_limb.distance = distance;
     plant_defaults(&joint);
     plant_init(&joint);
 }
@@ -44,6 +47,6 @@ void simulated_advance(void)
     plant_commands commands;
     commands._0 = commands_sent[0];
     commands._1 = commands_sent[1];
-    plant_advance(&joint, &commands);
+    plant_advance(&joint, &commands, &on_limb);
     ++periods;
 }
