@@ -117,7 +117,7 @@ BUDGET = {
     "rig": 5410,
     "scenario": 680,
     "serial_protocol": 160,
-    "simulation": 2750,
+    "simulation": 2770,
     "storage": 570,
     "study": 2860,
     "web": 2320,
