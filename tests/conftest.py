@@ -183,6 +183,21 @@ class PaperKnee:
         force1, force2 = self.eq3(eps1, pressures[0]), self.eq3(eps2, pressures[1])
         return -(slope2 * d2 + force2 * turn2 - slope1 * d1 - force1 * turn1)
 
+    def attainable(self, angle):
+        """Range of the stiffness at an angle, by trying very many pressures, 0..6 bar, both taut, -3..25 %."""
+        eps = self.contractions(angle)
+        if not all(-0.03 <= e <= 0.25 for e in eps):
+            return np.nan, np.nan
+        arm1, arm2 = self.eq5(angle)
+        p1 = np.linspace(0, 6e5, 60_001)
+        force1 = self.eq3(eps[0], p1)
+        force2 = (-self.G * np.sin(np.pi / 6 - angle) + force1 * arm1) / arm2
+        at0, at1 = self.eq3(eps[1], 0.0), self.eq3(eps[1], 1e5)
+        p2 = (force2 - at0) / (at1 - at0) * 1e5
+        held = (force1 >= 0) & (force2 >= 0) & (p2 >= 0) & (p2 <= 6e5)
+        stiffness = self.stiffness(angle, (p1[held], p2[held]))
+        return (float(stiffness.min()), float(stiffness.max())) if held.any() else (np.nan, np.nan)
+
     def acceleration(self, angle, velocity, pressures, xp=np):
         """Eq. 6, pi/6 being the stable hanging position."""
         torque = self.torque(angle, pressures, xp) + self.G * xp.sin(np.pi / 6 - angle)

@@ -34,10 +34,6 @@ def grid(law, pressures=None, contractions=None, noise=0.0, seed=1, **more) -> I
 # --- outliers ---
 
 
-def test_friction_at_a_reversal_is_not_an_outlier():
-    assert identify(ExponentialLaw, RIG).outliers == ()
-
-
 @pytest.mark.parametrize(
     ("row", "shift"), [(40, 40.0), (100, -40.0), (10 + int(np.argmin(RIG.taut.contraction[10:])), 60.0)]
 )

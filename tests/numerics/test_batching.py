@@ -5,7 +5,6 @@ import time
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,11 +13,9 @@ from mckibben.component.checks import check_positive
 from mckibben.errors import ParameterError, RangeError
 from mckibben.numerics.batching import (
     RANK,
-    cast,
     lanes_of,
     map_chunks,
     named_leaves,
-    pad_chunk,
     recheck,
     replace_leaves,
     select_leaves,
@@ -51,12 +48,6 @@ def outer(size=1.0, **more) -> Outer:
 
 
 # Which leaves vary
-
-
-def test_a_tree_of_numbers_has_no_lanes():
-    count, varying = lanes_of({"a": outer(), "b": jnp.asarray(2.0), "c": "text", "d": None})
-    assert count is None
-    assert not any(jax.tree.leaves(varying))
 
 
 def test_leaves_with_one_more_axis_vary():
@@ -93,17 +84,6 @@ def test_shapes_that_do_not_fit_are_named(tree, message):
 
 
 # Names
-
-
-def test_every_number_has_a_name():
-    assert named_leaves({"a": outer(), "b": Pair(1, True)}) == {
-        "a.first.size": 1.0,
-        "a.first.count": 3,
-        "a.several.0": 2.0,
-        "a.several.1.size": 3.0,
-        "a.several.1.count": 3,
-        "b.left": 1,
-    }
 
 
 def test_values_by_name_come_where_they_belong_and_nowhere_else():
@@ -178,38 +158,7 @@ def test_numbers_are_checked_again_at_any_depth(name, bad):
 # Types
 
 
-@pytest.mark.parametrize("kind", [jnp.float32, jnp.float64])
-def test_floats_are_cast_and_nothing_else(kind):
-    tree = (
-        1.5,
-        np.float64(1.5),
-        np.float32(1.5),
-        np.ones(2),
-        jnp.ones(2, jnp.float32),
-        3,
-        np.arange(2),
-        True,
-        "x",
-        None,
-    )
-    *floats, whole, numbers, flag, text, nothing = cast(tree, kind)
-    assert {(type(x).__name__, x.dtype) for x in floats} == {("ArrayImpl", jnp.dtype(kind))}
-    assert (whole, flag, text, nothing) == (3, True, "x", None)
-    assert numbers.dtype == np.int64
-
-
 # Pieces
-
-
-def test_a_piece_is_filled_up_with_its_last_lane():
-    tree = {"x": np.arange(5), "y": jnp.arange(10.0).reshape(5, 2), "z": None}
-    whole = pad_chunk(tree, slice(0, 3), 3)
-    np.testing.assert_array_equal(whole["x"], [0, 1, 2])
-    short = pad_chunk(tree, slice(3, 5), 4)
-    np.testing.assert_array_equal(short["x"], [3, 4, 4, 4])
-    np.testing.assert_array_equal(short["y"], [[6, 7], [8, 9], [8, 9], [8, 9]])
-    assert short["z"] is None
-    assert short["x"].dtype == tree["x"].dtype
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])

@@ -1,27 +1,7 @@
-import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from mckibben.control import Constant
-from mckibben.numerics.compiled import jit, numeric
-
-
-class Thing(eqx.Module):
-    number: float
-    whole: int
-    flag: bool
-    text: str = eqx.field(static=True, default="a")
-
-
-def test_numbers_become_arrays_and_all_else_stays():
-    thing = numeric(Thing(1.5, 2, True))
-    assert isinstance(thing.number, np.ndarray)
-    assert thing.number.dtype == np.float64
-    assert isinstance(thing.whole, np.ndarray)
-    assert thing.whole.dtype == np.int64
-    assert thing.flag is True
-    assert thing.text == "a"
-    assert numeric(jnp.float32(1.0)).dtype == jnp.float32
+from mckibben.numerics.compiled import jit
 
 
 def test_a_new_value_compiles_nothing_and_a_new_structure_does():

@@ -116,23 +116,6 @@ def test_the_gap_between_directions_on_points_made_by_hand():
     assert span == 200.0
 
 
-def attainable_in(paper, angle: float) -> tuple[float, float]:
-    """The stiffness band by trying very many pressures, 0..6 bar, both muscles taut and within -3..25 %."""
-    eps = paper.contractions(angle)
-    if not all(-0.03 <= e <= 0.25 for e in eps):
-        return np.nan, np.nan
-    arm1, arm2 = paper.eq5(angle)
-    p1 = np.linspace(0, 6e5, 60_001)
-    force2 = (-paper.G * np.sin(np.pi / 6 - angle) + paper.eq3(eps[0], p1) * arm1) / arm2
-    at0, at1 = paper.eq3(eps[1], 0.0), paper.eq3(eps[1], 1e5)
-    p2 = (force2 - at0) / (at1 - at0) * 1e5
-    held = (paper.eq3(eps[0], p1) >= 0) & (force2 >= 0) & (p2 >= 0) & (p2 <= 6e5)
-    if not held.any():
-        return np.nan, np.nan
-    stiffness = paper.stiffness(angle, (p1[held], p2[held]))
-    return float(stiffness.min()), float(stiffness.max())
-
-
 @pytest.fixture
 def references(paper, paper_precontracted):
     return {"as_printed": paper, "pre_contracted": paper_precontracted}
@@ -145,6 +128,6 @@ def references(paper, paper_precontracted):
 def test_the_numbers_of_the_documentation(joint_maps, references, key, band, angles):
     found = joint_maps[key]
     assert found.at(0.0) == pytest.approx(band, abs=0.05)
-    assert found.at(0.0) == pytest.approx(attainable_in(references[key], 0.0), abs=2e-3)
+    assert found.at(0.0) == pytest.approx(references[key].attainable(0.0), abs=2e-3)
     step = 80 / 120
     assert np.array(found.static_range) / deg == pytest.approx(angles, abs=step)

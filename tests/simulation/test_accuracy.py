@@ -28,7 +28,7 @@ from mckibben import (
 )
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.simulation import SimulationResult
-from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, resolution_of, spacing
+from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, resolution_of
 from mckibben.units import bar, deg, mm
 
 PRINTED = catalog.joint("knee-table-2")
@@ -206,11 +206,6 @@ def test_a_run_counts_until_it_diverges_if_all_solutions_diverge_alike():
     assert steps.error.tolist() == [0.0, 0.0, np.inf] and not steps.chaotic.any()
     with pytest.warns(McKibbenWarning, match="1 runs"):
         steps.warn_of(1e-6)
-
-
-@pytest.mark.parametrize("periods", [7, 20_000, 20_001, 3_600_000])
-def test_long_runs_are_compared_at_a_part_of_their_periods(periods):
-    assert periods % spacing(periods) == 0 and periods / spacing(periods) <= 20_001
 
 
 def test_runs_that_converge_slowly_decide_the_steps_of_their_block():

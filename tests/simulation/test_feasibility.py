@@ -24,24 +24,6 @@ def printed_plant(as_printed, load):
     return JointPlant(as_printed, load, IdealValve())
 
 
-def scanned(paper, angle: float) -> tuple[float, float]:
-    """The stiffness band at an angle by trying very many pressures, 0..6 bar, both muscles taut and in their domain."""
-    eps = paper.contractions(angle)
-    if not all(-0.03 <= e <= 0.25 for e in eps):
-        return np.nan, np.nan
-    arm1, arm2 = paper.eq5(angle)
-    holding = -paper.G * np.sin(np.pi / 6 - angle)
-    p1 = np.linspace(0, 6e5, 60_001)
-    force2 = (holding + paper.eq3(eps[0], p1) * arm1) / arm2
-    at0, at1 = paper.eq3(eps[1], 0.0), paper.eq3(eps[1], 1e5)
-    p2 = (force2 - at0) / (at1 - at0) * 1e5
-    held = (paper.eq3(eps[0], p1) >= 0) & (force2 >= 0) & (p2 >= 0) & (p2 <= 6e5)
-    if not held.any():
-        return np.nan, np.nan
-    stiffness = paper.stiffness(angle, (p1[held], p2[held]))
-    return stiffness.min(), stiffness.max()
-
-
 @pytest.mark.parametrize("geometry", ["as printed", "pre-contracted"])
 def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant, paper, paper_precontracted):
     chosen, knee = (printed_plant, paper) if geometry == "as printed" else (plant, paper_precontracted)
@@ -50,7 +32,7 @@ def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant
     for k in range(40):
         angle = 20 * deg * np.sin(np.pi * 0.05 * k)
         assert reach.desired_angle[k] == pytest.approx(angle, abs=1e-12)
-        low, high = scanned(knee, angle)
+        low, high = knee.attainable(angle)
         np.testing.assert_allclose([reach.lowest[k], reach.highest[k]], [low, high], rtol=0, atol=2e-3)
 
 
@@ -72,7 +54,7 @@ def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(print
 
     short = np.nan_to_num(reach.shortfall)
     worst = int(short.argmax())
-    low, high = scanned(paper, float(reach.desired_angle[worst]))
+    low, high = paper.attainable(float(reach.desired_angle[worst]))
     assert short[worst] == pytest.approx(max(low - 72.5, 72.5 - high), abs=2e-3)
     assert f"{short[worst]:.3g} N*m/rad at {reach.times[worst]:.3g} s" in text
     assert "72.5" in text

@@ -107,12 +107,3 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
     assert orders[-1] == pytest.approx(4, abs=0.2), (errors, orders)
     assert orders[-2] == pytest.approx(4, abs=0.5), (errors, orders)
     assert abs(float(final[1].angle - final[256].angle)) > errors[0]
-
-
-def test_setpoints_are_sampled_at_the_start_of_each_period():
-    times, reference = sampled(REFERENCE, 6000 * PERIOD, PERIOD)
-    assert times.shape == (6000,)
-    assert float(times[1234]) == pytest.approx(1.234, rel=1e-15)
-    assert float(reference.stiffness[4999]) == 13.0
-    assert float(reference.stiffness[5000]) == 17.0
-    assert float(reference.angle[500]) == pytest.approx(0.17, rel=1e-14)

@@ -47,10 +47,6 @@ def test_that_of_a_joint_late_on_a_small_reference_is_none_either():
     assert found(0.3 * deg * np.sin(wave + 1), 0.15 * deg * np.sin(wave))[0] == 0.0  # the least amplitude is 0.1 deg
 
 
-def test_an_oscillation_that_decays_is_none():
-    assert found(8 * deg * np.exp(-4 * TIMES) * np.cos(2 * np.pi * 3 * TIMES))[0] == 0.0
-
-
 @pytest.mark.parametrize("ratio", [0.8, 0.93])
 def test_a_joint_that_swings_after_each_disturbance_has_none(ratio):
     since = np.mod(TIMES, 0.8)  # of the last disturbance

@@ -28,15 +28,3 @@ def test_the_worst_that_applies_wins():
         applies = [not started, np.isnan(angle), angle > 1.58, left, saturated]
         expected = next((o for o, so in zip(worst, applies, strict=True) if so), Outcome.COMPLETED)
         assert outcome(angle, left, saturated, started=started) is expected
-
-
-def test_arrays_broadcast_and_give_codes():
-    metrics = {
-        "angle_max": np.array([0.0, np.nan, 2.0, 0.0, 0.0, np.nan]),
-        "time_overloaded": np.array([0, 0, 0, 1, 0, 0]),
-        "time_saturated": 0.1,
-    }
-    code = outcomes(metrics, started=np.array([True, True, True, True, True, False]))
-    assert code.dtype == np.int8
-    names = "SATURATED", "DIVERGED", "SWUNG_OVER", "LEFT_DOMAIN", "SATURATED", "NO_START"
-    assert tuple(OUTCOMES[c].name for c in code) == names

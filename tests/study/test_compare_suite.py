@@ -149,13 +149,6 @@ def test_a_mistake_is_told_with_its_line_and_field(pairs, field, marked, said):
     assert [problem.line] == [i for i, line in enumerate(TEXT.splitlines(), 1) if marked in line]
 
 
-def test_many_mistakes_are_told_at_once():
-    fields = [
-        problem.field for problem in problems(*(pairs[0] for pairs, *_ in (MISTAKES[0], MISTAKES[2], MISTAKES[5])))
-    ]
-    assert fields == ["conditions[0]", "references.both move.over[0]", "tuning.untuned[0]"]
-
-
 def test_gains_that_are_all_zero_need_a_word():
     zeros = "{kp: 0 bar/rad, ki: 0 bar/(rad*s), kd: 0 bar*s/rad}"
     both = re.sub(

@@ -23,7 +23,7 @@ from mckibben.study.parameters import (
     sample,
     sweep_parameters,
 )
-from mckibben.units import bar, deg
+from mckibben.units import bar
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PID = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
@@ -43,14 +43,10 @@ def spread(text, scenario=BACKPROP):
         ("load.mass2=0.2..1.0 kg in 9", Uniform(0.2, 1.0, 9)),
         ("load.mass2=1 kg, 2 kg,4 kg", Values((1.0, 2.0, 4.0))),
         ("load.mass2=+-10 %", Uniform(0.45, 0.55)),
-        ("load.mass2=+- 100 g", Uniform(0.4, 0.6)),
         ("controller.position.base.kp=1..100 bar/rad log in 3", LogUniform(1 * bar, 100 * bar, 3)),
         ("controller.position.base.kp=-100 bar/rad..-1 bar/rad log", LogUniform(-100 * bar, -1 * bar)),
         ("controller.position.seed=0..19", Values(tuple(range(20)))),
-        ("controller.position.seed=0,5, 1", Values((0, 5, 1))),
         ("controller.position.momentum=+-10 %", Uniform(0.45, 0.55)),  # a percentage is one of the nominal value
-        ("controller.position.momentum=+-0.1", Uniform(0.4, 0.6)),
-        ("start.angle=+-5 deg", Uniform(-5 * deg, 5 * deg)),
     ],
 )
 def test_texts_that_mean_something(text, expected):
@@ -73,24 +69,17 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
     [
         ("load.mass2", ["load.mass2=0.2 kg..1.0 kg"]),
         ("load.mass2=", ["says nothing after '='", "a range"]),
-        ("=1 kg", ["no parameter ''", "--list"]),
         ("load.mas2=1 kg", ["did you mean 'load.mass2'"]),
         ("load.mass2=1 kg..0.2 kg", ["empty", "lower end first"]),
         ("load.mass2=1 N..2 N", ["'N'", "'kg'"]),
-        ("load.mass2=1 kg..2", ["'2' has no unit", "2 kg"]),
         ("load.mass2=4,5 kg", ["comma between digits", "point"]),
         ("load.mass2=1 kg, 1 kg", ["listed twice"]),
         ("load.mass2=0 kg..1 kg log", ["has no logarithm", "log"]),
-        ("load.mass2=0..1 kg in 1", ["1 points"]),
         ("load.mass2=0..1 kg in 9.5", ["number of points", "in 9"]),
         ("load.mass2=+-200 %", ["reaches -0.5 kg", "outside 0 to 10000 kg"]),
-        ("load.mass2=+-0 kg", ["outside above 0"]),
         ("start.angle=+-10 %", ["nominal value of 0 deg", "give an amount in deg"]),
-        ("controller.position.seed=0..1.5", ["'1.5' is not a whole number"]),
-        ("controller.position.seed=0..3 log", ["all of them"]),
         ("controller.position.seed=+-10 %", ["is a whole number", "0..19"]),
         ("controller.position.seed=0..100000", ["more than 100000"]),
-        ("duration=1 s..2 s", ["cannot be varied"]),
     ],
 )
 def test_texts_that_mean_nothing_are_told_what_to_do(text, parts):
@@ -179,8 +168,6 @@ def test_the_normal_distribution_is_one():
     [
         ("load.mass2", Uniform(-1.0, 1.0), "reaches -1 kg"),
         ("controller.position.seed", Uniform(0.0, 3.0), "is a whole number"),
-        ("controller.position.seed", Values((0.5, 1.0)), "is a whole number"),
-        ("controller.position.seed", Values((0, 2**31)), "outside"),
         ("valve.time_constant", Uniform(0.0, 1.0), "outside above 0"),
     ],
 )

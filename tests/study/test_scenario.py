@@ -165,14 +165,12 @@ def test_three_mistakes_are_three_problems_with_lines():
 MISTAKES = [
     ("208 mm", "208", "joint.geometry.connector_length", "'208' has no unit; write it like '208 mm'"),
     ("duration: 10 s", "duration: 4,5 s", "duration", "write it like '4.5 s'"),
-    ("208 mm", "1e400 m", "joint.geometry.connector_length", "not a finite number"),
     ("208 mm", "", "joint.geometry.connector_length", "has no value"),
     ("from: knee-table-2, conn", "from: knee-tabel-2, conn", "joint.geometry", "did you mean 'knee-table-2'"),
     ("law: lei-mas-10-180n", "law: lei", "joint.muscle.law", "did you mean 'lei-mas-10-180n'"),
     ("law: lei-mas-10-180n", "law: missing.yaml", "joint.muscle.law", "there is no file 'missing.yaml'"),
     ("  muscle: {", "  muscles: {", "joint.muscles", "did you mean 'muscle'"),
     ("load: knee-table-2 ", "load: {class: pendulum, mass: 1 kg} ", "load.length", "is missing"),
-    ("load: knee-table-2 ", "load: [] ", "load", "a list"),
     (  # no class of examples/components.py has it, which other tests of this process may run
         *("{from: knee-table-2, connector_length: 208 mm}", "{arm_slope: 8 mm}", "joint.geometry"),
         "lacks the key `class`",
@@ -183,41 +181,25 @@ MISTAKES = [
     ("rad}\n", "rad, derivative_on_error: yes}\n", "controller.position.derivative_on_error", "neither true nor false"),
     ("kp: 2 bar/rad, ", "", "controller.position.kp", "add it, such as `kp: 12.5 bar/rad`"),
     (SINE, "{sine: {amplitude: 10 deg}}", "reference.angle", "class: sine"),
-    (SINE, "{}", "reference.angle", "lacks the key `class`"),
-    ("duration: 10 s\n", "", "duration", "is missing"),
     ("control_period: 1 ms", "control_period: 3 ms", "control_period", "duration 10 s is not a whole number"),
-    ("accuracy: 1e-6 rad ", f"substeps: {'9' * 5000} ", "substeps", "not a whole number"),
     ("name: pre-contracted knee, stiffness step, PID", 'name: "a\\0b"', "name", "not one line"),
-    ("duration: 10 s", "duration: &d 10 s", "duration", "is an anchor"),
-    ("duration: 10 s", "duration: !!python/object:os.system 10 s", "duration", "is a tag"),
-    ("duration: 10 s", "duration: 10 s\nduration: 5 s", "duration", "is given twice"),
-    ("duration: 10 s", "duration: 10 s\n<<: {a: 1}", "<<", "is not a known key"),
     ("duration: 10 s", "\tduration: 10 s", "", "a tab in the indentation"),
     ("duration: 10 s", 'duration: "10 s', "", "not YAML"),
     ("duration: 10 s", "duration: 10 s\n---\nname: other", "", "found another document"),
-    ("duration: 10 s", "duration: " + "[" * 100_000, "", "nested more than 12 deep"),
 ]
 SIGNALS = [
     ("samples, times: [0 s, 2 s, 1 s], values: [1 deg, 1 deg, 1 deg]", "times"),
-    ("samples, times: [0 s, 0 s], values: [1 deg, 1 deg]", "times"),
     ("samples, times: [0 s], values: [1 deg, 1 deg]", "1 times"),
-    ("samples, times: [], values: []", "0 times"),
     ("samples, times: [0 s]", "is missing"),
-    ("samples, times: 0 s, values: [1 deg]", "a list"),
     ("samples, times: [0 s], values: [1 deg], file: pyproject.csv", "not a known key"),
     ("samples_file, file: nowhere.csv", "there is no file 'nowhere.csv'"),
-    ("samples_file, file: 3", "there is no file"),
     ("multisine, amplitudes: [1 deg], frequencies: [1 Hz, 2 Hz]", "2 frequencies for 1"),
     ("multisine, amplitudes: [], frequencies: []", "at least one"),
-    ("multisine, amplitudes: [1 deg, 2], frequencies: [1 Hz, 2 Hz]", "'2' has no unit"),
-    ("fast", "known are"),
 ]
 MISTAKES += [(SINE, f"{{class: {signal}}}", "reference.angle", words) for signal, words in SIGNALS]
 JOINTS = [
     ("geometry: knee-table-2", "`muscle` for both"),
     (f"geometry: knee-table-2, muscle1: {MUSCLE}", "lacks muscle2"),
-    (f"geometry: knee-table-2, muscle: {MUSCLE}, muscle2: {MUSCLE}", "in addition to muscle2"),
-    (f"geometry: {{joint_length: 1 m, joint_radius: 0.1 m}}, muscle: {MUSCLE}", "is missing"),
     (f"geometry: {{from: knee-table-2, joint_radius: 2 m, joint_length: 1.5 m}}, muscle: {MUSCLE}", "outside"),
     (f"geometry: {{from: knee-table-2, joint_length: 1 m, connector_length: 2 m}}, muscle: {MUSCLE}", "outside"),
     (f"geometry: knee-table-2, connector_length: 2 mm, muscle: {MUSCLE}", "it is a key of geometry"),
@@ -230,10 +212,6 @@ def test_one_mistake_is_told_with_its_place(old, new, field, words):
     (problem,) = problems(changed(old, new))
     assert problem.field.startswith(field) and words in f"{problem.message}; {problem.remedy}"
     expected = BASE[: BASE.index(old)].count("\n") + 1
-    if field == "duration" and not new:  # the line of what it is missing from
-        expected = next(i for i, text in enumerate(BASE.split("\n"), 1) if not text.startswith("#"))
-    if "nested" in words:  # far too deep for the parser, which then knows no line
-        expected = 1
     assert problem.line is not None and expected <= problem.line <= expected + 2
 
 
@@ -241,11 +219,8 @@ def test_one_mistake_is_told_with_its_place(old, new, field, words):
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b"# only a comment\n", "is empty"),
-        (b"---\n...\n", "is empty"),
         (b"\xff\xfe\x00\x01", "not text"),
         (b"PK\x03\x04\x00\x00", "not YAML"),
-        (b"a" * 2_000_000, "longer than"),
         (b"just words", "keys and values"),
         (b"- a\n- b\n", "a list"),
     ],

@@ -76,22 +76,6 @@ def test_a_number_has_its_unit_and_its_nominal_value(scenario, name, nominal, sh
     assert address.is_integer == name.endswith("seed")
 
 
-def test_parts_that_are_given_have_their_numbers(full):
-    names = {address.name: address.nominal for address in list_parameters(full)}
-    assert names["joint.tendon.stiffness"] == 20e3
-    assert names["joint.geometry.connector_length"] == 0.208
-    assert names["controller.model.geometry.connector_length"] == pytest.approx(0.19)
-    assert names["controller.model.muscle.law.braid_angle"] == names["controller.model.muscle.specimen.braid_angle"]
-    assert names["controller.model.geometry.joint_length"] == pytest.approx(0.37)
-    assert names["reference.angle.offset"] == 0.0
-    assert names["load.mass2"] == 0.8
-    assert names["load.mass1"] == 0.5
-    assert names["start.stiffness"] is None
-    assert names["start.angle"] == 0.0
-    assert not {name for name in names if name.startswith(("valve", "reference.stiffness"))}
-    assert find_parameter(full, "joint.muscle2.law.a1").nominal == names["joint.muscle.law.a1"], "muscle 2 alone"
-
-
 @pytest.mark.parametrize("scenario", [PID, BACKPROP, PRINTED, Scenario.parse(FULL)])
 def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario):
     listed = list_parameters(scenario)
@@ -107,16 +91,11 @@ def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario)
     ("name", "why"),
     [
         ("duration", "one number for all runs"),
-        ("name", "not a number"),
-        ("joint.muscle.specimen", "a group of parameters"),
         ("load.hanging", "not a number"),
         ("controller.position.hidden", "size of what is compiled"),
-        ("joint.tendon.stiffness", "tendon, of class rigid"),
         ("friction.torque", "the scenario has none"),
         ("controller.model.geometry.connector_length", "follows the plant"),
         ("controller.position.kp", "of class backprop"),
-        ("reference.angle.after", "of class sine"),
-        ("frequency.x", "no parameter"),
         ("load", "a group of parameters"),
     ],
 )
@@ -272,7 +251,6 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
 
 FORBIDDEN = [
     (PID, {"joint.geometry.connector_length": [0.2, 0.36]}, 1, "outside 0..0.34"),
-    (PID, {"joint.geometry.joint_length": [0.37, 0.2, 0.1]}, 1, "outside 0..0.17"),
     (
         PID,
         {"joint.geometry.joint_length": [0.37, 0.4], "joint.geometry.connector_length": [0.39, 0.39]},
@@ -280,7 +258,6 @@ FORBIDDEN = [
         "connector_length 390 mm.* outside",
     ),
     (PID, {"controller.position.kp": [1e5, -1e5, 2e5]}, 1, "differ in sign"),
-    (PID, {"controller.position.kp": [1e5, -1e5], "controller.position.ki": [1e5, -1e5]}, 1, "differ in sign"),
     (PID, {"load.inertia": [0.0], "load.mass1": [0.0], "load.mass2": [0.0]}, 0, "total_inertia is 0"),
 ]
 
@@ -307,15 +284,11 @@ def test_a_forbidden_combination_is_told_with_its_first_row(scenario, table, row
     [
         ({}, "no values"),
         ({"load.mass2": [0.5, -1.0]}, r"row 1: load\.mass2 is -1 kg, outside 0 to 10000 kg"),
-        ({"load.mass2": [np.inf, 1.0]}, "row 0: .*inf kg"),
         ({"valve.time_constant": [0.02, 0.0]}, "outside above 0"),
         ({"controller.position.seed": [1.5, 2.0]}, "1.5, not a whole number"),
-        ({"controller.position.momentum": [0.5, 0.9999999]}, r"row 1: controller\.position\.momentum is 1, outside"),
         ({"load.mass2": [0.5], "load.mass1": [0.5, 0.6]}, "differ in length"),
-        ({"load.mass2": [[0.5], [0.5, 0.6]]}, "column of numbers"),
         ({"load.mass2": ["0.5"]}, "column of numbers"),
         ({"joint.geometry.connector_length": [0.2], "connector_length": [0.2]}, "same parameter"),
-        ({"substeps": [4]}, "cannot be varied"),
     ],
 )
 def test_tables_that_are_none_are_refused(table, why):
@@ -355,7 +328,7 @@ reference:
 duration: 2 s
 control_period: 2 ms   # the last line"""
 
-PID_TEXT, PRINTED_TEXT = TEXTS["pre-contracted-step-pid"], TEXTS["as-printed-constant-pid"]
+PID_TEXT = TEXTS["pre-contracted-step-pid"]
 TWICE = PID_TEXT.replace(
     "muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n} ",
     "muscle1: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}\n"
@@ -377,23 +350,9 @@ def test_two_equal_muscles_are_changed_where_they_stand():
         (PID_TEXT, {"load.mass2": 0.8}, "load: knee-table-2  ", "load: {from: knee-table-2, mass2: 0.8 kg}  "),
         (PID_TEXT, {"controller.position.filter_time": 1e-3}, "0.4 bar*s/rad}", "0.4 bar*s/rad, filter_time: 1 ms}"),
         (PID_TEXT, {"reference.angle.offset": 0.0}, "frequency: 0.5 Hz}", "frequency: 0.5 Hz, offset: 0 deg}"),
-        (PRINTED_TEXT, {"reference.stiffness": 72.0}, "stiffness: 72.5 N*m/rad ", "stiffness: 72 N*m/rad "),
-        (
-            PRINTED_TEXT,
-            {"joint.geometry.connector_length": 0.2},
-            "geometry: knee-table-2",
-            "geometry: {from: knee-table-2, connector_length: 200 mm}",
-        ),
         (BLOCK, {"joint.geometry.connector_length": 0.2}, "'208 mm'", "200 mm"),
         (BLOCK, {"load.mass2": 0.8}, "  from: knee-table-2\n  # a", "  from: knee-table-2\n  mass2: 0.8 kg\n  # a"),
-        (
-            BLOCK,
-            {"joint.geometry.joint_radius": 0.04},
-            "connector_length: '208 mm'\n",
-            "connector_length: '208 mm'\n    joint_radius: 40 mm\n",
-        ),
         (BLOCK, {"controller.position.tracking_time": 0.1}, "rad,}", "rad, tracking_time: 100 ms,}"),
-        (BLOCK, {"controller.position.kp": 1e5}, "kp: 2 bar/rad,   #", "kp: 1 bar/rad,   #"),
         (BLOCK, {"controller.stiffness.filter_time": 0.0}, "# none\n", "# none\n    filter_time: 0 ms\n"),
         (
             BLOCK,

@@ -49,13 +49,10 @@ def test_a_metric_alone_needs_no_scale():
         ("", "not a term"),
         ("angle_rms/1 deg", "did you mean 'angle_rmse'"),
         ("angle_rmse/1 N", "does not have the dimensions of 'rad'"),
-        ("angle_rmse/1", "has no unit"),
         ("angle_rmse/1 deg + angle_rmse/2 deg", "angle_rmse appears twice"),
         ("angle_rmse + stiffness_rmse/1 N*m/rad", "angle_rmse has no scale.*write it like angle_rmse/0.1 deg"),
-        ("angle_rmse/1 deg +", "'' is not a term"),
         ("angle_rmse/-1 deg", "scale is -0.01"),
         ("0*angle_rmse", "weight is 0"),
-        ("2-*angle_rmse", "'2-' is not a number"),
         ("angle_rmse - coupling", "not a term"),
     ],
 )
