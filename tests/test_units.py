@@ -15,38 +15,20 @@ from mckibben.units import UNITS, Percent, Quantity, factor, quantity, show
     ("text", "unit", "expected"),
     [
         ("6 bar", "Pa", 6e5),
-        ("0.6 MPa", "Pa", 6e5),
-        ("600 kPa", "Pa", 6e5),
-        ("6000 mbar", "Pa", 6e5),
         ("1 psi", "Pa", 6894.757293168361),
-        ("208 mm", "m", 0.208),
-        ("20.8 cm", "m", 0.208),
         ("25 deg", "rad", 25 * math.pi / 180),
         ("25 °", "rad", 25 * math.pi / 180),
-        ("20 ms", "s", 0.02),
-        ("1500 us", "s", 0.0015),
         ("0.05 dm^3/(s*bar)", "m^3/(s*Pa)", 5e-10),
-        ("2 min", "s", 120.0),
         ("0.5 Hz", "1/s", 0.5),
         ("-3 %", "1", -0.03),
-        ("-3 percent", "1", -0.03),
         ("0.25", "1", 0.25),
-        ("0.25 ratio", "1", 0.25),
         ("6bar", "Pa", 6e5),
         ("  +6.0e0\tbar \n", "Pa", 6e5),
         (".5 m", "m", 0.5),
-        ("5. m", "m", 5.0),
-        ("13 N*m/rad", "N*m/rad", 13.0),
         ("13 N*m/deg", "N*m/rad", 13 * 180 / math.pi),
-        ("0.015 N*m*s/rad", "N*m*s/rad", 0.015),
         ("-3.442 N/(bar*percent)", "N/Pa", -3.442e-3),
-        ("0.3 1/percent", "1", 30.0),
         ("0.3 /percent", "1", 30.0),
-        ("200 kg*cm^2", "kg*m^2", 0.02),
         ("0.02 kg*m**2", "kg*m^2", 0.02),
-        ("1.2 kN·mm", "N*m", 1.2),
-        ("500 g", "kg", 0.5),
-        ("9.81 N/kg", "m/s^2", 9.81),
         ("2 kg*m*s^-2", "N", 2.0),
     ],
 )
@@ -58,7 +40,6 @@ def test_a_number_and_a_unit_is_read_to_si(text, unit, expected):
     "text",
     [
         "",
-        " ",
         "m",
         "5",  # no unit
         "4,5 m",
@@ -67,21 +48,14 @@ def test_a_number_and_a_unit_is_read_to_si(text, unit, expected):
         "-1e400 m",
         "1e308 kN*m/N*m/mm",
         "nan m",
-        "-inf m",
         "0x10 m",
-        "--5 m",
-        "5e m",
         "5 m 5",
-        "5 m*",
         "5 m//s*s",
         "5 m/1",
-        "5 ((m))",
         "5 m^0",
-        "5 m^99",
         "5 m; import os",
         "5 µm",
         "٥ m",
-        "5 m\x00",
         "5 Mm",
         "5 km",  # a unit, but not of the vocabulary
     ],
@@ -95,13 +69,9 @@ def test_anything_else_is_refused_with_a_unit_error(text):
     ("text", "unit"),
     [
         ("13 N*m", "N*m/rad"),
-        ("13 N*m/rad", "N*m"),
         ("3 deg", "1"),
-        ("3 %", "rad"),
         ("3", "rad"),
-        ("6 bar", "m"),
         ("6 kg", "N"),
-        ("1 Hz", "s"),
         ("2 rad/s", "Hz"),
     ],
 )
@@ -110,12 +80,6 @@ def test_a_unit_of_another_kind_is_refused_and_both_kinds_are_named(text, unit):
         quantity(text, unit)
     assert unit in str(caught.value)
     assert caught.value.unit == unit
-
-
-def test_a_bare_number_is_refused_and_a_unit_is_suggested():
-    with pytest.raises(UnitError, match="'180 mm'") as caught:
-        quantity("180", "m")
-    assert (caught.value.value, caught.value.unit) == ("180", "m")
 
 
 def test_megamolar_is_no_millimetre_and_the_known_units_are_listed():
@@ -127,17 +91,10 @@ def test_megamolar_is_no_millimetre_and_the_known_units_are_listed():
     ("unit", "to", "expected"),
     [
         ("N/(bar*percent)", "", 1e-3),
-        ("N/bar/percent", "N/Pa", 1e-3),
         ("1/(m*s)", "", 1.0),
         ("kg*m^2/s^2", "N*m", 1.0),
-        ("kg*mm^2", "kg*m^2", 1e-6),
-        ("mm^-1", "1/m", 1e3),
-        ("deg/s", "rad/s", math.pi / 180),
-        ("N*m/deg", "N*m/rad", 180 / math.pi),
-        ("Pa", "N/m^2", 1.0),
         ("bar*cm^2", "N", 10.0),
         ("%", "1", 0.01),
-        ("1", "%", 100.0),
         ("1 / %", "1/ratio", 100.0),
     ],
 )
