@@ -69,14 +69,6 @@ def test_what_cannot_be_timed_says_why(table):
     }
 
 
-def test_every_engine_stands_in_every_form(bench, table):
-    for text in (bench.tables.as_text(table), bench.tables.as_markdown(table)):
-        for row in table.rows:
-            assert row.engine in text
-            assert row.note in text
-        assert "A note." in text
-
-
 @pytest.mark.slow
 def test_plain_c_runs_our_episode(bench, tmp_path):
     reference = bench.reference

@@ -93,9 +93,6 @@ def test_the_measured_map_has_17_pressures_5_lengths_and_40_taut_points():
     ("loader", "wrong", "meant"),
     [
         (catalog.law, "lei-mas-10-180", "lei-mas-10-180n"),
-        (catalog.specimen, "MAS-10-180N", "MAS-10-180N-AA-MC-O"),
-        (catalog.dataset, "dmsp-10-250", "dmsp-10-250-martens2017"),
-        (catalog.joint, "knee-table2", "knee-table-2"),
         (catalog.cite, "knee_table_2", "knee-table-2"),
     ],
 )

@@ -74,18 +74,6 @@ def test_a_direct_call_warns_of_impossible_points_and_refuses_texts(law):
         law.force("0.1", 3e5)
 
 
-def test_arrays_broadcast(law):
-    def shape(function, *arguments):
-        return jax.eval_shape(function, *arguments).shape
-
-    contraction, pressure = contractions(law), pressures(law)
-    for function in (law.force, law.slope):
-        assert shape(function, contraction[:, 0], 3e5) == (ROWS,)
-        assert shape(function, 0.1, pressure) == (COLUMNS,)
-        assert shape(function, contraction, pressure) == (ROWS, COLUMNS)
-    assert shape(law.pressure_for, np.array([10.0, 20.0]), contraction) == (ROWS, 2)
-
-
 def test_pressure_for_inverts_force(law, force):
     back = answers(law, force=force)[2]
     expected = np.broadcast_to(pressures(law), back.shape)
@@ -134,14 +122,6 @@ def test_the_force_is_affine_in_the_linear_parameters(name):
     np.testing.assert_allclose(double - none, 2 * (at(start) - none), rtol=1e-11, atol=1e-9)
     alone = sum(at({k: (v if k == name else 0.0) for k, v in start.items()}) - none for name in start)
     np.testing.assert_allclose(alone, at(start) - none, rtol=1e-11, atol=1e-9)
-
-
-def test_it_can_be_vmapped_over_its_parameters(law, force):
-    many = jax.tree.map(lambda x: np.array([x, 1.01 * x], float), law)
-    at = contractions(law)[5, 0], pressures(law)[7]
-    forces = jax.jit(jax.vmap(lambda one: one.force(*at)))(many)
-    assert float(forces[0]) == pytest.approx(force[5, 7], rel=1e-12)
-    assert float(forces[1]) != float(forces[0])
 
 
 def test_a_stronger_muscle_has_so_many_times_every_force(law):

@@ -61,12 +61,6 @@ def test_a_muscle_may_be_trusted_where_specimen_and_law_both_may(muscle):
     assert (float(domain.pressure_min), float(domain.pressure_max)) == (0.0, 6e5)
 
 
-def test_length_and_contraction_are_inverse(specimen):
-    assert float(specimen.contraction_at(0.162)) == pytest.approx(0.1, abs=1e-15)
-    assert float(specimen.length_at(0.1)) == pytest.approx(0.162, rel=1e-15)
-    assert float(specimen.contraction_at(0.1854)) == pytest.approx(-0.03, abs=1e-15)
-
-
 def test_a_domain_contains_its_edges_and_nothing_beyond():
     domain = Domain(-0.03, 0.25, 0.0, 6e5)
     contraction = np.array([-0.031, -0.03, 0.1, 0.25, 0.251])

@@ -180,8 +180,6 @@ def test_saved_files_read_back(folder, results, reproduction):
     [
         f"as-printed-constant-{BP.lower()}",
         f"pre-contracted-step-{PID.lower()}",
-        f"pre-contracted-constant-{TUNED_PID.lower().replace(' ', '-')}",
-        f"as-printed-step-{TUNED_BP.lower().replace(' ', '-')}",
     ],
 )
 def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name):

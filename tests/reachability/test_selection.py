@@ -259,15 +259,6 @@ def test_a_law_that_is_not_affine_and_no_makes_are_refused():
             size(NEED, makes)
 
 
-def test_the_uncertainties_of_the_page():
-    ten, twenty, forty = catalog_makes()
-    assert [round(make.uncertainty, 2) for make in (ten, twenty, forty)] == [0.10, 0.10, 0.20]
-    contraction, pressure = np.meshgrid(np.linspace(0, 0.15, 7), np.linspace(2 * bar, 6 * bar, 5))
-    chart = np.asarray(ten.muscle.law.force(contraction, pressure)).ravel()
-    paper = np.asarray(catalog.law("lei-mas-10-180n").force(contraction, pressure)).ravel()
-    assert (paper @ chart) / (chart @ chart) == pytest.approx(1.23, abs=0.005)
-
-
 def test_makes_without_a_volume_or_with_an_impossible_spread_are_refused():
     muscle = catalog_makes()[0].muscle
     unknown = dataclasses.replace(muscle.specimen, initial_diameter=None, braid_angle=None, volume_terms=None)

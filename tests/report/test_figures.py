@@ -14,7 +14,7 @@ from mckibben.identification import identify
 from mckibben.muscle import ExponentialLaw
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.report import isobaric, measured_muscles, save, tracking
-from mckibben.report.style import CONTROLLERS, looks_of, robust_limits
+from mckibben.report.style import CONTROLLERS, robust_limits
 
 pytestmark = pytest.mark.slow
 
@@ -132,11 +132,6 @@ def test_off_scale_values_are_written_into_the_panel(drawn):
     axes = drawn["fig8-errors-pre-contracted"].figure.axes
     notes = [text.get_text() for a in axes for text in a.texts if text.get_text().startswith("off scale")]
     assert any("at 5.00 s" in note for note in notes)
-
-
-def test_as_many_controllers_as_a_suite_may_have_are_told_apart():
-    looks = [tuple(sorted(look.items())) for look in looks_of([f"controller {i}" for i in range(16)]).values()]
-    assert len(set(looks)) == 16
 
 
 def test_names_are_text_and_not_mathematics(reproduction, tmp_path):
