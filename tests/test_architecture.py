@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 2770,
     "storage": 570,
     "study": 2860,
-    "web": 2320,
+    "web": 2600,
 }
 
 MOST_ANY = 710  # uses of `Any`

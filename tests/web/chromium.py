@@ -42,8 +42,10 @@ class Tab:
         self.send("Page.navigate", url=address)
 
     def evaluate(self, script):
-        """The value of an expression."""
-        return self.send("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
+        """The value of an expression, or of its promise."""
+        return self.send("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)["result"].get(
+            "value"
+        )
 
     def wait(self, condition, seconds=60.0):
         """Wait until an expression is true."""

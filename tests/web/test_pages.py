@@ -30,6 +30,7 @@ from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
 from mckibben.web import app, design, identify, rig, session, studies, tune, wording, workbench
+from mckibben.web.reading import Read
 from mckibben.web.results import Presented
 
 RIG = (Path(__file__).parents[2] / "examples" / "rig.csv").read_text(encoding="utf-8")
@@ -124,7 +125,7 @@ def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
 def test_another_kind_of_joint_has_its_own_sliders():
     async def visit():
         async with visitor() as user:
-            await user.open("/")
+            await user.open("/joint")
             chart = charts(user)[0]
             await until(lambda: chart.options["series"])
             the(user, ui.slider, "from-hip-to-joint-axis").set_value(150)  # the muscles do not fit
@@ -177,7 +178,7 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
             kept = state(identify.IdentificationState)
             await user.open("/identify")  # a reload
             await user.should_see("ExponentialLaw describes", retries=100)
-            await user.open("/")
+            await user.open("/joint")
             assert design.YOURS in the(user, ui.select, "muscle").options
             return answer.content, kept.muscle
 
@@ -221,7 +222,7 @@ def test_an_outlier_is_named_and_can_be_kept():
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
-            state(identify.IdentificationState).use("points", data)
+            state(identify.IdentificationState).use("points", Read((), data, ()))
             kept = state(identify.IdentificationState)
             user.find(marker="fit").click()
             await user.should_see("23 points", retries=400)
@@ -250,22 +251,28 @@ def test_advice_names_what_the_page_has(text, shown):
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
 
 
-def test_problems_are_listed_by_line_and_shown_as_text():
+def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_file_is_shown_as_text():
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
-            await paste(user, "pressure_bar,contraction_percent,force_N\n1,0,10\n1,<img src=x onerror=alert(1)>,5\n")
-            await until(lambda: state(identify.IdentificationState).error is not None)
-            await user.should_see("1 problem", retries=30)
-            table = the(user, ui.table)
-            assert not user.find(ui.label).elements & {
-                one for one in user.find(ui.label).elements if "Traceback" in one.text
-            }
-            return table.rows
+            await paste(
+                user, "p_bar,eps_percent,F_N,<b>x\n" + "".join(f"2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9))
+            )
+            kept = state(identify.IdentificationState)
+            await until(lambda: there(user, "question"))
+            await user.should_see("<b>x", kind=ui.label)
+            shown, asked = len(charts(user)), [question.problem.field for question in kept.questions]
+            user.find(marker="fit").click()
+            await user.should_see("answer the questions about the file first")
+            user.find(marker="answer").click()
+            await until(lambda: not kept.questions and not kept.jobs.busy)
+            the(user, ui.select, "unit-F_N").set_value("kN")
+            await until(lambda: kept.data is not None and kept.data.force.max() == 1e5)
+            return shown, asked, kept.reading.columns
 
-    (row,) = asyncio.run(visit())
-    assert row["0"] == 3
-    assert "<img" in row["2"]  # a cell of a table is text
+    shown, asked, columns = asyncio.run(visit())
+    assert shown == 1 and asked == ["<b>x"]  # points are drawn before the questions are answered
+    assert columns == {"<b>x": "ignore", "F_N": "force_kN"}
 
 
 def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
@@ -314,7 +321,7 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
 
 @pytest.mark.slow
 def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
-    """Also if it is cancelled after its last evaluation; after a refused file it is grey, and nothing is fitted."""
+    """Also if it is cancelled after its last evaluation; while a file has open questions nothing is fitted."""
     written = identify.keep_muscle
 
     def keep_muscle(*given):
@@ -333,18 +340,17 @@ def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
             folder = kept.sources[0].parent.parent
             user.find(marker="fit").click()
             await until(lambda: "fit" in kept.results, 60)
-            before = (folder / "fit.yaml").read_bytes()
+            before, fit = (folder / "fit.yaml").read_bytes(), kept.results["fit"].result
             the(user, ui.select, "law").set_value("ChouLaw")
             cancel.append(True)
             user.find(marker="fit").click()
             await until(lambda: len(laws) == 2, 60)
             await asyncio.sleep(0.3)
             await paste(user, "pressure_bar,force_N\n1,2\n")
-            await until(lambda: kept.error is not None)
+            await until(lambda: kept.questions)
             user.find(marker="fit").click()
-            await until(lambda: any("stale" in one.classes for one in user.find(ui.column).elements))
             await asyncio.sleep(0.3)
-            return before, (folder / "fit.yaml").read_bytes(), kept.results["fit"].result
+            return before, (folder / "fit.yaml").read_bytes(), fit
 
     before, after, fit = asyncio.run(visit())
     assert laws == [ExponentialLaw, ChouLaw]  # both fits were finished, and there was no third one
@@ -441,7 +447,7 @@ def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
             assert not bench.jobs.busy and bench.current is first
             field.set_value(70)
             assert not field.error and bench.jobs.busy
-            await user.open("/")
+            await user.open("/joint")
             field = the(user, ui.number, "radius-of-the-anchors-field")
             field.set_value(wrong)
             assert field.error

@@ -17,6 +17,7 @@ from starlette.datastructures import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from mckibben.web.layout import PAGES
 from mckibben.web.security import LARGEST, Access
 from tests.web import chromium
 
@@ -89,7 +90,7 @@ def site():
 
 
 def test_it_answers_on_this_machine_and_loads_nothing_from_others(site):
-    for path in ("/", "/identify", "/run", "/tune", "/rig"):
+    for path in PAGES:
         answer, text = site.ask(path)
         assert answer.status == 200
         assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
@@ -213,11 +214,21 @@ def test_the_token_of_a_started_browser_is_void_after_its_first_use():
     assert access.admit(scope, Headers({})) is None
 
 
+_OUTLINE = """[
+  document.querySelectorAll("h1").length,
+  document.querySelectorAll("main").length,
+  [...document.querySelectorAll("input:not(.hidden), textarea, button, [role=button], [role=img], [role=slider]")].filter(
+    (one) => !(one.getAttribute("aria-label") || one.innerText?.trim() || one.closest("label"))
+  ).length,
+]"""
+
+
 @pytest.mark.skipif(chromium.PROGRAM is None, reason="no Chromium is installed: apt-get install chromium")
 def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
     """Scripts run under the policy of the pages, the server's data are drawn, and nothing is wider than the window."""
     shown = {
-        "/": "!!document.querySelector('canvas, svg[role=img] polyline')",
+        "/": "document.body.innerText.includes('Example data')",
+        "/joint": "!!document.querySelector('canvas, svg[role=img] polyline')",
         "/identify": "document.body.innerText.includes('No points yet')",
         "/run": "document.body.innerText.includes('completed')",
         "/tune": "document.body.innerText.includes('No study yet')",
@@ -232,6 +243,17 @@ def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
                 tab.open(address + path, width)
                 tab.wait(f"document.readyState === 'complete' && ({condition})", 120)
                 assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (path, width)
+                assert tab.evaluate(_OUTLINE) == [1, 1, 0], (
+                    path,
+                    "one h1, one main, no field or button without a name",
+                )
+                if path == "/run" and width == 1200:
+                    chart = "+document.querySelector('.nicegui-echart').id.slice(1)"
+                    csv, svg, png = (
+                        tab.evaluate(f"saveChart({chart}, '{kind}', 'x')") for kind in ("csv", "svg", "png")
+                    )
+        assert csv.startswith('"curve","time [s]","angle [°]"\n"now",0,') and '\n"desired",6,' in csv
+        assert svg.startswith("<svg") and png.startswith("data:image/png;base64,")
         assert tab.errors == []
 
 

@@ -7,3 +7,7 @@ GREY, BAND = "#5F6B76", "#DBE2E9"
 """Colours of texts and lines in the background, and of ranges."""
 MUSCLES = (BLUE, VERMILLION)
 """Colours of muscles 1 (antagonist) and 2 (agonist)."""
+DESIRED, MEASURED = BLACK, GREEN
+"""Colours of what is desired, dashed, and of what is measured or simulated."""
+PRESSURES = ("#440154", "#414487", "#2A788E", "#22A884", "#7AD151")
+"""Hues from the lowest to the highest pressure: `style.pressure_colours`, viridis without its palest end."""

@@ -18,6 +18,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from mckibben.errors import ParameterError
 from mckibben.storage.files import handle_signals
 from mckibben.web import identify, joint, rig, run, tune
+from mckibben.web import start as start_page
 from mckibben.web.security import LOCAL, Access, Guard
 from mckibben.web.session import collect_warnings, end_sessions
 
@@ -28,7 +29,8 @@ def pages() -> None:
     """Register the pages."""
     collect_warnings()
     app.on_delete(forget_routes)
-    ui.page("/")(joint.page)
+    ui.page("/")(start_page.page)
+    ui.page("/joint")(joint.page)
     ui.page("/identify")(identify.page)
     ui.page("/run")(run.page)
     ui.page("/tune")(tune.page)

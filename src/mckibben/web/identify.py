@@ -1,7 +1,8 @@
 """Muscle page: measured points, force law and friction, residuals, ranking of laws.
 
-Files are those of one test, uploaded, pasted or of the catalog; they are read by the fields of the page, which a recipe
-fills. Results are those of `mckibben.identification`, and muscle.yaml, fit.yaml and recipe.yaml can be downloaded.
+Files are those of one test, uploaded, pasted or of the catalog. A picker shows what each column is read as, and asks
+what is not plain; the points are drawn before any fit. Results are those of `mckibben.identification`, and muscle.yaml,
+fit.yaml and recipe.yaml can be downloaded.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
 from mckibben.component.schema import read_component
-from mckibben.dataset import IsobaricDataset, Recipe
+from mckibben.dataset import IsobaricDataset, Question, Recipe, Table
 from mckibben.dataset.formats import ENDINGS
 from mckibben.errors import ScenarioError, UnitError, printable
 from mckibben.identification import FitWithFriction, identify_with_friction, rank
@@ -29,23 +31,24 @@ from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume
 from mckibben.result import Remark
 from mckibben.scenario import write_muscle
-from mckibben.units import quantity
+from mckibben.units import bar, percent, quantity
+from mckibben.web.charts import chart, cloud, draw
 from mckibben.web.layout import (
     JobPage,
+    actions,
     button,
     frame,
     panel,
     progress_row,
     quiet,
-    results_side,
     select,
     show_remarks,
     side,
-    table,
     text_area,
     upload,
 )
-from mckibben.web.reading import ReadingFields, read, refusal, understood
+from mckibben.web.picker import ColumnPicker
+from mckibben.web.reading import Read, ReadingFields, read, refusal
 from mckibben.web.results import Presented, show_result
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
@@ -54,14 +57,7 @@ from mckibben.web.wording import FRICTION, KEEP, on_page
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_FILES = 64
 NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download muscle” on the page Muscle gives both."
-_FIELDS = {
-    "initial_length": "initial length, such as 180 mm",
-    "ambient": "ambient pressure, such as 101.3 kPa, if pressures are absolute",
-}
-_LINES = {
-    "columns": "columns, one per line: HEADER = pressure_bar",
-    "further": "further settings of a recipe, one per line, such as displacement: lengthening",
-}
+_FIELDS = {"initial_length": ("initial length", "180 mm"), "ambient": ("ambient pressure, if absolute", "101.3 kPa")}
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 
@@ -80,6 +76,10 @@ class IdentificationState(JobState):
         diameter or volume of air with its unit.
     reading, read_by, reading_notes
         Fields by which files are read, those by which `data` were read, and warnings of reading.
+    wanted
+        Dataset of the catalog that the page shows when it opens.
+    tables, questions
+        What was understood of each file, and what is not plain.
     results
         Fit and ranking by name, the newest first.
     muscle
@@ -97,13 +97,16 @@ class IdentificationState(JobState):
     reading: ReadingFields = field(default_factory=ReadingFields)
     read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
     reading_notes: list[str] = field(default_factory=list)
+    tables: tuple[Table, ...] = ()
+    questions: tuple[Question, ...] = ()
+    wanted: str = ""
     results: dict[str, Presented] = field(default_factory=dict)  # fit and ranking, the newest first
     muscle: Muscle | None = None
 
     def use(
         self,
         name: str,
-        data: IsobaricDataset,
+        read: Read,
         sources: Sequence[Path] = (),
         read_by: ReadingFields | None = None,
         reading_notes: Sequence[str] = (),
@@ -112,12 +115,13 @@ class IdentificationState(JobState):
 
         Parameters
         ----------
-        name, data, sources
-            Title, points, and files with them.
+        name, read, sources
+            Title, what was read, and the files.
         read_by, reading_notes
             Fields by which they were read, and warnings.
         """
-        self.name, self.data, self.sources, self.read_by, self.old = name, data, tuple(sources), read_by, False
+        self.name, self.sources, self.read_by, self.old = name, tuple(sources), read_by, False
+        self.tables, self.data, self.questions = read
         self.results, self.error = {}, None
         self.reading_notes, self.notes = list(reading_notes), []
 
@@ -185,26 +189,27 @@ class _Page(JobPage[IdentificationState]):
 
     def __init__(self, state: IdentificationState, folder: Path) -> None:
         super().__init__(state, folder)
+        self.tried = state.read_by  # the fields by which files were read last, or refused
         with side():
             with panel("Measured points"):
-                upload(", ".join(ENDINGS), LARGEST, self.uploaded, most=_MOST_FILES).on_rejected(
+                upload("Drop or choose files", LARGEST, self.uploaded, most=_MOST_FILES).on_rejected(
                     lambda: ui.notify(f"more than {_MOST_FILES} files or {LARGEST // 2**20} MiB", type="negative")
                 ).tooltip("several files are those of one test; a recipe.yaml sets how they are read")
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
-                select(examples, "or an example", value="", on_change=self.example)
+                self.examples = select(examples, "or an example", value="", on_change=self.example)
                 with ui.expansion("or paste a table").props("dense").classes("w-full"):
                     example = "pressure_bar,contraction_percent,force_N\n1,0,120\n..."
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     button("Read", self.paste)
-                with ui.expansion("how the file is read").props("dense").classes("w-full") as self.options:
-                    for name, label in _FIELDS.items():
-                        ui.input(label, validation=partial(refusal, name)).props("dense hide-bottom-space").classes(
-                            "w-full"
-                        ).mark(name).bind_value(state.reading, name)
-                    for name, label in _LINES.items():
-                        ui.textarea(label).props("dense autogrow").classes("w-full mono").mark(name).bind_value(
-                            state.reading, name
-                        )
+                for name, (label, example) in _FIELDS.items():
+                    made = ui.input(label, placeholder=example, validation=partial(refusal, name))
+                    made.on_value_change(partial(self.reread, name)).props("dense hide-bottom-space stack-label")
+                    made.props("debounce=700").classes("w-full").mark(name).bind_value(state.reading, name)
+                with ui.expansion("further settings of a recipe").props("dense").classes("w-full") as self.options:
+                    label = "such as displacement: lengthening"
+                    ui.textarea(label).props("dense autogrow").classes("w-full mono").mark("further").bind_value(
+                        state.reading, "further"
+                    )
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
@@ -215,13 +220,19 @@ class _Page(JobPage[IdentificationState]):
                 ui.checkbox(KEEP).props("dense").mark("keep").bind_value(state, "keep_outliers").tooltip(
                     "fit all points, those off the surface through the others, too"
                 )
-                with ui.row().style("gap: 8px"):
+                with actions():
                     button("Fit", self.fit, "fit", main=True)
                     button("Rank all laws", self.rank, "rank")
             self.progress = progress_row(state.jobs)
-        with results_side():
+        with side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
+        ui.timer(0.0, self.begin, once=True)
         ui.timer(0.15, self.refresh)
+
+    def begin(self) -> None:
+        """Show the dataset that another page asks for."""
+        if self.state.wanted:
+            self.examples.value, self.state.wanted = self.state.wanted, ""
 
     def refresh(self) -> None:
         """Show progress, and new results as they appear."""
@@ -279,17 +290,19 @@ class _Page(JobPage[IdentificationState]):
             if old not in sources and old.parent.parent == self.folder:  # not those of the page Rig and of projects
                 shutil.rmtree(old.parent, ignore_errors=True)
         state.name, state.sources = name, sources
-        fields = replace(state.reading)
+        fields = replace(state.reading, columns=dict(state.reading.columns))
 
-        def load() -> IsobaricDataset:
-            return read(sources, fields) if sources else catalog.dataset(name)
+        self.tried = fields if sources else None
+
+        def load() -> Read:
+            return read(sources, fields) if sources else Read((), catalog.dataset(name), ())
 
         state.error, state.old = None, True
 
-        def done(data: IsobaricDataset, heard: list[str]) -> None:
-            state.use(name, data, sources, fields if sources else None, [*map(self.named, heard)])
+        def done(found: Read, heard: list[str]) -> None:
+            state.use(name, found, sources, fields if sources else None, [*map(self.named, heard)])
 
-        self.start_job(lambda _: load(), done)
+        self.start_job(lambda _: load(), done, scroll=False)
 
     def named(self, text: str) -> str:
         """A text with the names of our files without their folder."""
@@ -302,11 +315,23 @@ class _Page(JobPage[IdentificationState]):
         if self.state.name:
             self.take(self.state.name, *self.state.sources)
 
+    def reread(self, name: str, event: events.ValueChangeEventArguments) -> None:
+        """Read the same file again if a field has another value, which is valid."""
+        if self.tried is not None and refusal(name, event.value) is None and event.value != getattr(self.tried, name):
+            self.read()
+
+    def points(self) -> IsobaricDataset | None:
+        """The points to be fitted; None, with a message, if there are none or questions are open."""
+        state = self.state
+        if state.data is None or state.old or state.questions:
+            ui.notify("answer the questions about the file first" if state.questions else "give measured points first")
+            return None
+        return state.data
+
     def fit(self) -> None:
         """Fit the chosen law, with friction as chosen, in a job."""
         state, folder = self.state, self.folder
-        if (data := state.data) is None or state.old:
-            ui.notify("give measured points first")
+        if (data := self.points()) is None:
             return
         law, diameter, keep = law_types()[state.law], state.diameter, state.keep_outliers
         friction = _FRICTION[state.friction]
@@ -331,8 +356,7 @@ class _Page(JobPage[IdentificationState]):
     def rank(self) -> None:
         """Fit all laws, and rank them."""
         state = self.state
-        if (data := state.data) is None or state.old:
-            ui.notify("give measured points first")
+        if (data := self.points()) is None:
             return
 
         robust = not state.keep_outliers
@@ -348,7 +372,7 @@ class _Page(JobPage[IdentificationState]):
         if state.error is not None:
             self.options.value |= state.data is None or state.old
             self.show_failure(state.error, state.name)
-        elif state.data is None and not state.jobs.busy:
+        elif not state.name and not state.jobs.busy:
             with panel("No points yet"):
                 quiet(
                     "A table with columns of pressure, force, and contraction or length, one row per point. Units "
@@ -362,21 +386,34 @@ class _Page(JobPage[IdentificationState]):
                 with show_result(result, name):
                     if name == "fit":
                         self.show_uses()
-            if state.data is not None and not state.old:
+            if state.questions:
+                self.show_columns()
+            if state.data is not None:
                 self.show_data(state.data)
+            if not state.questions:
+                self.show_columns()
+
+    def show_columns(self) -> None:
+        """What each column was read as, and the questions."""
+        state = self.state
+        if not state.tables:
+            return
+        count = len(state.questions)
+        with panel(f"{count} question{'s' * (count > 1)} about {state.name}" if count else f"Columns of {state.name}"):
+            if len(state.tables) > 1:
+                quiet(f"as those of the first of {len(state.tables)} files")
+            ColumnPicker(state.tables[0], state.reading, state.questions, self.read)
 
     def show_data(self, data: IsobaricDataset) -> None:
-        """Columns with their ranges, and remarks from reading."""
+        """The points, and remarks from reading."""
         attrs = data.table.attrs
-        with panel(self.state.name):
-            ui.label(f"{len(data)} points, {len(data) - len(data.taut)} slack").classes("number")
-            if cells := understood(data):
-                titles = ("column", "quantity", "unit", "unit from", "range", "remark")
-                table(titles, cells, texts=range(6)).classes("understood").mark("read")
+        with panel(f"{len(data)} points, {len(data) - len(data.taut)} slack"):
+            pressure = data.pressure / bar
+            span = float(np.min(pressure)), float(np.max(pressure))
+            points = chart("contraction [%]", "force [N]", height=330, scale="pressure [bar]", span=span)
+            draw(points, [cloud("points", data.contraction / percent, data.force, pressure)])
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
-            if ignored := attrs.get("ignored_columns"):
-                lines.append(f"not read: {self.named(ignored)}")
             if (length := attrs.get("initial_length")) is not None:
                 lines.append(f"initial length {length * 1e3:g} mm")
             for text in [*lines, *self.named(attrs.get("preprocessing", "")).splitlines()]:
@@ -406,4 +443,4 @@ class _Page(JobPage[IdentificationState]):
         from mckibben.web.design import YOURS, JointDesign
 
         session().state(JointDesign).muscle = YOURS
-        ui.navigate.to("/")
+        ui.navigate.to("/joint")

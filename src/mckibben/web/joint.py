@@ -13,8 +13,9 @@ from nicegui import events, ui
 
 from mckibben.errors import McKibbenError
 from mckibben.muscle import Muscle
-from mckibben.report.palette import BLACK, BLUE, GREEN, MUSCLES, VERMILLION
+from mckibben.report.palette import BLACK, GREY, MUSCLES
 from mckibben.units import deg, mm, percent
+from mckibben.web.charts import Series, band, chart, draw, line
 from mckibben.web.design import (
     ANGLES,
     KINDS,
@@ -36,13 +37,9 @@ from mckibben.web.layout import (
     LATER,
     NumberField,
     NumberSlider,
-    Series,
-    band,
+    actions,
     button,
-    chart,
-    draw,
     frame,
-    line,
     panel,
     quiet,
     select,
@@ -72,7 +69,7 @@ def page() -> None:
     design, known = visitor.state(JointDesign), muscles(visitor.state(IdentificationState).muscle)
     if design.muscle not in known:
         design.muscle = next(iter(known))
-    with frame("/"):
+    with frame("/joint"):
         _Page(design, known)
 
 
@@ -105,7 +102,7 @@ class _Page:
                 self.pressure = ui.column().classes("w-full")
                 self.pressure_form()
                 self.lowest = quiet("")
-            with ui.row().classes("w-full").style("gap: 8px"):
+            with actions():
                 button("Run this joint", self.run, main=True)
                 button("Download YAML", self.download)
         with side():
@@ -236,12 +233,12 @@ class _Page:
         self.grey(old=False)
         angles = ANGLES / deg
         low, high = designed.stiffness
-        lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
+        lowest, highest = line("lowest", angles, low, GREY, dash=True), line("highest", angles, high, GREY)
         draw(self.stiffness, [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest])
         self.small_panel.visible = designed.small_motion is not None
         if designed.small_motion is not None:  # in its own chart, as it can be many times the isobaric stiffness
-            ends = zip(("at the lowest", "at the highest"), designed.small_motion, (BLUE, VERMILLION), strict=True)
-            draw(self.small, [line(name, angles, edge, color) for name, edge, color in ends])
+            ends = zip(("at the lowest", "at the highest"), designed.small_motion, (True, False), strict=True)
+            draw(self.small, [line(name, angles, edge, GREY, dash=dash) for name, edge, dash in ends])
         self.newest = designed
 
     def mark(self) -> Series:
@@ -264,8 +261,8 @@ class _Page:
         self.drawing.content, _ = await in_thread(drawing, designed.joint, design.angle * deg, here.contractions)
         least, most = designed.torque
         load = line("load", [-POSE, POSE], [design.torque] * 2, BLACK, dash=True, width=1.5)
-        lower, upper = (line(name, angles, edge, GREEN) for name, edge in (("lowest", least), ("highest", most)))
-        curves = [*band("attainable", angles, least, most, GREEN), lower | self.mark(), upper, load]
+        lower, upper = (line(name, angles, edge, GREY) for name, edge in (("lowest", least), ("highest", most)))
+        curves = [*band("attainable", angles, least, most, "#9aa7b3"), lower | self.mark(), upper, load]
         draw(self.torque, curves, legend=("attainable", "load"))
         self.note.text = _held(angles, np.isfinite(designed.stiffness[0]))
         self.limits.text, _ = await in_thread(limits_at, design, designed)

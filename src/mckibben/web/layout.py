@@ -1,63 +1,92 @@
-"""Frame of the pages and their shared parts: errors, tables, sliders, charts.
+"""Frame of the pages and their shared parts: panels, errors, tables, fields, sliders.
 
-Text goes through labels and tables, which show it verbatim: file content never becomes HTML. Charts are Apache ECharts
-with the options of `starts/chart.json`; series are its options as dictionaries.
+Text goes through labels and tables, which show it verbatim: file content never becomes HTML.
 """
 
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 import time
-from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-import numpy as np
 from nicegui import events, ui
-from numpy.typing import ArrayLike
 
 from mckibben.errors import DatasetError, FileError, McKibbenError, printable
-from mckibben.report.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from mckibben.report.palette import BLUE, GREEN, GREY, VERMILLION
 from mckibben.result import Remark, Severity
 from mckibben.web import resource
-from mckibben.web.session import Jobs, JobState
+from mckibben.web.session import Jobs, JobState, session
 from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
 Value = TypeVar("Value")
 
-Series = dict[str, Any]
-"""Options of a curve of a chart."""
-
-PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-
+_RED = "#B3261E"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig"}
+PAGES = {
+    "/": ("Start", "From a muscle's test data to a controlled joint."),
+    "/identify": ("Muscle", "From measured points to a force law with friction and error bars."),
+    "/joint": ("Joint", "The stiffness and torque that two muscles attain on your joint."),
+    "/run": ("Run", "The joint with controller, valves and sensors, simulated."),
+    "/tune": ("Tune", "Gains for your tolerances that keep a margin, and other controllers compared with them."),
+    "/rig": ("Rig", "A test of a muscle on the simulated rig."),
+}
+"""Title and purpose of each page, in the order of work."""
+
+
+@dataclass
+class Look:
+    """Appearance of the pages of a session."""
+
+    dark: bool = False
 
 
 @contextmanager
 def frame(here: str) -> Iterator[None]:
-    """Header with links to the pages, and the columns of a page.
+    """Header with links to the pages, title, the columns of a page, and a link to the next page.
 
     Parameters
     ----------
     here
         Path of the page, a key of `PAGES`.
     """
-    ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative="#b3261e", positive=GREEN)
+    ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative=_RED, positive=GREEN)
     ui.add_css(resource("style.css"))
-    ui.page_title(f"{PAGES[here]} - mckibben")
+    ui.add_body_html(f"<script>{resource('starts/page.js')}</script>")
+    (title, purpose), look = PAGES[here], session().state(Look)
+    ui.page_title(f"{title} - mckibben")
+    dark = ui.dark_mode(look.dark, on_change=lambda event: setattr(look, "dark", bool(event.value)))
     with ui.header().classes("items-center q-px-md q-py-sm").style("gap: 20px"):
         ui.label("mckibben").style("font-weight: 700; font-size: 16px")
-        for path, title in PAGES.items():
-            ui.link(title, path).classes("tab" + (" here" if path == here else ""))
-    with ui.element("main").classes("columns"):
+        with ui.element("nav").classes("row").style("gap: 4px 18px").props('aria-label="pages"'):
+            for path, (name, _) in PAGES.items():
+                current = "page" if path == here else "false"
+                ui.link(name, path).classes("tab").props(f'aria-current="{current}"')
+        ui.space()
+        button("", dark.toggle, icon="contrast").props('round dense aria-label="dark theme"')
+    with ui.column().classes("w-full").style("gap: 0"):
+        heading(title, "h1")
+        quiet(purpose)
+    with ui.element("div").classes("columns"):
         yield
+    order = list(PAGES)
+    if here != order[-1]:
+        following = order[order.index(here) + 1]
+        ui.link(f"Next: {PAGES[following][0]}", following).classes("next").mark("next")
+
+
+def heading(text: str, tag: str = "h2") -> ui.label:
+    """A heading, "h1" of a page or "h2" of a panel."""
+    made = ui.label(text).classes("heading" if tag == "h2" else "title")
+    made.tag = tag
+    return made
 
 
 @contextmanager
@@ -73,7 +102,7 @@ def panel(title: str = "", *, stays: bool = False) -> Iterator[ui.column]:
     """
     with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px") as made:
         if title:
-            ui.label(title).classes("heading")
+            heading(title)
         yield made
 
 
@@ -125,9 +154,9 @@ def quiet(text: str) -> ui.label:
     return ui.label(on_page(text)).classes("quiet")
 
 
-def results_side() -> ui.column:
-    """A column of results: next to the inputs, and above them on a narrow screen."""
-    return ui.column().classes("w-full results-first").style("gap: 16px")
+def actions() -> ui.row:
+    """The main buttons of a page, which stay in sight on a narrow screen."""
+    return ui.row().classes("actions items-center").style("gap: 8px")
 
 
 def progress_row(jobs: Jobs) -> Callable[[], None]:
@@ -146,7 +175,8 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
     with panel() as shown:
         shown.classes("progress")
         with ui.row().classes("w-full items-center no-wrap"):
-            bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
+            bar = ui.linear_progress(0, show_value=False).props('instant-feedback aria-label="progress"')
+            bar.classes("w-full")
             button("Cancel", cancel, "cancel").props("dense")
         step = ui.label().classes("quiet")
 
@@ -182,7 +212,7 @@ def show_error(error: McKibbenError) -> None:
 
 
 def _message(message: str, remedy: str) -> None:
-    with ui.column().style("gap: 2px; border-left: 3px solid #b3261e; padding-left: 10px").mark("error"):
+    with ui.column().style(f"gap: 2px; border-left: 3px solid {_RED}; padding-left: 10px").mark("error"):
         for line in printable(quotes(message), 4000).splitlines():
             ui.label(line)
         if remedy:
@@ -272,21 +302,21 @@ class JobPage(Generic[State]):
 
 
 _SEVERITIES = {
-    Severity.SEVERE: ("error", VERMILLION),
-    Severity.WARNING: ("warning_amber", ORANGE),
-    Severity.NOTE: ("info", GREY),
+    Severity.SEVERE: ("error", "severe"),
+    Severity.WARNING: ("warning", "warning"),
+    Severity.NOTE: ("info", "quiet"),
 }
-"""Icon and colour of a remark, in addition to its word."""
+"""Icon of a remark, and class of its colour, in addition to its word."""
 
 
 def show_remarks(remarks: Iterable[Remark]) -> None:
     """Show remarks, the most severe first, each with the colour and the word of its severity."""
     order = list(_SEVERITIES)
     for remark in sorted(remarks, key=lambda remark: order.index(remark.severity)):
-        icon, color = _SEVERITIES[remark.severity]
-        with ui.row().classes("no-wrap items-start").style("gap: 8px"):
-            ui.icon(icon, color=color).style("font-size: 18px")
-            quiet(printable(str(remark), 1000))
+        icon, look = _SEVERITIES[remark.severity]
+        with ui.row().classes(f"no-wrap items-start remark {look}").style("gap: 8px"):
+            ui.icon(icon).style("font-size: 18px")
+            ui.label(on_page(printable(str(remark), 1000)))
 
 
 _BREAKS_AT_DOTS = r"""
@@ -335,6 +365,13 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
     return ui.textarea(**options).props(look).classes("w-full mono")
 
 
+_UPLOAD_HEADER = """
+<q-btn flat no-caps icon="upload_file" label="LABEL" class="full-width" @click="props.pickFiles" />
+<label class="trigger">LABEL<q-uploader-add-trigger /></label>
+"""
+"""The field as a button that the keyboard reaches."""
+
+
 def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *, most: int = 1) -> ui.upload:
     """An upload of files; it lists no earlier ones.
 
@@ -357,7 +394,6 @@ def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *,
 
     several = most > 1
     made = ui.upload(
-        label=label,
         auto_upload=True,
         max_total_size=largest,
         on_multi_upload=uploaded if several else None,
@@ -365,6 +401,7 @@ def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *,
         multiple=several,
         max_files=most if several else None,
     )
+    made.add_slot("header", _UPLOAD_HEADER.replace("LABEL", label))
     return made.props("flat bordered").classes("w-full")
 
 
@@ -466,144 +503,3 @@ class NumberSlider:
         if value != self.slider.value:
             self.slider.value = value
             await self._changed(value)
-
-
-def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | None]]:
-    """Pairs for a chart, with gaps where a value is not finite.
-
-    Parameters
-    ----------
-    x, y
-        Arrays of shape (samples,).
-    most
-        Most pairs; of more samples every second, third ... one is taken.
-
-    Examples
-    --------
-    >>> points([0.0, 1.0, 2.0], [1.0, float("nan"), 3.0])
-    [[0.0, 1.0], [1.0, None], [2.0, 3.0]]
-    """
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    step = max(1, -(-len(x) // most))
-    pairs = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
-    return [[round(a, 5), float(f"{b:.5g}") if math.isfinite(b) else None] for a, b in pairs]
-
-
-def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> Series:
-    """A curve of a chart.
-
-    Parameters
-    ----------
-    name
-        Text in the legend and at the pointer.
-    x, y
-        Arrays of shape (samples,), in the units of the axes.
-    color, dash, width
-        Colour, whether it is dashed, and width in pixels.
-    """
-    look = {"color": color, "width": width, "type": [6, 4] if dash else "solid"}
-    return {
-        "type": "line",
-        "name": name,
-        "data": points(x, y),
-        "showSymbol": False,
-        "z": 3,
-        "lineStyle": look,
-        "itemStyle": {"color": color},
-    }
-
-
-def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -> list[Series]:
-    """The area between two curves, as two stacked series.
-
-    Parameters
-    ----------
-    name
-        Text in the legend.
-    x, low, high
-        Arrays of shape (samples,), in the units of the axes.
-    color
-        Colour of the area.
-    """
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    shared: Series = {
-        "type": "line",
-        "stack": name,
-        "stackStrategy": "all",
-        "showSymbol": False,
-        "silent": True,
-        "lineStyle": {"opacity": 0},
-        "tooltip": {"show": False},
-        "emphasis": {"disabled": True},
-    }
-    return [
-        {**shared, "name": f"{name} from", "data": points(x, low)},
-        {
-            **shared,
-            "name": name,
-            "data": points(x, high - low),
-            "itemStyle": {"color": color},
-            "areaStyle": {"color": color, "opacity": 0.22},
-        },
-    ]
-
-
-def dots(name: str, x: ArrayLike, y: ArrayLike, color: str, *, many: int = 40) -> Series:
-    """Points of a chart, below its curves.
-
-    Parameters
-    ----------
-    name, x, y, color
-        As of `line`.
-    many
-        Number of points from which on they are small and pale, as they would hide a curve.
-    """
-    data, crowded = points(x, y), len(np.asarray(x)) > many
-    look = {"color": color, "opacity": 0.35 if crowded else 1}
-    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if crowded else 6, "itemStyle": look}
-
-
-def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, object]) -> ui.echart:
-    """An empty chart.
-
-    Parameters
-    ----------
-    x, y
-        Labels of the axes, with units.
-    height
-        Height in pixels.
-    axes
-        Further options of `xAxis` and `yAxis`, such as `min`.
-    """
-    options = json.loads(resource("starts/chart.json"))
-    for axis, name in (("xAxis", x), ("yAxis", y)):
-        options[axis] |= {"name": name, **axes.get(axis, {})}
-    return ui.echart(options).classes("w-full").style(f"height: {height}px")
-
-
-def draw(on: ui.echart, series: Iterable[Series], *, legend: Iterable[str] | None = None) -> None:
-    """Replace the curves of a chart.
-
-    If their number is unchanged, only the curves are sent, directly to the chart: the page is not rendered again.
-
-    Parameters
-    ----------
-    on
-        Chart.
-    series
-        Curves, areas and points.
-    legend
-        Names in the legend. Default: all but the lower ends of bands.
-    """
-    series = list(series)
-    names = (
-        [curve["name"] for curve in series if not curve["name"].endswith(" from")] if legend is None else list(legend)
-    )
-    names, alike = list(dict.fromkeys(names)), series and len(on.options["series"]) == len(series)
-    with on.props.suspend_updates():  # what is sent later, such as another class, must not bring back older curves
-        on.options["title"]["show"], on.options["legend"]["data"], on.options["series"] = not series, names, series
-    if not alike:
-        on.update()
-        return
-    changed = [{key: curve[key] for key in ("type", "name", "data", "markLine") if key in curve} for curve in series]
-    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})

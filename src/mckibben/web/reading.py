@@ -1,35 +1,100 @@
-"""Fields by which the page of muscles reads a file."""
+"""How the page of muscles reads files: its fields, what a column is chosen to be, and the questions that remain."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple, Self
 
-from mckibben.dataset import IsobaricDataset, Recipe, read_dataset
-from mckibben.errors import DatasetError, ParameterError, ScenarioError
+from mckibben.dataset import TOPICS, IsobaricDataset, Question, Recipe, Table, read_columns, read_dataset
+from mckibben.dataset.checks import questions_of
+from mckibben.dataset.vocabulary import QUANTITIES, parse_header, parse_line
+from mckibben.errors import DatasetError, ScenarioError
 from mckibben.units import show
 
 _UNITS = {"initial_length": "mm", "ambient": "kPa"}
+_OF_JOINTS = ("angle", "torque", "pressure1", "pressure2")
+WORDS = {
+    "": "not used",
+    **{name: name.replace("_", " ") for name in QUANTITIES if name not in _OF_JOINTS},
+    "displacement": "displacement (which way?)",
+    "shortening": "displacement, + = shorter",
+    "lengthening": "displacement, + = longer",
+}
+"""Quantities of columns, with their words on the page."""
+
+
+class ColumnChoice(NamedTuple):
+    """What a column is read as: quantity ("" if it is not used), unit, sign and reference of a pressure.
+
+    `line` is the line of a sensor in volts or counts, of a recipe.
+
+    >>> ColumnChoice.of_name("-force_N"), ColumnChoice.of_name("2*x+1 pressure_kPa_abs").name
+    (ColumnChoice(quantity='force', unit='N', turned=True, absolute=False, line=''), '2*x+1 pressure_kPa_abs')
+    """
+
+    quantity: str
+    unit: str = ""
+    turned: bool = False
+    absolute: bool = False
+    line: str = ""
+
+    @classmethod
+    def of_name(cls, name: str) -> Self:
+        """The choice of a name in a recipe."""
+        line, _, plain = name.rpartition(" ")
+        header = parse_header(parse_line(name)[2])
+        return cls(header.quantity, header.unit, not line and plain.startswith("-"), header.absolute, line)
+
+    @classmethod
+    def of(cls, header: str, table: Table, columns: dict[str, str]) -> Self:
+        """The choice for a column of a file: that of the recipe, or as it was understood."""
+        if (name := columns.get(header)) is not None:
+            return cls("") if name == "ignore" else cls.of_name(name)
+        meant = parse_header(header)
+        for column in table.columns.values():
+            if column.header == header:
+                return cls(column.quantity, column.unit, absolute=meant.absolute)
+        asked = any(question.problem.field == header for question in table.questions)
+        known = asked and meant.quantity in WORDS
+        return cls(meant.quantity, meant.unit, absolute=meant.absolute) if known else cls("")
+
+    def changed(self, **changes: object) -> Self:
+        """With another quantity, whose unit is then the usual one, or another unit, sign or reference."""
+        made = self._replace(**changes)  # type: ignore[arg-type]
+        units = QUANTITIES.get(made.quantity, ())
+        unit = made.unit if made.unit in units else units[0] if units else ""
+        return made._replace(unit=unit, absolute=made.absolute and "pressure" in made.quantity)
+
+    @property
+    def name(self) -> str:
+        """Name in a recipe."""
+        if not self.quantity:
+            return "ignore"
+        name = "_".join(filter(None, (self.quantity, self.unit, "abs" if self.absolute else "")))
+        return f"{self.line} {name}" if self.line else f"-{name}" if self.turned else name
 
 
 @dataclass
 class ReadingFields:
-    """Reading options, as texts of the fields of the page.
+    """Reading options, as the page has them.
 
     Attributes
     ----------
     initial_length, ambient
         Quantities with a unit; empty for none.
-    columns
-        Lines ``HEADER = NAME``, see `column_names`.
+    columns, accept
+        Names of columns by their headers, and topics of questions that are answered with yes.
     further
         All other settings, as the YAML text of a `Recipe`.
     """
 
     initial_length: str = ""
     ambient: str = ""
-    columns: str = ""
+    columns: dict[str, str] = field(default_factory=dict)
+    accept: tuple[str, ...] = ()
     further: str = ""
 
     def take(self, recipe: Recipe) -> None:
@@ -37,46 +102,62 @@ class ReadingFields:
         for name, unit in _UNITS.items():
             value = getattr(recipe, name)
             setattr(self, name, "" if value is None else show(value, unit, 12))
-        self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
-        further = recipe.model_copy(update=dict.fromkeys((*_UNITS, "columns")))
+        self.columns, self.accept = dict(recipe.columns or {}), recipe.accept
+        further = recipe.model_copy(update={**dict.fromkeys((*_UNITS, "columns")), "accept": ()})
         self.further = "" if further == Recipe() else further.dumps()
 
     def recipe(self) -> Recipe:
-        """The recipe of all fields.
-
-        Raises `ParameterError` for a line of `columns` that is not a pair, and `ScenarioError` with all mistakes of
-        the settings.
-        """
+        """The recipe of all fields; raises `ScenarioError` with all mistakes of the settings."""
         options: dict[str, object] = {name: text for name in _UNITS if (text := getattr(self, name).strip())}
-        options |= {"columns": names} if (names := column_names(self.columns)) else {}
+        options |= {name: value for name in ("columns", "accept") if (value := getattr(self, name))}
         return Recipe.parse(self.further, source="further settings").with_options(options)
 
 
-def understood(data: IsobaricDataset) -> list[tuple[str, ...]]:
-    """What was understood of the columns of the files, as rows of texts for a table.
+class Read(NamedTuple):
+    """What was read of the files of a test.
 
-    Rows are those of `dataset.Table.rows`, each once; without ranges if files differ.
+    Attributes
+    ----------
+    tables
+        What was understood of each file; none of a file that this program wrote.
+    data
+        Points; None while questions about columns are open.
+    questions
+        What is not plain, and not answered.
     """
-    several = len(data.lines) > 1
-    rows = (row for part in data.lines for row in part.rows())
-    return list(dict.fromkeys((*row[:4], "", *row[5:]) if several else row for row in rows))
+
+    tables: tuple[Table, ...]
+    data: IsobaricDataset | None
+    questions: tuple[Question, ...]
 
 
-def column_names(text: str) -> dict[str, str]:
-    """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``; `ParameterError` for other lines.
+def read(paths: Sequence[Path], fields: ReadingFields) -> Read:
+    """Read the files of a test as the fields say; errors name them without their folder.
 
-    >>> column_names("Druck [bar] = pressure_bar")
-    {'Druck [bar]': 'pressure_bar'}
+    There are points, to be drawn, as soon as columns are understood; questions about their numbers may still be open.
     """
-    names = {}
-    for number, line in enumerate(filter(str.strip, text.splitlines()), start=1):
-        header, equals, name = (part.strip() for part in line.rpartition("="))
-        if not (header and equals and name):
-            raise ParameterError(
-                f"columns, line {number} is not a pair", value=line, remedy="write HEADER = pressure_bar"
-            )
-        names[header] = name
-    return names
+    recipe = fields.recipe()
+    try:
+        data = read_dataset(paths, recipe.with_options({"accept": list(TOPICS)}))
+    except DatasetError as error:
+        try:
+            table = read_columns(paths[0], recipe)
+        except DatasetError:
+            table = None
+        if table is None:
+            raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None
+        asked = _open(table.questions, recipe) or tuple(Question(problem) for problem in error.problems)
+        return Read((table,), None, asked)
+    asked = tuple(itertools.chain.from_iterable(table.questions for table in data.lines))
+    if "columns_read" in data.table.attrs:  # this program did not write it
+        lines = list(itertools.chain.from_iterable(table.lines for table in data.lines))
+        asked += tuple(questions_of(data, lines))
+    return Read(data.lines, data, _open(asked, recipe))
+
+
+def _open(questions: Sequence[Question], recipe: Recipe) -> tuple[Question, ...]:
+    """Questions that a recipe does not answer."""
+    return tuple(question for question in questions if not question.topic or question.topic not in recipe.accept)
 
 
 def refusal(name: str, text: str | None) -> str | None:
@@ -90,11 +171,3 @@ def refusal(name: str, text: str | None) -> str | None:
     except ScenarioError as error:
         return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
     return None
-
-
-def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
-    """The points of the files of a test, read as the fields say; errors name them without their folder."""
-    try:
-        return read_dataset(paths, fields.recipe())
-    except DatasetError as error:
-        raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None

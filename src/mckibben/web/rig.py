@@ -16,15 +16,17 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError, RigError
-from mckibben.report.palette import BLUE, GREEN, VERMILLION
+from mckibben.report.palette import BLACK, GREY, MEASURED
 from mckibben.result import Result, column
 from mckibben.rig.document import RigTest
 from mckibben.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.rig.session import Progress
 from mckibben.units import bar, percent
 from mckibben.web import resource
+from mckibben.web.charts import chart, dots, draw, line
 from mckibben.web.identify import IdentificationState
-from mckibben.web.layout import JobPage, button, chart, dots, draw, frame, line, panel, select, side, text_area
+from mckibben.web.layout import JobPage, actions, button, frame, panel, select, side, text_area
+from mckibben.web.reading import Read
 from mckibben.web.results import Presented, show_result
 from mckibben.web.session import JobState, session
 
@@ -158,10 +160,10 @@ class _Page(JobPage[RigState]):
         with side(), panel("Test on the simulated rig"):
             text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
             select(_PACES, "time of the rig").bind_value(state, "pace")
-            with ui.row().style("gap: 8px"):
+            with actions():
                 button("Start", self.start, "start", main=True)
                 button("Vent", self.vent, "vent", main=True, color="negative")
-            self.bar = ui.linear_progress(0, show_value=False).props("instant-feedback")
+            self.bar = ui.linear_progress(0, show_value=False).props('instant-feedback aria-label="points measured"')
             self.status = ui.label().classes("quiet number")
         with side():
             self.results = ui.column().classes("w-full")
@@ -183,10 +185,10 @@ class _Page(JobPage[RigState]):
         if len(rows) != self.drawn:
             self.drawn = len(rows)
             times, pressure, force, contraction = np.array(rows or [(np.nan,) * 4]).T
-            draw(self.pressure, [line("pressure", times, pressure, GREEN, width=1.5)])
-            draw(self.force, [line("force", times, force, BLUE, width=1.5)])
-            now = dots("now", contraction[-1:], force[-1:], VERMILLION) | {"symbolSize": 11}
-            draw(self.loop, [line("measured", contraction, force, BLUE, width=1), now])
+            draw(self.pressure, [line("pressure", times, pressure, GREY, width=1.5)])
+            draw(self.force, [line("force", times, force, MEASURED, width=1.5)])
+            now = dots("now", contraction[-1:], force[-1:], BLACK) | {"symbolSize": 11}
+            draw(self.loop, [line("measured", contraction, force, MEASURED, width=1), now])
         if self.news():
             for plot in self.charts:
                 plot.classes(**{"add" if state.old and state.error is not None else "remove": "stale"})
@@ -226,6 +228,8 @@ class _Page(JobPage[RigState]):
         """Use the points on the muscle page."""
         muscle, result = session().state(IdentificationState), self.state.result
         assert result is not None
-        muscle.use("test on the simulated rig", result.data, [self.state.source] if self.state.source else [])
+        muscle.use(
+            "test on the simulated rig", Read((), result.data, ()), [self.state.source] if self.state.source else []
+        )
         muscle.jobs.version += 1
         ui.navigate.to("/identify")

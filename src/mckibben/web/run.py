@@ -15,24 +15,18 @@ from nicegui import events, ui
 
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import printable
-from mckibben.report.palette import BLACK, BLUE, MUSCLES
+from mckibben.report.palette import DESIRED, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
+from mckibben.web.charts import Series, band, chart, draw, line
 from mckibben.web.identify import NEEDS_MUSCLE
 from mckibben.web.layout import (
-    PALETTE,
     JobPage,
     NumberField,
-    Series,
-    band,
     button,
-    chart,
-    draw,
     frame,
-    line,
     panel,
     quiet,
-    results_side,
     select,
     side,
     table,
@@ -61,7 +55,8 @@ _NEW_JOINT = (
     "The joint is that of the page Joint, with another reference of the stiffness. Load, valve and gains are still "
     "those of the scenario before: set them here, and tune the gains on the page Tune."
 )
-_MOST_OVERLAYS = len(PALETTE) - 1
+_KEPT = (PURPLE, ORANGE, SKY)
+"""Colours of kept runs, of which there are at most as many."""
 _GROUPS = {"controller.": "Gains", "reference.": "References"}
 _PLANT = {
     "joint.": "Joint and muscles",
@@ -109,7 +104,7 @@ class _Page(JobPage[Workbench]):
                     button("Run", self.apply, "run", main=True)
                     button("Download", self.download)
                 upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
-        with results_side():
+        with side():
             with ui.row().classes("w-full items-center").style("gap: 12px"):
                 button("Keep this run", self.keep, "keep", main=True)
                 button("Remove kept runs", self.clear)
@@ -291,7 +286,7 @@ class _Page(JobPage[Workbench]):
         state = self.state
         if state.current is not None:
             state.overlays.append(dataclasses.replace(state.current, name=f"run {len(state.overlays) + 1}"))
-            del state.overlays[:-_MOST_OVERLAYS]
+            del state.overlays[: -len(_KEPT)]
             state.jobs.version += 1
 
     def clear(self) -> None:
@@ -304,17 +299,15 @@ class _Page(JobPage[Workbench]):
         time, columns, overlays = now.columns["time"], now.columns, self.state.overlays
 
         def reference(name: str, unit: float) -> Series:
-            return line("reference", time, columns[name] / unit, BLACK, dash=True, width=1.5)
+            return line("desired", time, columns[name] / unit, DESIRED, dash=True, width=1.5)
 
         def curves(name: str, unit: float) -> list[Series]:
             older = [
-                line(
-                    run.name, run.columns["time"], run.columns[name] / unit, PALETTE[1 + i % _MOST_OVERLAYS], width=1.5
-                )
-                for i, run in enumerate(overlays)
+                line(run.name, run.columns["time"], run.columns[name] / unit, color, width=1.5)
+                for color, run in zip(_KEPT, overlays, strict=False)
                 if name in run.columns
             ]
-            return [*older, line("now", time, columns[name] / unit, BLUE)]
+            return [*older, line("now", time, columns[name] / unit, MEASURED)]
 
         draw(self.angle, [*curves("angle", deg), reference("desired_angle", deg)])
         bounds = band("attainable at rest", time, *now.band, "#9aa7b3")

@@ -23,7 +23,6 @@ from mckibben.web.layout import (
     panel,
     progress_row,
     quiet,
-    results_side,
     select,
     side,
 )
@@ -108,7 +107,7 @@ class _Page(JobPage[StudyState]):
                 "with iterations, that of comparing with controllers, generations and unseen runs. `mckibben tune` and "
                 "`mckibben compare` do larger ones, and can be interrupted and resumed."
             )
-        with results_side():
+        with side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
         ui.timer(0.15, self.refresh)
 
