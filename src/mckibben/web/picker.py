@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from nicegui import ui
 
@@ -76,7 +77,7 @@ class ColumnPicker:
             for cell in self.table.head[header]:
                 ui.label(printable(cell, 24)).classes("cell number")
 
-    def choose(self, header: str, choice: ColumnChoice, part: str, options: dict[object, str], label: str = "") -> None:
+    def choose(self, header: str, choice: ColumnChoice, part: str, options: dict[Any, str], label: str = "") -> None:
         """A select for a part of a choice, named for screen readers by the column."""
         value = getattr(choice, part)
         made = select(
