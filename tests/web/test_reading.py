@@ -21,7 +21,7 @@ def test_columns_are_chosen_until_nothing_is_open(tmp_path):
     path.write_text("\n".join(["Abs. pressure (kPa);Crosshead (mm);Force (N);Druck ist", *rows]), encoding="utf-8")
     fields = reading.ReadingFields()
     (table,), data, questions = reading.read([path], fields)
-    assert data is None and table.head["Force (N)"][0] == "-20"
+    assert data is None and table.head["Force (N)"][0] == -20
     choices = {header: ColumnChoice.of(header, table, fields.columns) for header in table.head}
     assert choices["Abs. pressure (kPa)"] == ColumnChoice("pressure", "kPa", absolute=True)
     assert choices["Crosshead (mm)"] == ColumnChoice("displacement", "mm")

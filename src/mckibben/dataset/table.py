@@ -96,7 +96,7 @@ class Table:
     ignored
         Headers of the columns that are not read.
     head
-        First cells of every column of the file, by its header, as texts.
+        First cells of every column of the file, by its header, numbers or texts.
     lines
         Shape (rows,): line of each row, or its number in a file of rows (`place`).
     questions
@@ -118,7 +118,7 @@ class Table:
     path: Path
     columns: dict[str, Column] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
-    head: dict[str, list[str]] = field(default_factory=dict)
+    head: dict[str, Sequence[str] | np.ndarray] = field(default_factory=dict)
     lines: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     place: str = "line"
     questions: list[Question] = field(default_factory=list)
@@ -156,10 +156,9 @@ class Table:
                 scale = si_factor(Header(column.quantity, column.unit))
                 low, high = (f"{bound(column.values) / scale:.4g}" for bound in (np.nanmin, np.nanmax))
                 shown = low if low == high else f"{low}..{high}"
-            remarks = [*column.remarks]
-            if column.quantity in MOTIONS and self.initial_length:
-                remarks.append(f"initial length {show(self.initial_length, 'mm', 5)}")
-            origin, text = column.source if column.unit else "", ", ".join(filter(None, remarks))
+            known = column.quantity in MOTIONS and self.initial_length
+            length = f"initial length {show(self.initial_length, 'mm', 5)}" if known else ""
+            origin, text = column.source if column.unit else "", ", ".join(filter(None, (*column.remarks, length)))
             rows.append((printable(column.header), column.quantity, column.unit, origin, shown, text))
         return rows
 

@@ -58,7 +58,6 @@ _WORDS: Mapping[str, Mapping[str, str]] = {
 """Meanings of the words of a direction and of a phase; of none and of unknown ones it is empty."""
 _MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _ROUNDING = 0.5e-3  # m: precision of lengths
-_HEAD = 4  # rows that are shown as they are
 _LISTED = 1000  # corrupt cells of a column that are named
 _WORDS_LISTED = 20  # unknown words of a column that are named
 _LONGEST = 20.0  # m
@@ -109,9 +108,7 @@ class _Reader:
         self.mapping = {str(key).strip(): name for key, name in (recipe.columns or {}).items()}
         lines = np.asarray(raw.lines, np.int64)
         self.table = Table(path, place=raw.place, lines=lines, interval=raw.interval, questions=raw.questions)
-        for column in raw.columns:
-            first = column.cells[:_HEAD]
-            self.table.head[column.name] = [cell if isinstance(cell, str) else f"{cell:.6g}" for cell in first]
+        self.table.head = {column.name: column.cells[:4] for column in raw.columns}
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
         self.asked_about: set[str] = set()
@@ -133,8 +130,7 @@ class _Reader:
             meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"name them: {meant}{_ELSEWHERE}")
         self._ask_about_words(chosen)
-        left_out = [asked.problem for asked in self.asked if asked.topic == "corrupt"]
-        table.repairs += [str(replace(problem, remedy="")) for problem in left_out]
+        table.repairs += [str(replace(asked.problem, remedy="")) for asked in self.asked if asked.topic == "corrupt"]
         self._leave_out()
         return table
 

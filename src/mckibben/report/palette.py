@@ -5,9 +5,5 @@ BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """The colour-blind safe palette of Okabe and Ito."""
 GREY, BAND = "#5F6B76", "#DBE2E9"
 """Colours of texts and lines in the background, and of ranges."""
-MUSCLES = (BLUE, VERMILLION)
-"""Colours of muscles 1 (antagonist) and 2 (agonist)."""
-DESIRED, MEASURED = BLACK, GREEN
-"""Colours of what is desired, dashed, and of what is measured or simulated."""
-PRESSURES = ("#440154", "#414487", "#2A788E", "#22A884", "#7AD151")
-"""Hues from the lowest to the highest pressure: `style.pressure_colours`, viridis without its palest end."""
+MUSCLES, DESIRED, MEASURED = (BLUE, VERMILLION), BLACK, GREEN
+"""Colours of muscles 1 (antagonist) and 2 (agonist), of what is desired, and of what is measured or simulated."""

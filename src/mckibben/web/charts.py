@@ -15,13 +15,13 @@ import numpy as np
 from nicegui import ui
 from numpy.typing import ArrayLike
 
-from mckibben.report.palette import PRESSURES
 from mckibben.web import resource
 
 Series = dict[str, Any]
 """Options of a curve of a chart."""
 
 _MOST_POINTS = 1500
+_PRESSURES = ["#440154", "#414487", "#2A788E", "#22A884", "#7AD151"]  # as `mckibben.report.style.pressure_colours`
 
 
 def points(x: ArrayLike, y: ArrayLike, most: int = _MOST_POINTS) -> list[list[float | None]]:
@@ -164,7 +164,7 @@ def chart(
     if scale:
         low, high = span
         options["visualMap"] |= {"show": True, "dimension": 2, "min": low, "max": high, "text": [scale, ""]}
-        options["visualMap"]["inRange"] = {"color": list(PRESSURES)}
+        options["visualMap"]["inRange"] = {"color": _PRESSURES}
         options["tooltip"]["trigger"], options["legend"]["show"] = "item", False
         options["grid"]["top"] = 50
     else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from nicegui import ui
 
@@ -12,10 +11,6 @@ from mckibben.dataset.vocabulary import QUANTITIES
 from mckibben.errors import printable
 from mckibben.web.layout import button, quiet, select
 from mckibben.web.reading import WORDS, ColumnChoice, ReadingFields
-
-_MOST_COLUMNS = 60
-_MOST_QUESTIONS = 3  # of a column
-_ATMOSPHERE = "101.3 kPa"
 
 
 class ColumnPicker:
@@ -43,7 +38,7 @@ class ColumnPicker:
             if question not in placed:
                 self.ask(question, self.accepting(question), remedy=True)
         with ui.row().classes("picker no-wrap items-stretch").mark("picker"):
-            for header in list(table.head)[:_MOST_COLUMNS]:
+            for header in list(table.head)[:60]:
                 self.column(header)
 
     def about(self, header: str) -> list[Question]:
@@ -66,18 +61,20 @@ class ColumnPicker:
                         self.choose(header, choice, "turned", {False: "as it is", True: "reversed"}, "sign")
             if "pressure" in choice.quantity:
                 self.choose(header, choice, "absolute", {False: "gauge", True: "absolute"}, "reference")
-            for question in asked[:_MOST_QUESTIONS]:
+            for question in asked[:3]:
                 at_column = question.topic in ("", "columns")
                 self.ask(question, self.answers(header, choice) if at_column else self.accepting(question))
-            if (more := len(asked) - _MOST_QUESTIONS) > 0:
+            if (more := len(asked) - 3) > 0:
                 quiet(f"and {more} more")
             for text in filter(None, self.ranges.get(name, ())):
                 quiet(text)
             ui.space()
             for cell in self.table.head[header]:
-                ui.label(printable(cell, 24)).classes("cell number")
+                ui.label(printable(cell if isinstance(cell, str) else f"{cell:.6g}", 24)).classes("cell number")
 
-    def choose(self, header: str, choice: ColumnChoice, part: str, options: dict[Any, str], label: str = "") -> None:
+    def choose(
+        self, header: str, choice: ColumnChoice, part: str, options: dict[str, str] | dict[bool, str], label: str = ""
+    ) -> None:
         """A select for a part of a choice, named for screen readers by the column."""
         value = getattr(choice, part)
         made = select(
@@ -101,13 +98,13 @@ class ColumnPicker:
             return lambda: self.set(header, answer)
 
         def give_ambient() -> None:
-            self.fields.ambient = _ATMOSPHERE
+            self.fields.ambient = "101.3 kPa"
             self.changed()
 
         if choice.quantity == "displacement":
             return {WORDS[way]: pick(choice.changed(quantity=way)) for way in ("shortening", "lengthening")}
         if choice.absolute and not self.fields.ambient:
-            return {f"ambient {_ATMOSPHERE}": give_ambient, "it is gauge": pick(choice.changed(absolute=False))}
+            return {"ambient 101.3 kPa": give_ambient, "it is gauge": pick(choice.changed(absolute=False))}
         unused = {"not used": pick(ColumnChoice(""))}
         if choice.quantity in self.table.columns:  # its numbers cannot be those of a muscle
             return {"reverse its sign": pick(choice.changed(turned=not choice.turned)), **unused}
