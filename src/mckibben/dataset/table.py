@@ -156,8 +156,8 @@ class Table:
                 scale = si_factor(Header(column.quantity, column.unit))
                 low, high = (f"{bound(column.values) / scale:.4g}" for bound in (np.nanmin, np.nanmax))
                 shown = low if low == high else f"{low}..{high}"
-            known = column.quantity in MOTIONS and self.initial_length
-            length = f"initial length {show(self.initial_length, 'mm', 5)}" if known else ""
+            known = self.initial_length if column.quantity in MOTIONS else None
+            length = f"initial length {show(known, 'mm', 5)}" if known else ""
             origin, text = column.source if column.unit else "", ", ".join(filter(None, (*column.remarks, length)))
             rows.append((printable(column.header), column.quantity, column.unit, origin, shown, text))
         return rows
