@@ -15,8 +15,9 @@ from collections import Counter
 import numpy as np
 from scipy.optimize import brentq
 
-from mckibben import ExponentialLaw, IsobaricDataset, identify
+from mckibben import ExponentialLaw, IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification import fit_law
 from mckibben.result import Severity
 from mckibben.units import bar, deg, mm
 
@@ -69,7 +70,7 @@ def degenerate(kind, rng):
 def outcome(data):
     """How a test ends: refused, severe or silent."""
     try:
-        fit = identify(ExponentialLaw, data)
+        fit = fit_law(ExponentialLaw, data)
     except IdentificationError:
         return "refused"
     return "severe" if any(note.severity is Severity.SEVERE for note in fit.notes) else "silent"

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rows import Candidate, Table
 from timing import Bench
 
-from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
+from mckibben import ExponentialLaw, IsobaricDataset, catalog, read_dataset
+from mckibben.identification import fit_law
 from mckibben.muscle import ForceLaw, forces
 from mckibben.units import bar, kPa, percent
 
@@ -42,7 +43,7 @@ def identification(folder: Path, *, quick: bool) -> Table:
     dataset = synthetic(truth)
     path = folder / "samples.nc"
     dataset.to_netcdf(path)
-    law = identify(ExponentialLaw, dataset).law
+    law = fit_law(ExponentialLaw, dataset).law
     used = 100 if quick else SAMPLES
     guess = 1.2 * np.array([getattr(truth, name) for name in PARAMETERS]) / UNITS
 
@@ -97,16 +98,16 @@ def identification(folder: Path, *, quick: bool) -> Table:
     plateaus = dataset.plateau_means()
     note = "plateau means, fit, errors at unseen pressures; starts without a guess"
     bench.entries += [
-        Candidate(OURS, lambda: identify(ExponentialLaw, dataset), 1.0, off(truth), 1.0, note, OURS),
+        Candidate(OURS, lambda: fit_law(ExponentialLaw, dataset), 1.0, off(truth), 1.0, note, OURS),
         Candidate(
             f"{OURS}, on plateau means",
-            lambda: identify(ExponentialLaw, plateaus),
+            lambda: fit_law(ExponentialLaw, plateaus),
             note="computed beforehand",
             base=OURS,
         ),
         Candidate("NumPy, plateau means alone", lambda: _averaged(dataset), note="float64 sums", base=OURS),
         Candidate(
-            f"{OURS}, from its file", lambda: identify(ExponentialLaw, read_dataset(path)), note="NetCDF", base=READ
+            f"{OURS}, from its file", lambda: fit_law(ExponentialLaw, read_dataset(path)), note="NetCDF", base=READ
         ),
         Candidate(READ, lambda: xr.load_dataset(path, engine="h5netcdf"), base=OURS),
     ]

@@ -69,7 +69,7 @@ def predicted(law: str, points: IsobaricDataset, new: IsobaricDataset) -> np.nda
         half = NormalDist().inv_cdf(0.975) * deviation
         band = IntervalEstimate(0.95, value, deviation, np.full(len(new), np.inf), value - half, value + half)
     else:
-        fit = mk.identify(LAWS[f"{law}Law"], points, robust=False)
+        fit = mk.identify(points, LAWS[f"{law}Law"], robust=False)
         band = fit.force_intervals(new.contraction, new.pressure).prediction
     half = (band.upper - band.lower) / 2
     return np.array([band.value - new.force, half, band.score(new.force), band.contains(new.force)])

@@ -59,11 +59,11 @@ def main() -> None:
 
 def _results(scenario: mk.Scenario) -> None:
     """First pictures of the pages on data, laws, scenarios, tuning and valves, in 64 colors."""
-    found = mk.identify_with_friction(mk.ExponentialLaw, mk.read_dataset(ROOT / "examples" / "rig.csv"))
+    found = mk.identify(ROOT / "examples" / "rig.csv")
     measured = mk.catalog.dataset("dmsp-10-250-martens2017")
     some = measured.select(np.isin(measured.levels, np.array([3.35, 6.5]) * bar))
     laws = {
-        "Eq. 2": mk.identify(mk.ExponentialLaw, measured).law,
+        "Eq. 2": mk.identify(measured).law,
         "Chou (Eq. 1)": mk.ChouLaw.of(mk.catalog.specimen("DMSP-10-250")),
     }
     valves = {
@@ -71,7 +71,7 @@ def _results(scenario: mk.Scenario) -> None:
         for name in ("ITV0050", "VPPE-6")
     }
     figures = {
-        "data": mk.report.isobaric(found.points, found.fit),
+        "data": found.plot(),
         "laws": mk.report.law_comparison(some, laws),
         "scenario": mk.report.control_results({"two PID loops": ("PID", scenario.simulate())}),
         "tuning": mk.tune(scenario, iterations=15).plot(),

@@ -90,13 +90,13 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 810,
+    "top": 820,
     "actuator": 1050,
     "calibration": 1970,
     "catalog": 230,
-    "cli": 1490,
+    "cli": 1470,
     "codegen": 2590,
-    "component": 1020,
+    "component": 1050,
     "config": 550,
     "containment": 290,
     "contract": 640,
@@ -106,7 +106,7 @@ BUDGET = {
     "export": 2480,
     "firmware": 140,
     "identification": 3600,
-    "joint": 1160,
+    "joint": 1200,
     "robot": 3360,
     "muscle": 1580,
     "numerics": 840,
@@ -115,11 +115,11 @@ BUDGET = {
     "reachability": 1210,
     "report": 2230,
     "rig": 5410,
-    "scenario": 680,
+    "scenario": 730,
     "serial_protocol": 160,
     "simulation": 2770,
     "storage": 570,
-    "study": 2860,
+    "study": 2910,
     "web": 2600,
 }
 

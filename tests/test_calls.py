@@ -1,5 +1,6 @@
 """Calls that a new user tries: those that forward, and wrong ones, whose errors name the call that is meant."""
 
+import functools
 import re
 
 import jax
@@ -13,6 +14,7 @@ from mckibben.units import bar, deg
 SCENARIO = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
 DATA = mk.catalog.dataset("dmsp-10-250-martens2017")
 LAW = mk.catalog.law("lei-mas-10-180n")
+FIT = functools.cache(lambda: mk.identify(DATA))
 
 
 @pytest.mark.parametrize(
@@ -20,12 +22,21 @@ LAW = mk.catalog.law("lei-mas-10-180n")
     [
         (lambda: mk.simulate(SCENARIO), "scenario.simulate()"),  # type: ignore[arg-type]
         (lambda: mk.simulate(SCENARIO.plant(), SCENARIO.control()), "simulate(plant, controller, reference)"),
-        (lambda: mk.identify(DATA), "identify(law_type, dataset"),  # type: ignore[call-arg, arg-type]
+        (lambda: mk.identify(), "identify(data"),  # type: ignore[call-arg]
+        (lambda: mk.identify("exponential", "examples/rig.csv"), "swapped"),
+        (lambda: mk.identify(DATA, initial_length="280 mm"), "read_dataset"),
+        (lambda: mk.identify(DATA, friction="colomb"), "coulomb"),
+        (lambda: mk.joint(FIT(), "pulley", radius="30 mm"), "FitWithFriction.muscle()"),  # type: ignore[operator]
+        (lambda: mk.joint(FIT().muscle(), "puley"), "'pulley'"),  # type: ignore[operator]
+        (lambda: mk.joint(FIT().muscle(), "pulley", radius=30), "30 mm is 0.03 m"),  # type: ignore[operator]
+        (lambda: mk.joint(FIT().muscle(), radius="30"), "'30 mm'"),  # type: ignore[operator]
+        (lambda: FIT().muscle(diameter="20 bar"), "such as mm"),  # type: ignore[arg-type]
+        (lambda: SCENARIO.joint.scenario(), "scenario(load"),  # type: ignore[call-arg]
         (lambda: mk.Step(0.0, "10 deg", 1.0), "0.174533 or 10 * deg"),  # type: ignore[arg-type]
-        (lambda: mk.Specimen("mine", "3 bar"), "3 * mm"),  # type: ignore[arg-type]
-        (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(ExponentialLaw, data)"),  # type: ignore[arg-type]
+        (lambda: mk.Specimen("mine", "3 bar"), "such as mm"),  # type: ignore[arg-type]
+        (lambda: mk.identify(DATA, mk.SmoothLaw()), "mk.identify(data, SmoothLaw)"),  # type: ignore[call-arg, arg-type]
         (lambda: mk.rank(mk.ExponentialLaw, DATA), "swapped"),  # type: ignore[arg-type]
-        (lambda: mk.identify(mk.ExponentialLaw, DATA, robust="no"), "True or False"),  # type: ignore[arg-type]
+        (lambda: mk.identify(DATA, robust="no"), "True or False"),  # type: ignore[arg-type]
         (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]
         (lambda: mk.report.tracking(SCENARIO), "result.plot()"),  # type: ignore[arg-type]
         (lambda: LAW.force("10 %", 3 * bar), "0.1 or 10 * percent"),  # type: ignore[arg-type]
@@ -68,8 +79,7 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (lambda: SCENARIO, "simulat", "simulate"),
         (lambda: SCENARIO, "stiffness", "joint.stiffness(angle, pressures)"),
         (lambda: LAW, "stiffness", "slope(contraction, pressure)"),
-        (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA), "rmse", "fit.rmse"),
-        (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA), "predict", "fit.predict"),
+        (lambda: SCENARIO.joint, "simulate", "scenario(load).simulate()"),
         (lambda: mk, "envelope", "scenario.envelope()"),
         (lambda: mk, "ExponentialLw", "ExponentialLaw"),
         (lambda: DATA, "identify", "mk.identify"),
@@ -77,8 +87,8 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (lambda: LAW, "forces", "force"),
         (lambda: LAW, "decai", "decay"),
         (lambda: mk.catalog, "laws", "law"),
-        (lambda: mk.identify(mk.ExponentialLaw, DATA), "force", "predict(contraction, pressure)"),
-        (lambda: mk.identify(mk.ExponentialLaw, DATA), "muscle", "identify_with_friction"),
+        (FIT, "force", "predict(contraction, pressure)"),
+        (FIT, "joint", "mk.joint(fit.muscle()"),
         (lambda: SCENARIO.simulate(), "rmse", 'metrics["angle_rmse"]'),
         (lambda: SCENARIO.simulate(), "angle", 'result["angle"]'),
     ],
@@ -90,7 +100,7 @@ def test_an_unknown_name_has_a_suggestion(of, name, meant):
     assert not hasattr(SCENARIO, "nothing_like_it") and not hasattr(mk, "nothing_like_it")
 
 
-@pytest.mark.parametrize("function", [mk.identify, mk.rank, mk.identify_with_friction])
+@pytest.mark.parametrize("function", [mk.identify, mk.rank])
 def test_an_option_of_the_command_line_is_given_its_name_in_python(function):
     with pytest.raises(CallError) as caught:
         function(keep_outliers=True)
@@ -144,7 +154,7 @@ def test_lists_stand_for_arrays_in_direct_calls():
     expected = LAW.force(np.array([0.1, 0.2]), np.array([1e5, 2e5]))
     np.testing.assert_array_equal(LAW.force([0.1, 0.2], [1e5, 2e5]), expected)
     np.testing.assert_array_equal(LAW.force((0.1, 0.2), [1e5, 2e5]), expected)
-    nested, fit = [[0.1, 0.15], [0.1, 0.15]], mk.identify(mk.ExponentialLaw, DATA)
+    nested, fit = [[0.1, 0.15], [0.1, 0.15]], FIT()
     assert LAW.force(nested, 2e5).shape == fit.predict(nested, 2e5).shape == (2, 2)
     traced = jax.jit(lambda eps: LAW.force([eps, 0.2], [1e5, 2e5]))(0.1)
     np.testing.assert_allclose(traced, expected, rtol=1e-12)

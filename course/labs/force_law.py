@@ -107,7 +107,7 @@ def fit_rmse(decay):
 
 
 # %% check fit 3
-fit = mk.identify(mk.ExponentialLaw, data)  # searches the decay too
+fit = mk.identify(data, mk.ExponentialLaw)  # searches the decay too
 grading.close(fit_rmse(fit.law.decay), fit.rmse, tolerance=1e-3, unit="N")
 grading.ensure(fit_rmse(2 * fit.law.decay) > fit.rmse, "Another decay cannot fit better than the best one.")
 ### BEGIN HIDDEN TESTS
@@ -121,7 +121,7 @@ grading.close(other[:, 2:4], [[0.03, 0.06], [0.11, 0.55]], tolerance=1e-9)
 # A fit with seven parameters describes the points from which it was made better than any others. Does it predict a
 # pressure that was never measured? Points of one pressure were measured in one sweep and share their errors; leaving
 # out single points would flatter the law. Leave out **one whole pressure** at a time, identify the law from the others
-# (`mk.identify(mk.ExponentialLaw, data.select(mask))`), and predict the pressure that was left out. Return the root
+# (`mk.identify(data.select(mask), mk.ExponentialLaw)`), and predict the pressure that was left out. Return the root
 # mean square of all these prediction errors.
 #
 # Predict first: is it smaller or larger than the error of the fit?
@@ -134,7 +134,7 @@ def validation_rmse(data):
     pressure, errors = np.asarray(data.pressure), []
     for level in np.unique(pressure):
         out = pressure == level
-        law = mk.identify(mk.ExponentialLaw, data.select(~out)).law
+        law = mk.identify(data.select(~out), mk.ExponentialLaw).law
         held = data.select(out)
         errors.append(np.asarray(held.force) - np.asarray(law.force(held.contraction, held.pressure)))
     return np.sqrt(np.mean(np.concatenate(errors) ** 2))
@@ -147,16 +147,16 @@ grading.close(validation_rmse(data), fit.leave_one_pressure_out.rmse, tolerance=
 # %% [markdown]
 # ## Task 4: compare
 #
-# How much worse is the ideal muscle? Identify Chou's law from the same data (`mk.identify(mk.ChouLaw, data)` fits braid
+# How much worse is the ideal muscle? Identify Chou's law from the same data (`mk.identify(data, mk.ChouLaw)` fits braid
 # angle and diameter) and give the ratio of its error to that of Eq. 2.
 
 # %% task compare
 ### BEGIN SOLUTION
-error_ratio = mk.identify(mk.ChouLaw, data).rmse / fit.rmse
+error_ratio = mk.identify(data, mk.ChouLaw).rmse / fit.rmse
 ### END SOLUTION
 
 # %% check compare 2
-residual = force - np.asarray(mk.identify(mk.ChouLaw, data).law.force(contraction, pressure))
+residual = force - np.asarray(mk.identify(data, mk.ChouLaw).law.force(contraction, pressure))
 grading.close(error_ratio, np.sqrt(np.mean(residual**2)) / fit.rmse, tolerance=0.02)
 
 # %% [markdown]

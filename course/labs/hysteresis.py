@@ -281,7 +281,7 @@ grading.close(deviation, friction_torque / without, tolerance=0.08, unit="rad")
 # %% [markdown]
 # ## Task 7: identify
 #
-# Fit Eq. 2 to the points of the first test in three ways: to all of them (`mk.identify(mk.ExponentialLaw, ...)`), to
+# Fit Eq. 2 to the points of the first test in three ways: to all of them (`mk.identify(..., mk.ExponentialLaw)`), to
 # those of loading alone, and together with the friction (`mk.identify_hysteresis(mk.ExponentialLaw, data)`, with the
 # results `.law` and `.friction`). Give the **bias** of each law: the mean of its force minus that of the true law
 # (`law.force`) over the grid below. Two of the three are almost unbiased. Predict which one is not, and its sign.
@@ -294,7 +294,7 @@ grid = np.meshgrid(np.linspace(0.02, 0.14, 13), [3 * bar, 4 * bar, 5 * bar, 6 * 
 # %% task identify
 ### BEGIN SOLUTION
 found = mk.identify_hysteresis(mk.ExponentialLaw, data)
-laws = [mk.identify(mk.ExponentialLaw, means).law, mk.identify(mk.ExponentialLaw, loading).law, found.law]
+laws = [mk.identify(means, mk.ExponentialLaw).law, mk.identify(loading, mk.ExponentialLaw).law, found.law]
 bias_all, bias_loading, bias_with_friction = (
     np.mean(np.asarray(each.force(*grid)) - np.asarray(law.force(*grid))) for each in laws
 )
@@ -302,7 +302,7 @@ identified_half_width = found.friction.half_width
 ### END SOLUTION
 
 # %% check identify 4
-reference = [mk.identify(mk.ExponentialLaw, each).law for each in (means, loading)]
+reference = [mk.identify(each, mk.ExponentialLaw).law for each in (means, loading)]
 reference.append(mk.identify_hysteresis(mk.ExponentialLaw, data).law)
 for answer, one in zip((bias_all, bias_loading, bias_with_friction), reference, strict=True):
     expected = np.mean(np.asarray(one.force(*grid)) - np.asarray(law.force(*grid)))

@@ -239,7 +239,7 @@ data = mk.catalog.dataset("festo-tool-10mm").taut
 in_confidence, in_prediction = [], []
 for level in np.unique(np.asarray(data.pressure)):
     out = np.asarray(data.pressure) == level
-    held, fit = data.select(out), mk.identify(mk.ExponentialLaw, data.select(~out))
+    held, fit = data.select(out), mk.identify(data.select(~out), mk.ExponentialLaw)
     force = np.asarray(held.force)
     classical = fit.force_intervals(held.contraction, held.pressure, by=Grouping.POINT).confidence
     calibrated = fit.force_intervals(held.contraction, held.pressure).prediction
@@ -253,7 +253,7 @@ levels, counts = np.unique(np.asarray(data.pressure), return_counts=True)
 found = []
 for level in levels:
     out = np.asarray(data.pressure) == level
-    one, held = mk.identify(mk.ExponentialLaw, data.select(~out)), data.select(out)
+    one, held = mk.identify(data.select(~out), mk.ExponentialLaw), data.select(out)
     classical = one.force_intervals(held.contraction, held.pressure, by=Grouping.POINT).confidence
     calibrated = one.force_intervals(held.contraction, held.pressure).prediction
     found.append(
@@ -324,7 +324,7 @@ grading.close(
 # %%
 table = data.table.assign(force=("point", np.where(np.arange(len(data)) == 30, 1.12, 1.0) * np.asarray(data.force)))
 spoiled = type(data)(table)
-kept, left_out = mk.identify(mk.ExponentialLaw, spoiled, robust=False), mk.identify(mk.ExponentialLaw, spoiled)
+kept, left_out = mk.identify(spoiled, mk.ExponentialLaw, robust=False), mk.identify(spoiled, mk.ExponentialLaw)
 print(
     f"RMSE {kept.rmse:.2f} N with all points, {left_out.rmse:.2f} N without {[str(one) for one in left_out.outliers]}"
 )
@@ -338,7 +338,7 @@ print(
 
 # %% task beyond
 ### BEGIN SOLUTION
-low = mk.identify(mk.ExponentialLaw, data.select(np.asarray(data.pressure) <= 4 * bar + 1))
+low = mk.identify(data.select(np.asarray(data.pressure) <= 4 * bar + 1), mk.ExponentialLaw)
 highest = data.select(np.asarray(data.pressure) >= 8 * bar - 1)
 errors = np.asarray(highest.force) - np.asarray(low.law.force(highest.contraction, highest.pressure))
 error_beyond = np.sqrt(np.mean(errors**2))
@@ -347,7 +347,7 @@ error_ratio = error_beyond / low.leave_one_pressure_out.rmse
 
 # %% check beyond 2
 below = np.asarray(data.pressure) < 4.5 * bar
-one, eight = mk.identify(mk.ExponentialLaw, data.select(below)), data.at([8 * bar])
+one, eight = mk.identify(data.select(below), mk.ExponentialLaw), data.at([8 * bar])
 expected = np.sqrt(
     np.mean((np.asarray(eight.force) - np.asarray(one.law.force(eight.contraction, eight.pressure))) ** 2)
 )

@@ -16,11 +16,11 @@ data
 # %%
 # Eq. 2 of the paper has seven parameters. The leave-one-pressure-out errors are more informative than those of the fit.
 
-fit = mk.identify(mk.ExponentialLaw, data)
+fit = mk.identify(data, "exponential", friction=False)
 print(fit.to_text())
 
 # %%
 # The points lie on both sides of the curves: loading above, unloading below. The difference is friction, which has
 # :ref:`its own model <sphx_glr_gallery_plot_04_friction.py>`.
 
-figure = mk.report.isobaric(data, fit)
+figure = fit.plot()

@@ -25,7 +25,7 @@ figure = mk.report.ranking(found)
 
 some = data.select(np.isin(data.levels, np.array([1.9625, 3.35, 4.86562, 6.5]) * bar))
 laws = {
-    "Eq. 2": mk.identify(mk.ExponentialLaw, data).law,
+    "Eq. 2": mk.identify(data).law,
     "Chou (Eq. 1)": mk.ChouLaw.of(mk.catalog.specimen("DMSP-10-250")),
 }
 figure_laws = mk.report.law_comparison(some, laws)

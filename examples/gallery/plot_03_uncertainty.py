@@ -9,7 +9,7 @@ import mckibben as mk
 from mckibben.units import bar, percent
 
 data = mk.catalog.dataset("festo-tool-10mm")
-fit = mk.identify(mk.ExponentialLaw, data)
+fit = mk.identify(data)
 for name, (low, high) in fit.intervals(0.95).items():
     print(f"{name:6} {fit.estimates[name]:12.4g}  95 %: {low:12.4g} .. {high:12.4g}")
 

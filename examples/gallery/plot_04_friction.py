@@ -19,6 +19,6 @@ figure = mk.report.loops(data, found)
 # %%
 # Without friction the data determine the law alone. These data are simulated; the remaining residual is their rounding.
 
-before = mk.identify(mk.ExponentialLaw, data)
-after = mk.identify(mk.ExponentialLaw, found.corrected(data))
+before = mk.identify(data, friction=False)
+after = mk.identify(found.corrected(data))
 print(f"RMSE {before.rmse:.2f} N with the friction in the data, {after.rmse:.2f} N without")

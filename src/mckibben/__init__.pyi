@@ -7,7 +7,7 @@ from .actuator import (
     Tube as Tube,
     UnequalValves as UnequalValves,
 )
-from . import catalog as catalog, robot as robot, report as report, units as units
+from . import catalog as catalog, joint as joint, robot as robot, report as report, units as units
 from .control import (
     PID as PID,
     BackpropPID as BackpropPID,
@@ -45,10 +45,9 @@ from .experiment_design import (
 )
 from .identification import (
     Fit as Fit,
-    identify as identify,
+    FitWithFriction as FitWithFriction,
     identify_hysteresis as identify_hysteresis,
     identify_pooled as identify_pooled,
-    identify_with_friction as identify_with_friction,
     rank as rank,
     read_law as read_law,
     validate as validate,
@@ -106,6 +105,9 @@ from .simulation import (
 )
 from .scenario import (
     Scenario as Scenario,
+)
+from .study.inputs import (
+    identify as identify,
 )
 from .study.sweep import (
     sweep as sweep,

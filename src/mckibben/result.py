@@ -35,6 +35,7 @@ import itertools
 import math
 import re
 import textwrap
+from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -42,7 +43,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, dataclass_transform
 
-from mckibben.errors import ParameterError, Suggesting, printable
+from mckibben.errors import McKibbenError, ParameterError, Suggesting, printable
 from mckibben.storage.files import check_free, json_ready, make_folder, write_json
 from mckibben.units import factor
 
@@ -415,7 +416,14 @@ class Result(Suggesting):
     def _repr_html_(self) -> str:
         remarks = "".join(f"<li>{escape(str(remark))}</li>" for remark in self._sorted_remarks(details=False))
         tables = "".join(listing.to_html() for listing in self.listings() if not listing.detail)
-        return f"<p>{escape(self.verdict())}</p>{f'<ul>{remarks}</ul>' if remarks else ''}{tables}"
+        text = f"<p>{escape(self.verdict())}</p>{f'<ul>{remarks}</ul>' if remarks else ''}{tables}"
+        try:
+            image = importlib.import_module("mckibben.report").png_of(self.plot())
+        except McKibbenError:  # without a figure, or without what it shows
+            return text
+        return (
+            f'<img alt="{escape(type(self).__name__)}" src="data:image/png;base64,{b64encode(image).decode()}">{text}'
+        )
 
     def to_text(self, *, width: int = 80, details: bool = False) -> str:
         """Return verdict, remarks and tables as text; with `details` notes and further tables, too."""

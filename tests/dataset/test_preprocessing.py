@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
+from mckibben import ExponentialLaw, IsobaricDataset, catalog, read_dataset
 from mckibben.dataset.preprocessing import passes, pressure_levels, slack_force
 from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification import fit_law
 from mckibben.muscle import ChouLaw, forces
 from mckibben.units import bar, deg, mm
 
@@ -57,7 +58,7 @@ def test_intervals_of_plain_files_hold_the_truth(written):
         assert (data.table["direction"].to_numpy() == np.where(side > 0, "loading", "unloading")).all()
         assert "repeat" not in data.table
         assert len(data.table.attrs["preprocessing"].splitlines()) == 3
-        fit = identify(ExponentialLaw, data)
+        fit = fit_law(ExponentialLaw, data)
         intervals = fit.intervals(0.95)
         assert all(low <= TRUTH[name] * SI[name] <= high for name, (low, high) in intervals.items())
         assert fit.rmse == pytest.approx(7.1, abs=0.5)
@@ -87,7 +88,7 @@ def test_a_reading_that_is_never_negative_hides_no_slack_muscle(written, offset)
         pressure, contraction, force, _ = measured(seed, noise=1.2, offset=offset)
         data = read(written(pressure, contraction, np.maximum(force, 0)))
         assert data.table.attrs["slack_force"] == pytest.approx(4.8, rel=0.4)
-        assert identify(ExponentialLaw, data).rmse == pytest.approx(7.1, abs=0.5)
+        assert fit_law(ExponentialLaw, data).rmse == pytest.approx(7.1, abs=0.5)
 
 
 def test_the_offset_is_found_over_points_of_several_fixed_lengths(tmp_path):
@@ -179,7 +180,7 @@ def test_scatter_about_one_pressure_is_one_level_and_determines_nothing_of_the_p
     data = read(written(pressure, contraction, force))
     assert len(data.pressures) == 1
     with pytest.raises(IdentificationError) as caught:
-        identify(ExponentialLaw, data)
+        fit_law(ExponentialLaw, data)
     assert caught.value.field == "pressure"
 
 
@@ -197,7 +198,7 @@ def test_points_without_levels_have_blocks_all_the_same(written):
     pressure, contraction, force, _ = measured(scatter=0.3)
     data = read(written(pressure, contraction, force))
     assert "set_pressure" not in data.table
-    assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_level) == 8
+    assert len(fit_law(ExponentialLaw, data).leave_one_pressure_out.by_level) == 8
 
 
 @pytest.mark.parametrize("zero", [0.0, -200.0])

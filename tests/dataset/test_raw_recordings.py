@@ -90,4 +90,4 @@ def test_what_points_reads_identify_survives(test, gap, tmp_path):
         except McKibbenError as error:
             pytest.fail(f"{test.__name__}: {error}")
         where = np.array([2.5e5, 3.5e5]), np.array([0.03, 0.1])
-        np.testing.assert_allclose(fit.fit.predict(where[1], where[0]), force(*where), atol=FRICTION + 1)
+        np.testing.assert_allclose(fit.predict(where[1], where[0]), force(*where), atol=FRICTION + 1)

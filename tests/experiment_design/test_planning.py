@@ -29,7 +29,7 @@ from mckibben.experiment_design.information import (
     information_matrix,
     mean_variance,
 )
-from mckibben.identification import design_matrix, identify
+from mckibben.identification import design_matrix, fit_law
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, SarosiLaw
 from mckibben.units import bar, deg, percent
 
@@ -44,7 +44,7 @@ def martens():
 
 @pytest.fixture(scope="module")
 def fit(martens):
-    return identify(ExponentialLaw, martens)
+    return fit_law(ExponentialLaw, martens)
 
 
 def made(law, directions, *, noise=1.0, half_width=3.0, seed=0, specimen="MAS-10-180N-AA-MC-O"):
@@ -182,7 +182,7 @@ def test_its_points_can_be_measured(martens, fit, specimen):
 
 
 def test_one_direction_alone_does_not_tell_friction_from_force(law, as_printed):
-    data = identify(ExponentialLaw, made(law, ["loading"]))
+    data = fit_law(ExponentialLaw, made(law, ["loading"]))
     for quantity in (Coefficient("a1"), JointStiffness(as_printed, 5 * deg), Force()):
         found = plan(data, quantity)
         assert np.isinf(found.error_now) and np.isfinite(found.error_after)
@@ -203,7 +203,7 @@ def test_both_directions_tell_the_half_width_and_clean_the_noise_of_it(law):
 
 def test_planned_points_are_better_than_as_many_evenly_spaced_ones(law, as_printed, specimen):
     """Standard errors with the whole covariance of all points, those at hand included."""
-    data = identify(ExponentialLaw, made(law, ["loading", "unloading"]))
+    data = fit_law(ExponentialLaw, made(law, ["loading", "unloading"]))
     taut = data.require_regression().points
     limits = Domain(0.0, 0.2, 2 * bar, 6 * bar)
 

@@ -8,7 +8,7 @@ from scipy.optimize import brentq, least_squares
 
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DomainWarning, IdentificationError
-from mckibben.identification import identify, identify_with_friction, inverse_table, shows_hysteresis
+from mckibben.identification import fit_law, identify_with_friction, inverse_table, shows_hysteresis
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.report.identification import loops
@@ -51,7 +51,7 @@ def test_law_and_friction_of_a_test_with_weights(friction):
     found = identify_with_friction(ExponentialLaw, data)
     assert found.hysteresis.friction.half_width == pytest.approx(friction, abs=0.3)
     points = np.array([0.24, 0.23, 0.2]), np.array([5, 4, 3]) * bar
-    np.testing.assert_allclose(forces(found.fit.law, *points), force_at(*points), atol=1.0)
+    np.testing.assert_allclose(forces(found.law, *points), force_at(*points), atol=1.0)
     figure = loops(data, found.hysteresis)
     assert [axes.get_title(loc="left").split()[1:3] for axes in figure.axes[1:]] == [
         [f"{n}", "N,"] for n in (30, 60, 90, 120)
@@ -72,7 +72,7 @@ def test_measured_loads_are_recognised_by_the_set_ones_and_asked_for_without_the
 
 def test_off_the_points_a_prediction_is_flagged_and_its_interval_grows_with_the_distance():
     """The points at loads of 30 to 120 N leave most of the box of pressures and contractions unmeasured."""
-    fit = identify(ExponentialLaw, hanging_weights(0.0))
+    fit = fit_law(ExponentialLaw, hanging_weights(0.0))
     contraction, pressure = np.array([0.24, 0.2, 0.15, 0.1, 0.05]), np.full(5, 5 * bar)
     assert fit.law.domain.contains(contraction, pressure).tolist() == [True, False, False, False, False]
     with pytest.warns(DomainWarning, match="4 of 5 points"):
@@ -99,7 +99,7 @@ def test_directions_follow_from_the_order_of_the_rows_at_each_load(tmp_path):
 def test_residuals_are_those_of_the_measured_contraction():
     """As by least squares of the contractions, where the law gives the set load, and not as those of the force."""
     data = hanging_weights(0.0, noise=1e-3)
-    fit, names = identify(ExponentialLaw, data, robust=False), ("a1", "a2", "b1", "b2", "c1", "c2")
+    fit, names = fit_law(ExponentialLaw, data, robust=False), ("a1", "a2", "b1", "b2", "c1", "c2")
     start = np.array([fit.estimates[name] for name in names])
 
     def law(values):
@@ -157,7 +157,7 @@ def test_one_load_gives_a_table_though_no_law(table):
     data = hanging_weights(FRICTION)
     one = data.select(data.force == 60)
     with pytest.raises(IdentificationError, match="--of inverse"):
-        identify(ExponentialLaw, one)
+        fit_law(ExponentialLaw, one)
     alone = inverse_table(one)
     assert alone.pressure_for(0.25, 60.0, "loading") == table.pressure_for(0.25, 60.0, "loading")
     assert np.isnan(alone.load_rmse)

@@ -7,7 +7,7 @@ import pytest
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import identify, rank
+from mckibben.identification import fit_law, rank
 from mckibben.identification.design import check_design
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import bar, deg, mm
@@ -67,7 +67,7 @@ def test_a_design_that_gives_no_law_is_refused(law, test, field):
     pressure, contraction, force = test(1)
     data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=0.0)
     with pytest.raises(IdentificationError) as error:
-        identify(law, data)
+        fit_law(law, data)
     assert error.value.field == field
     assert error.value.remedy
 
@@ -93,7 +93,7 @@ def test_two_loads_give_a_law(loads):
     pressure = np.tile(SWEEP, len(loads))
     contraction = np.concatenate([contraction_at(load) for load in loads])
     force = np.repeat(np.array(loads, float), len(SWEEP))
-    law = identify(
+    law = fit_law(
         ChouLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=0.0)
     ).law
     assert law.braid_angle == pytest.approx(24 * deg, abs=0.1 * deg)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, identify_hysteresis
+from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify_hysteresis
 from mckibben.errors import IdentificationError
-from mckibben.identification import FrictionForm
+from mckibben.identification import FrictionForm, fit_law
 from mckibben.identification.loading_path import LoadingPaths
 from mckibben.muscle import MaxwellSlip, forces
 from mckibben.units import bar, mm
@@ -90,7 +90,7 @@ def test_drift_of_a_load_cell_that_is_never_negative_does_not_ruin_the_law(drift
     assert found.drift.rate * 3600 == pytest.approx(drift, rel=0.15)
     corrected = found.corrected(data)
     assert corrected.slack[data.slack].all()
-    assert law_error(identify(ExponentialLaw, corrected).law) < 0.4
+    assert law_error(fit_law(ExponentialLaw, corrected).law) < 0.4
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording
-from mckibben.identification import Grouping, identify
+from mckibben.identification import Grouping, fit_law
 from mckibben.identification.grouping import approach_labels, finest_grouping, group_labels
 from mckibben.muscle import ReynoldsLaw
 from mckibben.units import bar
@@ -59,7 +59,7 @@ def test_the_points_of_a_raw_test_are_in_two_strokes_a_level():
     data = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction).plateaus().dataset
     assert data.table["direction"].values.tolist() == (["", *["unloading"] * 3, *["loading"] * 3]) * 3
     assert np.bincount(group_labels(data, Grouping.STROKE)).tolist() == [3, 4] * 3
-    fit = identify(ReynoldsLaw, data)
+    fit = fit_law(ReynoldsLaw, data)
     assert (fit.robust.by, fit.robust.groups) == (Grouping.STROKE, 6)
 
 
@@ -76,6 +76,6 @@ def test_friction_is_an_error_in_common_however_its_side_is_recorded(column):
         slack_force=-100.0,
         **{column: np.repeat(words, 50)},
     )
-    fit = identify(ReynoldsLaw, data)
+    fit = fit_law(ReynoldsLaw, data)
     assert (fit.robust.by, fit.robust.groups) == (Grouping.STROKE, 10)
     assert fit.robust.standard_errors["f0"] > 1.5 * fit.standard_errors["f0"]

@@ -8,7 +8,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.identification.friction import identify_hysteresis
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths
@@ -45,7 +45,7 @@ def test_hysteresis_and_law_are_found_as_well_as_the_law_without(sensor):
     assert found.friction.half_width == pytest.approx(12, rel=2e-3)
     assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.1)
     assert found.friction.growth == 0.0 and np.isnan(found.standard_errors["growth"])
-    clean = off(identify(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=2)).law)
+    clean = off(fit_law(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=2)).law)
     assert off(found.law) < 2.5 * clean < 0.05  # both are a few hundredths of a newton
     assert (found.drift is None) == (not sensor)
 
@@ -75,9 +75,9 @@ def test_the_parts_add_up_to_what_was_measured(drifting):
 
 def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
     data, found = drifting
-    assert off(identify(ExponentialLaw, data).law) > 0.5  # as they are, it is out by far
+    assert off(fit_law(ExponentialLaw, data).law) > 0.5  # as they are, it is out by far
     corrected = found.corrected(data)
-    assert off(identify(ExponentialLaw, corrected).law) < 1.5 * off(found.law) + 0.01
+    assert off(fit_law(ExponentialLaw, corrected).law) < 1.5 * off(found.law) + 0.01
     with pytest.raises(IdentificationError, match="is not the dataset"):
         found.corrected(corrected)
 
@@ -191,7 +191,7 @@ def test_a_turning_point_measured_in_both_directions_may_have_been_passed(oversh
     found = identify_hysteresis(ExponentialLaw, data)
     assert found.friction.half_width == pytest.approx(half_width, abs=0.1)
     assert found.rmse == pytest.approx(0.2, rel=0.3)
-    assert identify(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(0.2, rel=0.3)
+    assert fit_law(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(0.2, rel=0.3)
 
 
 @pytest.mark.slow

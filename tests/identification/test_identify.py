@@ -6,7 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import find_outliers, identify, read_law
+from mckibben.identification import find_outliers, fit_law, read_law
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.muscle.slopes import unphysical
 from mckibben.result import Severity
@@ -42,7 +42,7 @@ def test_a_single_wrong_force_is_named_and_left_out(row, shift):
     force = table["force"].to_numpy().copy()
     force[row] += shift
     table["force"] = ("point", force)
-    fit = identify(ExponentialLaw, IsobaricDataset(table))
+    fit = fit_law(ExponentialLaw, IsobaricDataset(table))
     (outlier,) = fit.outliers
     assert (outlier.row, outlier.force) == (row + 1, force[row])
     assert outlier.expected == pytest.approx(force[row] - shift, abs=0.5 * abs(shift))
@@ -59,7 +59,7 @@ def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(w
     force[row] *= wrong
     bad = IsobaricDataset(good.table.assign(force=("point", force)))
     clean, robust, plain = (
-        identify(ExponentialLaw, data, robust=r) for data, r in ((good, True), (bad, True), (bad, False))
+        fit_law(ExponentialLaw, data, robust=r) for data, r in ((good, True), (bad, True), (bad, False))
     )
     assert [one.row for one in robust.outliers] == [row + 1]
     for name, error in clean.standard_errors.items():
@@ -71,7 +71,7 @@ def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(w
 @pytest.mark.parametrize("row", [40, 80])
 def test_a_wrong_number_is_named_where_the_law_differs_from_a_smooth_surface(row):
     """Hunt's law does by more than this noise, at more than 5 % of the points."""
-    law = identify(HuntLaw, catalog.dataset("dmsp-10-250-martens2017")).law
+    law = fit_law(HuntLaw, catalog.dataset("dmsp-10-250-martens2017")).law
     data = grid(law, np.linspace(0, 6, 8) * bar, np.linspace(0, 24, 13) * percent, noise=0.05, slack_force=2.5)
     force = data.force.copy()
     force[row] *= 1.12
@@ -83,7 +83,7 @@ def test_a_wrong_number_is_named_where_the_law_differs_from_a_smooth_surface(row
 @pytest.mark.parametrize(("count", "noise", "seed"), [(13, 0.05, 2), (16, 0.3, 1)])
 def test_a_good_point_where_the_law_differs_from_a_smooth_surface_is_no_outlier(count, noise, seed):
     """Its error is that of a contraction that is 0.1 % off, or of a load cell."""
-    law = identify(HuntLaw, catalog.dataset("dmsp-10-250-martens2017")).law
+    law = fit_law(HuntLaw, catalog.dataset("dmsp-10-250-martens2017")).law
     contractions = np.linspace(0, 24, count) * percent
     assert find_outliers(grid(law, np.linspace(0, 6, 8) * bar, contractions, noise, seed, slack_force=2.5)) == ()
 
@@ -109,7 +109,7 @@ def test_good_points_are_named_in_one_data_set_of_a_hundred(clipped):
 
 def test_domain_is_the_range_of_the_points_used():
     data = catalog.dataset("dmsp-10-250-martens2017")
-    assert identify(ExponentialLaw, data).law.domain == Domain(0.0, 0.184, 68750.0, 650000.0)
+    assert fit_law(ExponentialLaw, data).law.domain == Domain(0.0, 0.184, 68750.0, 650000.0)
 
 
 # --- against other solvers ----------------------------------------------------------------------------------
@@ -125,7 +125,7 @@ def test_estimates_errors_and_correlations_are_those_of_curve_fit():
     from scipy.optimize import curve_fit
 
     data = catalog.dataset("dmsp-10-250-martens2017")
-    fit, taut = identify(ExponentialLaw, data), data.taut
+    fit, taut = fit_law(ExponentialLaw, data), data.taut
     x = taut.contraction / percent, taut.pressure / bar
     start = [-245.8, 109, 3.216, -3.442, 255.6, -13.18, 0.3]
     values, covariance = curve_fit(exponential, x, taut.force, p0=start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
@@ -158,7 +158,7 @@ class PlaneLaw(PressureAffineLaw):
 
 def test_a_linear_law_is_ordinary_least_squares():
     data = grid(PlaneLaw(700.0, 1e-4, -900.0), noise=3.0)
-    fit = identify(PlaneLaw, data)
+    fit = fit_law(PlaneLaw, data)
     design = np.stack([np.ones(len(data)), data.pressure / bar, data.contraction], axis=1)
     expected, rss, *_ = np.linalg.lstsq(design, data.force, rcond=None)
     covariance = np.linalg.inv(design.T @ design) * rss / (len(data) - 3)
@@ -174,11 +174,11 @@ def test_a_linear_law_is_ordinary_least_squares():
 @pytest.mark.slow
 def test_leaving_one_pressure_out_equals_a_loop_over_identify():
     data = grid(EQ_3, pressures=np.arange(1, 7) * bar, noise=2.0)
-    cross_validation = identify(ExponentialLaw, data).leave_one_pressure_out
+    cross_validation = fit_law(ExponentialLaw, data).leave_one_pressure_out
     residuals = []
     for pressure in data.taut.pressures:
         taut = data.taut
-        law, held_out = identify(ExponentialLaw, taut.select(taut.levels != pressure)).law, taut.at(pressure)
+        law, held_out = fit_law(ExponentialLaw, taut.select(taut.levels != pressure)).law, taut.at(pressure)
         error = held_out.force - np.asarray(law.force(held_out.contraction, held_out.pressure))
         assert cross_validation.by_level[pressure] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
         residuals.append(error)
@@ -193,7 +193,7 @@ def test_leaving_one_pressure_out_equals_a_loop_over_identify():
 def test_too_few_points():
     data = grid(EQ_3, pressures=[5 * bar, 6 * bar], contractions=[0.0, 0.05, 0.1])
     with pytest.raises(IdentificationError, match=r"6 taut points .* 7 parameters .* measure at least 8") as error:
-        identify(ExponentialLaw, data)
+        fit_law(ExponentialLaw, data)
     assert (error.value.value, error.value.lower) == (6, 8)
 
 
@@ -207,7 +207,7 @@ def test_too_few_points():
 def test_a_singular_design_names_what_it_does_not_determine(pressures, contractions, unidentifiable):
     data = grid(EQ_3, pressures=pressures, contractions=contractions, noise=0.5)
     with pytest.raises(IdentificationError, match=r"not determine .*condition number.*; measure at more") as error:
-        identify(ExponentialLaw, data)
+        fit_law(ExponentialLaw, data)
     assert unidentifiable in str(error.value)
 
 
@@ -217,7 +217,7 @@ def test_a_singular_design_names_what_it_does_not_determine(pressures, contracti
 def test_a_parameter_at_its_bound_is_said():
     law = ChouLaw(54.6 * deg, 10 * mm)  # beyond the 54 deg of the range
     contractions = np.linspace(-0.5, -0.2, 20)
-    fit = identify(ChouLaw, grid(law, contractions=contractions))
+    fit = fit_law(ChouLaw, grid(law, contractions=contractions))
     assert fit.law.braid_angle == pytest.approx(54 * deg)
     assert any("braid_angle is at the bound of its range 5 deg .. 54 deg" in w for w in texts(fit))
     assert np.isnan(fit.standard_errors["braid_angle"])
@@ -227,17 +227,17 @@ def test_a_parameter_at_its_bound_is_said():
 def test_the_domain_is_that_of_measured_pressures_that_the_set_ones_are_far_from():
     set_pressure = np.repeat(np.arange(1, 9) * bar, 29)  # a compressor of 5.2 bar
     data = grid(EQ_3, pressures=np.minimum(np.arange(1, 9), 5.2) * bar, set_pressure=set_pressure)
-    fit = identify(ExponentialLaw, data)
+    fit = fit_law(ExponentialLaw, data)
     assert float(fit.law.domain.pressure_max) == pytest.approx(5.2 * bar)
     assert any("2.8 bar" in warning for warning in texts(fit))
     near = grid(EQ_3, pressures=np.arange(1, 9) * 0.99 * bar, set_pressure=set_pressure)
-    assert float(identify(ExponentialLaw, near).law.domain.pressure_max) == 8 * bar
+    assert float(fit_law(ExponentialLaw, near).law.domain.pressure_max) == 8 * bar
 
 
 def test_slack_points_do_not_matter():
     data = grid(EQ_3, noise=0.5)
     assert data.slack.any()
-    whole, taut = identify(ExponentialLaw, data), identify(ExponentialLaw, data.taut)
+    whole, taut = fit_law(ExponentialLaw, data), fit_law(ExponentialLaw, data.taut)
     assert whole.estimates == taut.estimates
     assert whole.points_slack == np.count_nonzero(data.slack)
     assert taut.points_slack == 0
@@ -256,7 +256,7 @@ def narrow(contraction, pressure_max, diameter=20e-3):
 @pytest.mark.parametrize("kind", [ExponentialLaw, SarosiLaw])
 def test_terms_that_cancel_in_a_narrow_window_are_no_error(kind, window, tmp_path):
     data = narrow(window, 8e5, diameter=80e-3)
-    found = identify(kind, data)
+    found = fit_law(kind, data)
     assert found.rmse < 0.02 * data.force.max()
     found.to_yaml(tmp_path / "fit.yaml")
     assert read_law(tmp_path / "fit.yaml") == found.law
@@ -287,6 +287,6 @@ def test_a_law_at_a_bound_that_describes_the_points_is_a_note_and_else_a_warning
     """The decay of 0.6 per metre is below its range; noise of 30 N is 6 % of the force."""
     law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.6)
     for noise, severity in ((0.5, Severity.NOTE), (2000.0, Severity.WARNING)):
-        fit = identify(ExponentialLaw, grid(law, noise=noise), robust=False)
+        fit = fit_law(ExponentialLaw, grid(law, noise=noise), robust=False)
         severities = {note.severity for note in fit.notes if note.field == "decay"}
         assert not severities or severities == {severity}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import identify, smooth
+from mckibben.identification import fit_law, smooth
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.smooth import monotone
 from mckibben.identification.summary import domain_of
@@ -69,11 +69,11 @@ def test_a_muscle_with_a_stiff_bladder_needs_the_constraints(monkeypatch):
     force = stiff_bladder_force(eps, p) + np.random.default_rng(1).normal(0, 1.0, p.size)
     taut = force > 4
     points = IsobaricDataset.of(pressure=p[taut], contraction=eps[taut], force=force[taut])
-    fit = identify(SmoothLaw, points)
+    fit = fit_law(SmoothLaw, points)
     assert isinstance(fit.law, GaussianProcessLaw)
     assert unphysical(fit.law) == ""
     regression = fit.require_regression()
     refitted = regression.refit(np.arange(len(points)) >= 5)  # type: ignore[misc]
     assert refitted.problem.law_type is GaussianProcessLaw
     monkeypatch.setattr(smooth, "monotone", lambda solution, domain: None)
-    assert fit.rmse < 0.5 * identify(SmoothLaw, points).rmse
+    assert fit.rmse < 0.5 * fit_law(SmoothLaw, points).rmse

@@ -8,7 +8,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import identify, rank
+from mckibben.identification import fit_law, rank
 from mckibben.identification.least_squares import solve
 from mckibben.identification.regression import NotIdentifiableError, contraction_blocks, cross_validate
 from mckibben.muscle import (
@@ -94,7 +94,7 @@ def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data
 
 def test_what_is_left_has_to_determine_the_law():
     made = made_by(catalog.law("sarosi-dmsp-10"), pressures=[2 * bar, 4 * bar])
-    fit = identify(SarosiLaw, made)
+    fit = fit_law(SarosiLaw, made)
     with pytest.raises(NotIdentifiableError, match="not determined"):
         cross_validate(fit.regression.problem, fit.regression.solution, fit.regression.points.levels)
     entry = rank(made, [SarosiLaw]).entries[0]
@@ -151,7 +151,7 @@ def test_all_parameters_at_their_bounds_are_an_error_of_units():
     data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
     bars_for_pascals = IsobaricDataset(data.table.assign(pressure=("point", pressure / bar)))
     with pytest.raises(IdentificationError, match="look for wrong units in the data"):
-        identify(ChouLaw, bars_for_pascals)
+        fit_law(ChouLaw, bars_for_pascals)
 
 
 @pytest.mark.slow
@@ -161,10 +161,10 @@ def test_a_contraction_beyond_the_validity_of_a_law_by_noise_counts_as_its_limit
     first = np.flatnonzero(~data.slack & (contraction == 0))[0]
     contraction[first] = -0.0004
     noisy = IsobaricDataset(data.table.assign(contraction=("point", contraction)))
-    assert identify(HuntLaw, noisy).rmse == pytest.approx(identify(HuntLaw, data).rmse)
+    assert fit_law(HuntLaw, noisy).rmse == pytest.approx(fit_law(HuntLaw, data).rmse)
     contraction[first] = -0.002
     with pytest.raises(IdentificationError, match="HuntLaw is not valid at 1 of the 40"):
-        identify(HuntLaw, IsobaricDataset(data.table.assign(contraction=("point", contraction))))
+        fit_law(HuntLaw, IsobaricDataset(data.table.assign(contraction=("point", contraction))))
 
 
 @pytest.mark.parametrize(

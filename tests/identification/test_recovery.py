@@ -5,7 +5,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.muscle import forces
 from mckibben.units import bar
 
@@ -21,12 +21,12 @@ def test_published_coefficients_come_back(name):
     exact = forces(law, contraction, pressure)
     noise = 0.5 * np.random.default_rng(5).standard_normal(len(exact))
     data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=exact + noise, slack_force=3.0)
-    fit = identify(type(law), data)
+    fit = fit_law(type(law), data)
     intervals = fit.intervals(level=LEVEL)
     for parameter in law.parameters():
         truth, found = float(getattr(law, parameter.name)), intervals[parameter.name]
         assert found.lower < truth < found.upper, parameter.name
         assert (found.upper - found.lower) < 0.25 * abs(truth), parameter.name
-    clean = identify(type(law), IsobaricDataset.of(pressure=pressure, contraction=contraction, force=exact))
+    clean = fit_law(type(law), IsobaricDataset.of(pressure=pressure, contraction=contraction, force=exact))
     for parameter in law.parameters():
         assert clean.estimates[parameter.name] == pytest.approx(float(getattr(law, parameter.name)), rel=1e-8)

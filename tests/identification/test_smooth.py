@@ -5,7 +5,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.muscle import (
     ExponentialLaw,
     GaussianProcessLaw,
@@ -38,7 +38,7 @@ QUADRATIC = AFFINE * PRESSURE / (3 * bar)
     ("deviation", "kind"), [(0.0, ExponentialLaw), (AFFINE, SmoothAffineLaw), (QUADRATIC, SmoothLaw)]
 )
 def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
-    fit = identify(SmoothLaw, measured(deviation, 0.3))
+    fit = fit_law(SmoothLaw, measured(deviation, 0.3))
     assert type(fit.law) is kind
     assert issubclass(kind, PressureAffineLaw) == (kind is not SmoothLaw)
     assert any("Eq. 2 alone" in note.text for note in fit.notes) == (kind is ExponentialLaw)
@@ -55,7 +55,7 @@ def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     data = IsobaricDataset.of(
         pressure=p, contraction=eps, force=force + np.random.default_rng(0).normal(0, 0.3, p.size)
     )
-    eq_2, found = (identify(law, data) for law in (ExponentialLaw, GaussianProcessLaw))
+    eq_2, found = (fit_law(law, data) for law in (ExponentialLaw, GaussianProcessLaw))
     assert type(found.law) is GaussianProcessLaw
     names = {p.name for p in found.law.parameters() if p.penalised}
     assert names and not names & set(found.to_text().split())  # 36 coefficients without a meaning of their own
@@ -71,7 +71,7 @@ def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed, scat
 
     Measured pressures without a set pressure are as many levels as they form groups.
     """
-    law = identify(TonduLopezVariableLaw, catalog.dataset("festo-tool-10mm")).law
+    law = fit_law(TonduLopezVariableLaw, catalog.dataset("festo-tool-10mm")).law
     p, eps = (axis.ravel() for axis in np.meshgrid(np.arange(1, 7) * bar, np.arange(0, 25, 3) * percent))
     rng = np.random.default_rng(seed)
     noise = rng.normal(0, 0.3, p.size)
@@ -79,25 +79,25 @@ def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed, scat
     force = forces(law, eps, p) + noise
     data = IsobaricDataset.of(pressure=p, contraction=eps, force=force, slack_force=10.0)
     new = data.taut.select(data.taut.pressure > 5.5 * bar)
-    fits = [identify(kind, data.select(data.pressure < 5.5 * bar)) for kind in (SmoothLaw, ExponentialLaw)]
+    fits = [fit_law(kind, data.select(data.pressure < 5.5 * bar)) for kind in (SmoothLaw, ExponentialLaw)]
     ours, theirs = (np.linalg.norm(forces(fit.law, new.contraction, new.pressure) - new.force) for fit in fits)
     assert ours < 1.05 * theirs
 
 
 def test_asked_for_a_gaussian_process_the_result_is_as_simple_as_the_points_allow():
-    assert type(identify(GaussianProcessLaw, measured(0.0, 0.3)).law) is ExponentialLaw
+    assert type(fit_law(GaussianProcessLaw, measured(0.0, 0.3)).law) is ExponentialLaw
 
 
 def test_few_points_with_much_noise_are_no_deviation():
     found = [
-        type(identify(SmoothLaw, measured(0.0, 3.0, seed).select(np.arange(45) % 9 % 2 == 0)).law) for seed in range(6)
+        type(fit_law(SmoothLaw, measured(0.0, 3.0, seed).select(np.arange(45) % 9 % 2 == 0)).law) for seed in range(6)
     ]
     assert found.count(ExponentialLaw) >= 5
 
 
 @pytest.mark.slow
 def test_outside_of_its_window_it_is_eq_2_and_inside_a_muscle():
-    law = identify(SmoothLaw, measured(QUADRATIC, 0.1)).law
+    law = fit_law(SmoothLaw, measured(QUADRATIC, 0.1)).law
     eq_2 = ExponentialLaw(**{p.name: getattr(law, p.name) for p in ExponentialLaw.parameters()})
     for side in (-1.0, 1.5):
         at = law.centre + side * law.half_width
@@ -112,7 +112,7 @@ def test_intervals_hold_the_truth_and_new_points():
     truth, held = forces(EQ_2, CONTRACTION, PRESSURE) + AFFINE, []
     fresh = truth + 0.5 * np.random.default_rng(99).standard_normal((3, len(truth)))
     for seed, new in enumerate(fresh):
-        found = identify(SmoothAffineLaw, measured(AFFINE, 0.5, seed)).force_intervals(CONTRACTION, PRESSURE)
+        found = fit_law(SmoothAffineLaw, measured(AFFINE, 0.5, seed)).force_intervals(CONTRACTION, PRESSURE)
         pairs = ((found.confidence, truth), (found.prediction, new))
         held.append([np.mean((one.lower <= value) & (value <= one.upper)) for one, value in pairs])
     assert np.all(np.mean(held, axis=0) > 0.88)

@@ -6,14 +6,14 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ScenarioError
-from mckibben.identification import Fit, Grouping, identify, read_law
+from mckibben.identification import Fit, Grouping, fit_law, read_law
 from mckibben.muscle import Domain, ExponentialLaw, GaussianProcessLaw, Parameter, PressureAffineLaw
 from mckibben.units import bar, deg, mm
 
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
-    return identify(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    return fit_law(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
 
 
 def same(a: Fit, b: Fit) -> None:
@@ -47,7 +47,7 @@ def test_repeats_and_directions_of_the_points_come_back(tmp_path):
     columns = {name: np.tile(chart.table[name].to_numpy(), 2) for name in ("pressure", "contraction", "force")}
     repeat = np.repeat([0, 1], len(chart))
     direction = np.where(repeat, "unloading", "loading")
-    fit = identify(ExponentialLaw, IsobaricDataset.of(**columns, repeat=repeat, direction=direction))
+    fit = fit_law(ExponentialLaw, IsobaricDataset.of(**columns, repeat=repeat, direction=direction))
     fit.to_yaml(tmp_path / "fit.yaml")
     points = Fit.from_yaml(tmp_path / "fit.yaml").require_regression().points
     for name in ("repeat", "direction"):
@@ -57,7 +57,7 @@ def test_repeats_and_directions_of_the_points_come_back(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [ExponentialLaw, GaussianProcessLaw])
 def test_a_file_gives_the_same_intervals(law, tmp_path):
-    fit = identify(law, catalog.dataset("dmsp-10-250-martens2017"))
+    fit = fit_law(law, catalog.dataset("dmsp-10-250-martens2017"))
     assert type(fit.law) is law
     fit.to_yaml(tmp_path / "fit.yaml")
     again = Fit.from_yaml(tmp_path / "fit.yaml")
@@ -71,7 +71,7 @@ def test_outliers_come_back(tmp_path):
     good = catalog.dataset("festo-tool-10mm")
     force = good.force.copy()
     force[30] *= 1.12
-    fit = identify(ExponentialLaw, IsobaricDataset(good.table.assign(force=("point", force))))
+    fit = fit_law(ExponentialLaw, IsobaricDataset(good.table.assign(force=("point", force))))
     assert len(fit.outliers) == 1
     fit.to_yaml(tmp_path / "fit.yaml")
     assert Fit.from_yaml(tmp_path / "fit.yaml").outliers == fit.outliers

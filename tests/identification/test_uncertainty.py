@@ -9,7 +9,7 @@ from scipy import stats
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification import Fit, Grouping, identify
+from mckibben.identification import Fit, Grouping, fit_law
 from mckibben.identification.estimator import ClusterRobustErrors
 from mckibben.identification.grouping import group_labels
 from mckibben.muscle import ExponentialLaw, ReynoldsLaw
@@ -31,7 +31,7 @@ def chart():
 
 @pytest.fixture(scope="module")
 def fit(chart):
-    return identify(ExponentialLaw, chart)
+    return fit_law(ExponentialLaw, chart)
 
 
 def measured(law, levels, contractions, noise, seed=0, **columns):
@@ -111,7 +111,7 @@ def test_prediction_intervals_contain_the_misfit_of_a_wrong_law():
     pressure, contraction = (a.ravel() for a in np.meshgrid(np.arange(1, 7) * bar, np.linspace(0, 0.2, 10)))
     noise = np.random.default_rng(0).normal(0, 0.5, len(pressure))
     force = 20 + pressure * 1.2e-3 * (1 - contraction / 0.3) ** 2 + noise
-    wrong = identify(ReynoldsLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force))
+    wrong = fit_law(ReynoldsLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force))
     truth = 20 + 360 * (2 / 3) ** 2
     grouped = wrong.force_intervals(0.1, 3 * bar, by=wrong.robust.by).confidence
     assert not grouped.lower < truth < grouped.upper
@@ -125,7 +125,7 @@ def test_left_out_lowest_and_highest_pressures_are_covered_at_no_more_than_some_
         points = catalog.dataset(name).plateau_means().taut
         for level in (points.levels.min(), points.levels.max()):
             out = points.levels == level
-            rest, new = identify(ExponentialLaw, points.select(~out), robust=False), points.select(out)
+            rest, new = fit_law(ExponentialLaw, points.select(~out), robust=False), points.select(out)
             band = rest.force_intervals(new.contraction, new.pressure).prediction
             inside += band.contains(new.force).tolist()
             ratios.append(np.median(band.upper - band.value) / np.sqrt(np.mean((new.force - band.value) ** 2)))
@@ -147,22 +147,22 @@ def test_beyond_the_pressures_the_misfit_grows_with_the_distance(fit):
 
 def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     assert (fit.robust.by, fit.robust.groups) == (Grouping.PRESSURE, 10)
-    assert identify(ExponentialLaw, map_of_martens).robust.groups == 16
+    assert fit_law(ExponentialLaw, map_of_martens).robust.groups == 16
     both = IsobaricDataset.of(
         pressure=chart.pressure,
         contraction=chart.contraction,
         force=chart.force,
         direction=np.where(np.arange(len(chart)) % 2, "loading", "unloading"),
     )
-    by_stroke = identify(ExponentialLaw, both)
+    by_stroke = fit_law(ExponentialLaw, both)
     assert (by_stroke.robust.by, by_stroke.robust.groups) == (Grouping.STROKE, 20)
     scattered = chart.pressure + np.linspace(0, 500, len(chart))
-    alone = identify(
+    alone = fit_law(
         ExponentialLaw, IsobaricDataset.of(pressure=scattered, contraction=chart.contraction, force=chart.force)
     )
     assert alone.robust is None
     assert any("independent points: the 119 points are at 119 pressures, hardly two" in n.text for n in alone.notes)
-    few = identify(ExponentialLaw, measured(EQ_3, np.array([3, 4, 5, 6]) * bar, np.linspace(0, 0.1, 9), 1.0))
+    few = fit_law(ExponentialLaw, measured(EQ_3, np.array([3, 4, 5, 6]) * bar, np.linspace(0, 0.1, 9), 1.0))
     assert few.robust is None
     assert any("independent points: 4 pressures are too few" in note.text for note in few.notes)
 
@@ -184,7 +184,7 @@ def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):
 
 def test_a_parameter_at_its_bound_has_no_interval():
     law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.6)
-    fit = identify(ExponentialLaw, measured(law, np.arange(1, 7) * bar, np.linspace(0, 0.2, 9), 0.5))
+    fit = fit_law(ExponentialLaw, measured(law, np.arange(1, 7) * bar, np.linspace(0, 0.2, 9), 0.5))
     assert np.all(np.isnan(fit.intervals()["decay"]))
     assert np.all(np.isfinite(fit.intervals()["a1"]))
     assert np.all(np.isfinite(fit.force_intervals(0.1, 3 * bar).confidence.standard_error))

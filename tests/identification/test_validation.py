@@ -4,7 +4,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification import identify, validate
+from mckibben.identification import fit_law, validate
 from mckibben.identification.regression import pressure_blocks
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import bar, percent
@@ -59,7 +59,7 @@ def test_directions_are_told_apart(campaign):
 
 def test_points_outside_the_domain_are_counted(campaign):
     low = campaign.select(campaign.levels <= 4 * bar)
-    fit = identify(ExponentialLaw, low)
+    fit = fit_law(ExponentialLaw, low)
     validation = validate([fit.law], campaign)
     assert validation.of("ExponentialLaw", pressure=4 * bar).outside == 0
     at_6_bar = validation.of("ExponentialLaw", pressure=6 * bar)

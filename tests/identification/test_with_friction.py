@@ -10,7 +10,7 @@ import pytest
 import mckibben as mk
 from mckibben import catalog
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification import identify_with_friction, shows_hysteresis
+from mckibben.identification import fit_law, identify_with_friction, shows_hysteresis
 from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.result import Remark
 from mckibben.units import bar, mm
@@ -28,21 +28,21 @@ def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     found = identify_with_friction(ExponentialLaw, rig)
     assert float(found.friction.half_width) == pytest.approx(12.0, rel=0.01)
     assert float(found.friction.presliding_length) == pytest.approx(0.5 * mm, rel=0.02)
-    assert found.fit.rmse < 0.03 < 10 < mk.identify(ExponentialLaw, rig).rmse
-    assert found.fit.law == mk.identify(ExponentialLaw, found.hysteresis.corrected(rig)).law
+    assert found.rmse < 0.03 < 10 < fit_law(ExponentialLaw, rig).rmse
+    assert found.law == fit_law(ExponentialLaw, found.hysteresis.corrected(rig)).law
     assert found.note
 
 
 def test_without_friction_the_fit_is_that_of_identify(rig):
     found = identify_with_friction(ExponentialLaw, rig, friction=False)
-    assert found.fit.law == mk.identify(ExponentialLaw, rig).law
+    assert found.law == fit_law(ExponentialLaw, rig).law
     assert found.hysteresis is found.friction is None and not found.note
 
 
 def test_data_of_one_direction_are_fitted_as_before():
     data = catalog.dataset("dmsp-10-250-martens2017")
     found = identify_with_friction(ExponentialLaw, data)
-    assert found.fit.law == mk.identify(ExponentialLaw, data).law and not found.note
+    assert found.law == fit_law(ExponentialLaw, data).law and not found.note
     with pytest.raises(IdentificationError):
         identify_with_friction(ExponentialLaw, data, friction=True)
 
@@ -63,7 +63,7 @@ def test_a_law_that_fits_worse_than_the_loops_are_wide_gets_no_friction(rig):
     found = identify_with_friction(ReynoldsLaw, rig)
     assert found.hysteresis is None and "SmoothLaw" in found.note
     assert not any("identify_hysteresis" in one for one in found.warnings)
-    assert found.fit.law == mk.identify(ReynoldsLaw, rig).law
+    assert found.law == fit_law(ReynoldsLaw, rig).law
     assert float(identify_with_friction(ReynoldsLaw, rig, friction=True).friction.half_width) > 15.0
 
 
@@ -79,11 +79,11 @@ def test_reversed_directions_are_named(rig):
 def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     found = identify_with_friction(ExponentialLaw, rig)
     muscle = found.muscle(mk.Specimen("mine", 0.2))
-    assert (muscle.law, muscle.friction) == (found.fit.law, found.friction)
-    assert float(found.fit.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
+    assert (muscle.law, muscle.friction) == (found.law, found.friction)
+    assert float(found.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
     doubtful = dataclasses.replace(found.hysteresis, notes=(Remark.warning("half_width", "at a bound"),))
     warned = dataclasses.replace(found, hysteresis=doubtful)
-    assert warned.warnings == (*found.fit.warnings, "at a bound")
+    assert warned.warnings == (*found.warnings, "at a bound")
     assert all(text in warned.to_text(width=500, details=True) for text in ("at a bound", found.note))
     assert found.plot().axes
     for given, volume in ({"fill": 30e-6}, 30e-6), ({"diameter": 12 * mm}, np.pi / 4 * 0.012**2 * 0.2):
@@ -121,11 +121,11 @@ def test_friction_that_reverses_makes_no_row_of_a_slow_loop_an_outlier(tmp_path)
     assert not [one for one in heard if "contradict" in str(one.message)]
     found = identify_with_friction(ExponentialLaw, data)
     assert found.hysteresis is not None
-    assert found.fit.outliers == mk.identify(ExponentialLaw, data).outliers == ()
+    assert found.outliers == fit_law(ExponentialLaw, data).outliers == ()
 
 
 def test_a_wrong_force_in_a_slow_loop_is_an_outlier(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         data = mk.read_dataset(_slow_loop(tmp_path, wrong_row=100), initial_length=220 * mm, accept=["order"])
-    assert [one.row for one in mk.identify(ExponentialLaw, data).outliers] == [100]
+    assert [one.row for one in fit_law(ExponentialLaw, data).outliers] == [100]

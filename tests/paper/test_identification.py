@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.identification.reporting import fit_numbers
 from mckibben.muscle import ExponentialLaw
 from mckibben.paper.identification import (
@@ -88,7 +88,7 @@ def test_held_out_means_not_seen(identification):
         (identification.held_out_pressures, np.isin(settled.levels, TEST_PRESSURES)),
         (identification.held_out_repeat, settled.table["repeat"].to_numpy() == 1),
     ):
-        law = identify(ExponentialLaw, settled.select(~unseen)).law
+        law = fit_law(ExponentialLaw, settled.select(~unseen)).law
         taut = settled.select(unseen).taut
         error = np.asarray(law.force(taut.contraction, taut.pressure)) - taut.force
         assert found.of(EXPERIMENTAL).rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)

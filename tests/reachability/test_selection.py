@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 import mckibben as mk
 from mckibben import catalog
 from mckibben.errors import ParameterError, UnreachableError
+from mckibben.identification import fit_law
 from mckibben.muscle import ChouLaw, Muscle
 from mckibben.muscle.air import DENSITY, L_PER_S_BAR
 from mckibben.plant.sensors import TorquePulses
@@ -194,7 +195,7 @@ def test_without_a_required_stiffness_the_run_takes_the_middle_of_the_attainable
 
 def test_a_muscle_file_is_a_make_with_the_uncertainty_of_its_fit(tmp_path):
     data = catalog.dataset("dmsp-10-250-martens2017")
-    fit = mk.identify(mk.ExponentialLaw, data)
+    fit = fit_law(mk.ExponentialLaw, data)
     fit.to_yaml(tmp_path / "fit.yaml")
     (tmp_path / "muscle.yaml").write_text("specimen: DMSP-10-250\nlaw: fit.yaml\n")
     make = read_make(tmp_path / "muscle.yaml", 0.0)
@@ -253,7 +254,7 @@ def test_a_braid_gives_a_make_by_chous_law():
 
 
 def test_a_law_that_is_not_affine_and_no_makes_are_refused():
-    smooth = mk.identify(mk.SmoothLaw, catalog.dataset("festo-tool-10mm")).law
+    smooth = fit_law(mk.SmoothLaw, catalog.dataset("festo-tool-10mm")).law
     for makes in ([Make.of("smooth", Muscle(catalog.specimen("DMSP-10-250"), smooth), None)], []):
         with pytest.raises(ParameterError):
             size(NEED, makes)

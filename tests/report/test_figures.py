@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.muscle import ExponentialLaw
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.report import isobaric, measured_muscles, save, tracking
@@ -107,7 +107,7 @@ def test_results_of_different_references_are_refused(reproduction):
 @pytest.mark.parametrize("name", ["dmsp-10-250-martens2017", "festo-tool-10mm"])
 def test_a_dataset_is_drawn_with_and_without_a_fit(name):
     data = catalog.dataset(name)
-    alone, fitted = isobaric(data), isobaric(data, identify(ExponentialLaw, data))
+    alone, fitted = isobaric(data), isobaric(data, fit_law(ExponentialLaw, data))
     check(alone)
     check(fitted)
     assert len(panels(fitted)) == len(panels(alone)) + 1

@@ -5,7 +5,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.muscle import ExponentialLaw
 from mckibben.report.identification import force_bands
 from mckibben.units import bar, percent
@@ -18,7 +18,7 @@ def chart():
 
 @pytest.fixture(scope="module")
 def fit(chart):
-    return identify(ExponentialLaw, chart)
+    return fit_law(ExponentialLaw, chart)
 
 
 @pytest.mark.slow
@@ -50,6 +50,6 @@ def test_directions_are_told_apart(chart):
         force=taut.force,
         direction=np.where(np.arange(len(taut)) % 2, "loading", "unloading"),
     )
-    figure = force_bands(both, identify(ExponentialLaw, both), level=0.9)
+    figure = force_bands(both, fit_law(ExponentialLaw, both), level=0.9)
     names = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert set(names) == {"fitted law", "90 % confidence band", "90 % prediction band", "loading", "unloading"}

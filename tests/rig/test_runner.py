@@ -107,7 +107,7 @@ def test_a_test_at_constant_forces_is_identified_as_the_isobaric_one(tmp_path):
     )
     assert found.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.5)
     assert other.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.1)
-    ours, theirs = (fit.fit.force_intervals(data.contraction, data.pressure) for fit in (found, other))
+    ours, theirs = (fit.force_intervals(data.contraction, data.pressure) for fit in (found, other))
     assert np.mean(ours.prediction.contains(theirs.prediction.value)) > 0.95
     truth = forces(MUSCLE.law, data.contraction, data.pressure)
     assert np.sqrt(np.mean((ours.confidence.value - truth) ** 2)) < 1.0

@@ -46,10 +46,10 @@ def control(knee):
 @pytest.fixture(scope="module")
 def other_knee(knee):
     """The same knee with muscles after the maker's chart, fitted: another law of the same kind."""
-    from mckibben.identification import identify
+    from mckibben.identification import fit_law
     from mckibben.muscle import ExponentialLaw
 
-    law = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm")).law
+    law = fit_law(ExponentialLaw, catalog.dataset("festo-tool-10mm")).law
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
     return eqx.tree_at(lambda j: (j.muscle1, j.muscle2), knee, (muscle, muscle))
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben import identify, read_dataset
+from mckibben import read_dataset
 from mckibben.control import Measurement
+from mckibben.identification import fit_law
 from mckibben.muscle import ExponentialLaw
 from mckibben.scenario import Scenario, run_scenario
 
@@ -35,7 +36,7 @@ def test_a_scenario_starts_at_rest_and_runs_without_a_warning(path):
 
 @pytest.mark.slow
 def test_a_dataset_has_only_the_warning_of_its_friction():
-    fit = identify(ExponentialLaw, read_dataset(EXAMPLES / "rig.csv"))
+    fit = fit_law(ExponentialLaw, read_dataset(EXAMPLES / "rig.csv"))
     assert [warning for warning in fit.warnings if "friction" not in warning] == []
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import FileError, NotInCatalogError
-from mckibben.identification import identify
+from mckibben.identification import fit_law
 from mckibben.muscle import ChouLaw, ExponentialLaw, ThresholdLaw
 from mckibben.study.inputs import data_named, law_named, law_type_named
 
@@ -36,7 +36,7 @@ def test_a_law_by_name_of_a_specimen_and_of_a_fit_file(tmp_path):
     chou = law_named("chou", specimen="MAS-10-180N-AA-MC-O")
     assert isinstance(chou, ChouLaw)
     assert float(chou.force(0.0, 6e5)) == pytest.approx(386, abs=0.5)
-    fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    fit = fit_law(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
     fit.to_yaml(tmp_path / "fit.yaml")
     assert float(law_named(str(tmp_path / "fit.yaml")).force(0.05, 3e5)) == float(fit.law.force(0.05, 3e5))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.identification import Grouping, identify
+from mckibben.identification import Grouping, fit_law
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import ExponentialLaw
 from mckibben.study.uncertainty import joint_bands
@@ -19,12 +19,12 @@ PRESSURES = (3.5 * bar, 4 * bar)
 
 @pytest.fixture(scope="module")
 def fit():
-    return identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    return fit_law(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
 
 
 @pytest.fixture(scope="module")
 def other():
-    return identify(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    return fit_law(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
 
 
 def drawn(fit, count=4000, seed=0):

@@ -227,10 +227,10 @@ def test_an_outlier_is_named_and_can_be_kept():
             user.find(marker="fit").click()
             await user.should_see("23 points", retries=400)
             await user.should_see(wording.KEEP, kind=ui.label)
-            assert kept.results["fit"].result.fit.points_used == 23
+            assert kept.results["fit"].result.points_used == 23
             user.find(marker="keep").click()
             user.find(marker="fit").click()
-            await until(lambda: kept.results["fit"].result.fit.points_used == 24, 40)
+            await until(lambda: kept.results["fit"].result.points_used == 24, 40)
 
     asyncio.run(visit())
 

@@ -57,12 +57,12 @@ class Source(NamedTuple):
 
 def identified(fitted: FitWithFriction, source: Source) -> Report:
     """Report of a law with friction."""
-    fit, loops = fitted.fit, fitted.hysteresis
+    loops = fitted.hysteresis
 
     def write(folder: Path) -> None:
-        source.write(folder, fit, loops)
-        report.save(report.isobaric(fitted.points, fit), folder, "fit")
-        report.save(report.force_bands(fitted.points, fit), folder, "bands")
+        source.write(folder, fitted, loops)
+        report.save(report.isobaric(fitted.points, fitted), folder, "fit")
+        report.save(report.force_bands(fitted.points, fitted), folder, "bands")
         if loops:
             report.save(report.loops(source.points, loops), folder, "loops")
 

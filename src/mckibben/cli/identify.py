@@ -12,12 +12,11 @@ from mckibben.errors import ParameterError, UnitError
 from mckibben.units import quantity
 
 if TYPE_CHECKING:
-    from mckibben.identification import FrictionForm
     from mckibben.muscle import ForceLaw
     from mckibben.result import Result
 
 _ALL = "all"
-_CHOICES = {"auto": None, "on": True, "off": False}
+_CHOICES: dict[str, str | bool | None] = {"auto": None, "on": True, "off": False}
 
 
 @command
@@ -73,13 +72,12 @@ def identify(
         check_unused(f"--of {of}", inner=inner, pool=pool, friction=form)
         return _of_recordings(of, data, dead_volume, reading)
     from mckibben.cli.identified import Source, identified, pooled, ranked
-    from mckibben.identification import identify_pooled, identify_with_friction, rank
-    from mckibben.study.inputs import law_type_named
+    from mckibben.identification import identify_pooled, rank
+    from mckibben.study import inputs
 
-    law_type, robust = law_type_named(law) if law != _ALL else None, not keep_outliers
+    law_type, robust = inputs.law_type_named(law) if law != _ALL else None, not keep_outliers
     if law_type is None:
         check_unused("--law all", friction=form, pool=pool)
-    form_type = None if friction in _CHOICES else _friction_form(friction)
     if not pool:
         check_unused("specimens that are not pooled (--pool)", for_length=for_length)
     elif law_type is not None:
@@ -90,8 +88,8 @@ def identify(
     source = Source(data, points, reading.recipe, _air_volume(inner, points.table.attrs.get("initial_length")))
     if law_type is None:
         return ranked(rank(points, robust=robust, progress=progress), source)
-    asked = True if form_type else _CHOICES[friction]
-    return identified(identify_with_friction(law_type, points, friction=asked, form=form_type, robust=robust), source)
+    fitted = inputs.identify(points, law_type, friction=_CHOICES.get(friction, friction), robust=robust)
+    return identified(fitted, source)
 
 
 def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading) -> Result:
@@ -124,17 +122,6 @@ def _air_volume(text: str, length: float | None) -> float | None:
         diameter = parse_quantity("--inner", text, "m", positive=True)
         return inner_volume(length, diameter) if length else None
     return parse_quantity("--inner", text, "m^3", positive=True)
-
-
-def _friction_form(text: str) -> FrictionForm:
-    from mckibben.identification import FrictionForm
-
-    try:
-        return FrictionForm(text)
-    except ValueError:
-        forms = ", ".join([*_CHOICES, *(form.value for form in FrictionForm)])
-        message = f"--friction {text!r} is not a form of friction"
-        raise ParameterError(message, value=text, remedy=f"take {forms}") from None
 
 
 @command

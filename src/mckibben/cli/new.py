@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mckibben.cli.command import plain_command
 from mckibben.cli.options import echo
-from mckibben.errors import ParameterError, RangeError, quoted, suggest
+from mckibben.errors import ParameterError, quoted, suggest
 
 _KINDS = ("joint", "bench", "robot")
 _MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
@@ -32,15 +32,16 @@ def new(kind: str, file: Path, muscle: Path | None = None) -> None:
 
     values: dict[str, object] = {"file": file, "name": file.stem}
     if kind != "robot":
-        values |= _values_for(kind, muscle, file)
+        values |= _values_for(muscle, file)
     elif muscle:
         raise ParameterError("a robot has the muscles of its file", field="muscle", remedy="leave --muscle out")
+    text = _joint_text(values, file) if kind == "joint" else filled(f"{kind}.yaml", values, "mckibben.cli")
     with atomic_write(file) as target:
-        target.write_text(filled(f"{kind}.yaml", values, "mckibben.cli"), encoding="utf-8")
+        target.write_text(text, encoding="utf-8")
     echo(f"wrote {file}; its first lines say what to do with it")
 
 
-def _values_for(kind: str, path: Path | None, file: Path) -> dict[str, object]:
+def _values_for(path: Path | None, file: Path) -> dict[str, object]:
     """Return the muscle of a file, and numbers that suit it."""
     from mckibben import catalog
     from mckibben.component.schema import read_component
@@ -53,7 +54,7 @@ def _values_for(kind: str, path: Path | None, file: Path) -> dict[str, object]:
     else:
         muscle, text = read_component(Muscle, path), f"{{from: {relative_path(path, file.parent)}}}"
     highest = int(float(muscle.domain.pressure_max) / bar)
-    values: dict[str, object] = {
+    return {
         "muscle": text,
         "rest_length": f"{0.9 * float(muscle.specimen.initial_length) / mm:.0f} mm",
         "pressures": ", ".join(f"{level} bar" for level in range(1, highest + 1)),
@@ -61,24 +62,11 @@ def _values_for(kind: str, path: Path | None, file: Path) -> dict[str, object]:
         "force": f"{min(muscle.specimen.force_limit, 1500.0):g} N",
         "contraction": f"{0.9 * float(muscle.domain.contraction_max) / percent:.0f} %",
     }
-    return values | _attainable(values, file) if kind == "joint" else values
 
 
-def _attainable(values: dict[str, object], file: Path) -> dict[str, object]:
-    """Return two stiffnesses that the joint of the template has at both ends of its motion and in between."""
-    import numpy as np
+def _joint_text(values: dict[str, object], file: Path) -> str:
+    """Return the text of a joint, with stiffnesses that it has."""
+    from mckibben.scenario import UNKNOWN, Scenario, starting_stiffness, starting_text
 
-    from mckibben.codegen.templates import filled
-    from mckibben.scenario import Scenario
-    from mckibben.units import deg
-
-    unknown = {"file": file, "name": file.stem, "low": "1 N*m/rad", "high": "1 N*m/rad"}
-    text = filled("joint.yaml", values | unknown, "mckibben.cli")
-    scenario, angle = Scenario.parse(text, folder=file.parent), np.array([-10, 0, 10]) * deg
-    lowest, highest = scenario.joint.attainable_stiffness(angle, -scenario.load.gravity_torque(angle))
-    low, high = float(np.max(lowest)), float(np.min(highest))
-    if not low < high:
-        remedy = "leave --muscle out, and adapt the file to the muscle; or see `mckibben size`"
-        raise RangeError("the muscle cannot move the joint of the template", field="muscle", remedy=remedy)
-    before, after = (low + part * (high - low) for part in (0.4, 0.6))
-    return {"low": f"{before:.3g} N*m/rad", "high": f"{after:.3g} N*m/rad"}
+    read = Scenario.parse(starting_text(values | UNKNOWN), folder=file.parent)
+    return starting_text(values | starting_stiffness(read.joint, read.load))

@@ -30,10 +30,10 @@ import equinox as eqx
 import numpy as np
 
 from mckibben.component.calls import CheckedCalls
-from mckibben.component.checks import check_kind, known_numbers
+from mckibben.component.checks import check_kind, in_si, known_numbers
 from mckibben.config.model import marks_in
 from mckibben.errors import Problem, RangeError, Suggesting, described, printable, quoted, refuse_problems
-from mckibben.result import Column, Listing
+from mckibben.result import Listing
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
 if TYPE_CHECKING:
@@ -106,15 +106,30 @@ class Described:
         return None
 
 
-_ComponentMeta: Any = type("_ComponentMeta", (CheckedCalls, type(eqx.Module)), {})
+class _TextWithUnits(CheckedCalls):
+    """Metaclass of classes whose fields may be given as in files, as text with a unit: ``Pulley("35 mm", 0.25)``."""
+
+    def __call__(cls, *args: object, **named: object) -> Any:  # noqa: N805
+        if any(isinstance(value, str | list | tuple) for value in (*args, *named.values())):
+            names = list(cls.__signature__.parameters)
+            args = (*(_in_si(cls, *field) for field in zip(names, args, strict=False)), *args[len(names) :])
+            named = {name: _in_si(cls, name, value) for name, value in named.items()}
+        return super().__call__(*args, **named)
+
+
+def _in_si(kind: type[Described], name: str, value: object) -> object:
+    return in_si(kind.__name__, name, value, field_quantities(kind).get(name) or kind.unit_of(name))
+
+
+_ComponentMeta: Any = type("_ComponentMeta", (_TextWithUnits, type(eqx.Module)), {})
 
 
 class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ignore[invalid-inheritance]
     """Base of all parts of a model: a frozen `equinox.Module` whose fields have the declared types and ranges.
 
-    A subclass is a pytree, whose leaves are its parameters. Files, sweeps, tuning, export and the contract derive from
-    its annotated fields. A rule between fields stands in `__check_init__`, which is called for each class of the
-    hierarchy, beginning with this one.
+    Numbers are in SI, or texts with a unit. A subclass is a pytree, whose leaves are its parameters. Files, sweeps,
+    tuning, export and the contract derive from its annotated fields. A rule between fields stands in
+    `__check_init__`, which is called for each class of the hierarchy, beginning with this one.
 
         >>> from mckibben.joint import PendulumLoad
         >>> PendulumLoad(0.3, length=300.0)
@@ -127,12 +142,17 @@ class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  #
         check_fields(self)
 
     def _repr_html_(self) -> str:
-        names, values = zip(*_rows(self), strict=True) if dataclasses.fields(self) else ((), ())
-        columns = {"field": (Column(), names), "value, SI if no unit is given": (Column(), values)}
-        return Listing(type(self).__name__, columns).to_html()
+        tables: dict[str, list[tuple[str, str]]] = {"": []}  # of own fields, and of those of each part, to be opened
+        for name, value in _rows(self):
+            tables.setdefault(name.rpartition(".")[0].partition(".")[0], []).append((name, value))
+        headings = "field", "value, SI if no unit is given"
+        own, *parts = (Listing.of("", headings, rows).to_html() for rows in tables.values())
+        opened = zip(list(tables)[1:], parts, strict=True)
+        more = (f"<details><summary>{name}</summary>{table}</details>" for name, table in opened)
+        return f"<p>{type(self).__name__}</p>{own}{''.join(more)}"
 
 
-class Checked(Described, Suggesting, metaclass=CheckedCalls):
+class Checked(Described, Suggesting, metaclass=_TextWithUnits):
     """Base of dataclasses whose fields are checked as those of components, and which are no pytrees.
 
     For settings that are no part of a model, such as the limits of a rig.

@@ -18,8 +18,10 @@ from numbers import Number
 from types import NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from mckibben.component.checks import as_number
+from mckibben.component.checks import as_number, in_si
+from mckibben.config.model import marks_in
 from mckibben.errors import CallError, McKibbenError, described, suggest, with_article
+from mckibben.units import Quantity
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -37,7 +39,8 @@ def checked_call(function: Callable[P, R]) -> Callable[P, R]:
     """Let a call that fails because of its arguments raise a `CallError`; a decorator.
 
     The call itself costs nothing more: arguments are compared with the signature and its types only after it failed
-    with a `TypeError`, `AttributeError` or `ValueError`. Only a text in place of a flag is refused before.
+    with a `TypeError`, `AttributeError` or `ValueError`. Only a text in place of a flag is refused before, and one such
+    as "35 mm" becomes a number in SI if the type of the argument has a unit.
 
         >>> @checked_call
         ... def pull(muscle: str, pressure: float) -> str:
@@ -51,9 +54,12 @@ def checked_call(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **named: P.kwargs) -> R:
         for name, value in named.items():
-            if isinstance(value, str) and _hint(function, name) is bool:  # "no" would count as True
+            if not isinstance(value, str):
+                continue
+            if (hint := _hint(function, name)) is bool:  # "no" would count as True
                 text = f"{function.__name__}: {name} is {described(value)}"
                 raise CallError(text, field=name, value=value, remedy="give True or False")
+            named[name] = in_si(function.__name__, name, value, next(marks_in(hint, Quantity), None))
         try:
             return function(*args, **named)
         except (TypeError, AttributeError, ValueError, LookupError) as error:
@@ -169,6 +175,8 @@ def _remedy(value: object, kinds: list[type], others: list[object]) -> str:
     remedy = f"give {with_article(' or '.join(_NAMES.get(kind, kind.__name__) for kind in kinds))}"
     if reading := _reading(kinds[0], value):
         return f"{remedy}: {reading}"
+    if callable(getattr(type(value), made := kinds[0].__name__.lower(), None)):
+        return f"{remedy}: {type(value).__name__}.{made}() returns one"
     swapped = any(isinstance(other, kind) for other in others for kind in kinds if _is_ours(kind))
     return f"{remedy}; are arguments swapped?" if swapped else remedy
 
@@ -185,7 +193,7 @@ def _hint(function: Callable[..., object], name: str) -> object:
     with suppress(Exception):  # a name that only type checkers import
         written = SimpleNamespace(__annotations__={name: function.__annotations__[name]})
         if not isinstance(function, type):
-            return get_type_hints(written, vars(sys.modules[function.__module__]))[name]
+            return get_type_hints(written, vars(sys.modules[function.__module__]), include_extras=True)[name]
     return object
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, UnitError, described, quoted, with_article
-from mckibben.units import NUMBER, dimensions, factor
+from mckibben.units import NUMBER, SYMBOLS, Quantity, dimensions, factor
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
@@ -108,6 +108,29 @@ def as_number(value: object, unit: str = "") -> str:
     example = example.replace("^", "**").replace("%", "percent")
     remedy = "give a number" if unit == "1" else "give a number in SI units"
     return f"{remedy}, such as {example} with mckibben.units" if example else remedy
+
+
+def in_si(owner: str, name: str, value: object, mark: object) -> object:
+    """Return a text with a unit as a number in SI, also within a list; other values as they are.
+
+    `mark` is the `Quantity` of the field or argument `name`; without one, or with a symbolic unit, a text stays a text.
+    Raises `UnitError` and `RangeError`, as for a file.
+
+        >>> from mckibben.units import Quantity
+        >>> in_si("Pulley", "radius", "35 mm", Quantity("m", "mm"))
+        0.035
+    """
+    if not isinstance(mark, Quantity) or mark.unit in SYMBOLS:
+        return value
+    if isinstance(value, list | tuple) and any(isinstance(item, str) for item in value):
+        return tuple(in_si(owner, name, item, mark) for item in value)
+    if not isinstance(value, str):
+        return value
+    try:
+        return mark.read(value)
+    except (UnitError, RangeError) as error:
+        error.field, error.message = name, f"{owner}: {name}: {error.message}"
+        raise
 
 
 def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArray[np.float64]:

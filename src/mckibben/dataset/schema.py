@@ -303,8 +303,8 @@ class MeasuredTable(Suggesting):
     """
 
     suggestions: ClassVar[Mapping[str, str]] = {
-        "fit": "mk.identify(mk.ExponentialLaw, data)",
-        "identify": "mk.identify(mk.ExponentialLaw, data)",
+        "fit": "mk.identify(data, 'exponential')",
+        "identify": "mk.identify(data, 'exponential')",
         "save": "to_netcdf(path)",
     }
     schema: ClassVar[Mapping[str, Variable]]

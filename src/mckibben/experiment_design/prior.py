@@ -10,7 +10,7 @@ import numpy as np
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.experiment_design.information import Floats, Indices, NoiseModel, estimate_noise
-from mckibben.identification import Fit, Grouping, identify
+from mckibben.identification import Fit, Grouping, fit_law
 from mckibben.identification.grouping import group_labels
 from mckibben.identification.least_squares import design_matrix
 from mckibben.muscle import Domain, ForceLaw
@@ -91,7 +91,7 @@ def _fit(
         remedy = "give one, such as ExponentialLaw"
         raise ParameterError("a plan needs the kind of law", field="law_type", remedy=remedy)
     try:
-        return identify(law_type, data)
+        return fit_law(law_type, data)
     except IdentificationError as error:
         if guess is None or noise is None:
             raise IdentificationError(

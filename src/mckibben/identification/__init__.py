@@ -3,7 +3,7 @@
 from mckibben.identification.creep import CreepFit, identify_pressure_creep
 from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify
+from mckibben.identification.fitting import fit_law
 from mckibben.identification.friction import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
@@ -41,7 +41,7 @@ __all__ = [
     "Validation",
     "design_matrix",
     "find_outliers",
-    "identify",
+    "fit_law",
     "identify_hysteresis",
     "identify_pooled",
     "identify_pressure_creep",

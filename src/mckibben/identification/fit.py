@@ -74,7 +74,7 @@ class Fit(Result, metaclass=CheckedCalls):
         "summary": "to_text()",
         "parameters": "estimates",
         "save": "to_yaml(path)",
-        "muscle": "mk.Muscle(specimen, fit.law); `identify_with_friction` gives one",
+        "muscle": "mk.Muscle(specimen, fit.law); a fit by `mk.identify` gives one",
     }
 
     law: ForceLaw

@@ -47,7 +47,7 @@ _CONTRACTIONS = 6  # with fewer, a law of one contraction less is hardly determi
 
 
 @checked_call
-def identify(
+def fit_law(
     law_type: type[ForceLaw],
     dataset: IsobaricDataset,
     *,
@@ -74,7 +74,7 @@ def identify(
     --------
     >>> from mckibben import catalog
     >>> from mckibben.muscle import ExponentialLaw
-    >>> fit = identify(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    >>> fit = fit_law(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
     >>> round(fit.law.decay, 1), round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
     (40.0, 1.07, 1.34)
     """
@@ -86,7 +86,7 @@ def identify(
 def check_law_type(kind: object) -> None:
     """Raise an `IdentificationError` unless a value is a class of laws."""
     if not (isinstance(kind, type) and issubclass(kind, ForceLaw)):
-        remedy = "give the class, such as ExponentialLaw: identify(ExponentialLaw, data)"
+        remedy = "give the class, such as ExponentialLaw: fit_law(ExponentialLaw, data)"
         raise IdentificationError(f"{described(kind)} is not a class of laws", remedy=remedy)
 
 

@@ -14,7 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors
 from mckibben.identification.fit import warning_texts
-from mckibben.identification.fitting import check_law_type, identify
+from mckibben.identification.fitting import check_law_type, fit_law
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
 from mckibben.identification.grouping import held_values, measured_weights
 from mckibben.identification.least_squares import UnitCube
@@ -235,7 +235,7 @@ def identify_hysteresis(
     used &= (rate is None) | ~paths.at_reversal(means)
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
     reference = float(np.unique(means.levels[taut]).mean()), float(means.force[taut].mean())
-    template = identify(law, means, robust=robust).law
+    template = fit_law(law, means, robust=robust).law
     weights = measured_weights(template, means)
     model = PathDependentModel(template, paths, means, bases[0], used, weights, *reference, rate)
     of_law = model.law_names
@@ -270,7 +270,7 @@ def _started(
         friction = model.components(start)[1]
         corrected = IsobaricDataset(model.means.table.assign(force=("point", model.means.force - friction)))
         try:
-            model = dataclasses.replace(model, template=identify(law_type, corrected, robust=robust).law)
+            model = dataclasses.replace(model, template=fit_law(law_type, corrected, robust=robust).law)
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
         model, start = _branched(model, start)

@@ -17,7 +17,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification.estimator import Bools, Floats, Ints, bounded_minimum, t_quantile
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify
+from mckibben.identification.fitting import fit_law
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
@@ -249,7 +249,7 @@ class _Pool:
 
     def fit(self, dead: float, strengths: Floats, selected: Bools) -> Fit:
         """Fit of the law to the selected points."""
-        return identify(self.law, self.dataset(dead, strengths, selected), robust=False)
+        return fit_law(self.law, self.dataset(dead, strengths, selected), robust=False)
 
     def dead_length(self, selected: Bools, *, shortest: float = -0.1, longest: float = 0.3) -> float:
         """Dead length [m] from the selected points; 0 if the lengths differ by less than 10 %.

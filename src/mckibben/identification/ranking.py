@@ -15,7 +15,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.design import check_design
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import check_law_type, identify, without_direction_means
+from mckibben.identification.fitting import check_law_type, fit_law, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     CrossValidation,
@@ -249,7 +249,7 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
 
 def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> RankedLaw:
     try:
-        fit = identify(kind, means, robust=False)
+        fit = fit_law(kind, means, robust=False)
     except IdentificationError as error:
         return RankedLaw(kind.__name__, refused=str(error))
     regression = fit.require_regression()

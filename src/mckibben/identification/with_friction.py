@@ -3,58 +3,60 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, ClassVar
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, RangeError, no_attribute
+from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit, warning_texts
-from mckibben.identification.fitting import fit_means, identify
+from mckibben.identification.fitting import fit_law, fit_means
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.loading_path import NoHysteresisError, loop_half_width
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
-from mckibben.result import Listing, Remark, Result
+from mckibben.result import Listing, Remark
+from mckibben.units import Diameter, Volume
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-class FitWithFriction(Result):
-    """Result of `identify_with_friction`.
+class FitWithFriction(Fit):
+    """Fit of a law, with friction where it was identified: the result of `identify_with_friction`.
 
     Attributes
     ----------
-    fit
-        Law fitted to `points`: without friction, to the measured ones.
     hysteresis
         Friction and drift of the force sensor; None if the law was fitted without them.
     points
-        Points of the fit, corrected for friction and drift.
+        Points of the fit, corrected for friction and drift; without friction, the measured ones.
     note
         The choice between both, in words; empty if there was none.
     """
 
     figures: ClassVar = ("fit",)
+    suggestions: ClassVar = {**Fit.suggestions, "joint": "mk.joint(fit.muscle(), 'pulley', radius='30 mm')"}
 
-    fit: Fit
-    hysteresis: HysteresisFit | None
-    points: IsobaricDataset
+    hysteresis: HysteresisFit | None = None
+    points: IsobaricDataset = field(kw_only=True)
     note: str = ""
 
     def verdict(self) -> str:
         """Return the verdict of the law, and that of the friction."""
-        return ". ".join(part.verdict() for part in (self.fit, self.hysteresis) if part)
+        return ". ".join([super().verdict(), *([self.hysteresis.verdict()] if self.hysteresis else [])])
 
     def remarks(self) -> Iterable[Remark]:
         """Return the remarks of the law and of the friction, and the choice between both."""
         if self.note:
             yield Remark.note("friction", self.note) if self.hysteresis else Remark.warning("friction", self.note)
-        yield from self.fit.remarks()
+        yield from super().remarks()
         yield from self.hysteresis.notes if self.hysteresis else ()
 
     def listings(self) -> Iterable[Listing]:
         """Return the tables of the law and of the friction."""
-        yield from titled(self.fit.listings(), "law")
+        yield from titled(super().listings(), "law")
         yield from titled(self.hysteresis.listings(), "law and friction") if self.hysteresis else ()
 
     @property
@@ -65,15 +67,11 @@ class FitWithFriction(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Texts of the remarks on law and friction that are not mere details."""
-        return tuple(warning_texts([*self.fit.notes, *(self.hysteresis.notes if self.hysteresis else ())]))
+        return tuple(warning_texts([*self.notes, *(self.hysteresis.notes if self.hysteresis else ())]))
 
-    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
-
-        def __getattr__(self, name: str) -> Any:
-            raise no_attribute(self, name, {own: f"fit.{own}" for own in dir(self.fit) if not own.startswith("_")})
-
+    @checked_call
     def muscle(
-        self, specimen: Specimen | None = None, *, diameter: float | None = None, fill: float | None = None
+        self, specimen: Specimen | None = None, *, diameter: Diameter | None = None, fill: Volume | None = None
     ) -> Muscle:
         """Return the muscle with this law and its friction, for joints.
 
@@ -86,7 +84,7 @@ class FitWithFriction(Result):
         if specimen is None:
             attrs = self.points.table.attrs
             if (length := attrs.get("initial_length")) is None:
-                remedy = "give initial_length to read_dataset, or muscle(Specimen('my muscle', 0.3))"
+                remedy = "read them with initial_length='300 mm', or give muscle(Specimen('my muscle', 0.3))"
                 raise IdentificationError("the points have no initial length", remedy=remedy)
             specimen = Specimen(attrs["specimen"] or "my muscle", length)
         length = float(specimen.initial_length)
@@ -97,12 +95,12 @@ class FitWithFriction(Result):
         if diameter is not None:
             fill = inner_volume(length, diameter)
         if fill is not None:
-            specimen = replace(specimen, volume_terms=volume_terms(self.fit.law, length, fill))
-        return Muscle(specimen, self.fit.law, self.friction or NoFriction())
+            specimen = replace(specimen, volume_terms=volume_terms(self.law, length, fill))
+        return Muscle(specimen, self.law, self.friction or NoFriction())
 
-    def plot(self) -> Any:
+    def plot(self, data: IsobaricDataset | None = None) -> Figure:  # pyrefly: ignore[bad-override]
         """Return a figure of points, curves and residuals without friction, see `mckibben.report.isobaric`."""
-        return self.fit.plot(self.points)
+        return super().plot(self.points if data is None else data)
 
 
 def titled(listings: Iterable[Listing], title: str) -> Iterable[Listing]:
@@ -156,18 +154,18 @@ def identify_with_friction(
         )
         hysteresis = None
     if not hysteresis:
-        fit = identify(law, dataset, robust=robust)
+        fit = fit_law(law, dataset, robust=robust)
         if note:  # it says why there is no friction
             fit = replace(fit, notes=tuple(remark for remark in fit.notes if remark.field != "friction"))
-        return FitWithFriction(fit, None, dataset, note)
+        return FitWithFriction(**vars(fit), points=dataset, note=note)
     points = hysteresis.corrected(dataset)
     fit = replace(fit_means(law, points, ()), outliers=hysteresis.outliers)
     if gap:
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
-            f"{identify(law, dataset, robust=robust).rmse:.3g} N"
+            f"{fit_law(law, dataset, robust=robust).rmse:.3g} N"
         )
-    return FitWithFriction(fit, hysteresis, points, note)
+    return FitWithFriction(**vars(fit), hysteresis=hysteresis, points=points, note=note)
 
 
 def shows_hysteresis(dataset: IsobaricDataset) -> bool:

@@ -1,6 +1,7 @@
 """The joint: geometry (Eqs. 4-5), torque and stiffness (Eqs. 7-8), load (Eq. 6) and attainable set."""
 
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
+from mckibben.joint.build import joint, make_callable
 from mckibben.joint.geometry import Geometry, KneeGeometry, ScaledArms
 from mckibben.joint.load import GeneralLoad, KneeLoad, Load, PendulumLoad
 from mckibben.joint.paths import Cam, MusclePath, PairedPaths, Pulley, TabulatedPath, TwoBonePath
@@ -27,4 +28,7 @@ __all__ = [
     "Tendon",
     "TorqueStiffnessMap",
     "TwoBonePath",
+    "joint",
 ]
+
+make_callable(__name__)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Num
@@ -11,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float, Num
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import check_positive, check_within
-from mckibben.errors import RangeError
+from mckibben.errors import RangeError, printable
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
@@ -24,6 +26,9 @@ from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.result import Remark
 from mckibben.units import deg
+
+if TYPE_CHECKING:
+    from mckibben.scenario import Scenario
 
 SMALL_MOTION = 0.1 * deg
 """Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
@@ -145,6 +150,9 @@ class AntagonisticJoint(Component):
     tendon: Tendon = RigidTendon()
 
     aliases: ClassVar = {"muscle": ("muscle1", "muscle2")}
+    suggestions: ClassVar = {
+        name: f"scenario(load).{name}()" for name in ("simulate", "tune", "envelope", "margins")
+    } | {"plot": "mk.report.draw_joint(joint, angle, pressures)"}
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -169,8 +177,20 @@ class AntagonisticJoint(Component):
                     )
 
     def __repr__(self) -> str:
-        parts = type(self.geometry).__name__, repr(self.muscle1), repr(self.muscle2), type(self.tendon).__name__
-        return f"AntagonisticJoint({', '.join(parts)})"
+        muscles = f"two of {self.muscle1}" if self.muscle1 is self.muscle2 else f"{self.muscle1} and {self.muscle2}"
+        tendon = "" if isinstance(self.tendon, RigidTendon) else f", {type(self.tendon).__name__}"
+        return f"<AntagonisticJoint: {printable(eqx.tree_pformat(self.geometry, width=1000), 200)}, {muscles}{tendon}>"
+
+    @checked_call
+    def scenario(self, load: object, **sections: object) -> Scenario:
+        """Return a `mckibben.Scenario` of this joint with a load, to be simulated, tuned and changed.
+
+        Load and further sections are objects, or as in a file: ``joint.scenario({"class": "pendulum", "mass": "1 kg",
+        "length": "250 mm"}, duration="6 s")``. Others are those of ``mckibben new joint``: decoupling control on valves
+        of first order, a sine of the angle and a step of the stiffness between two that the joint can have. Raises
+        `ScenarioError` for sections that cannot be, and `RangeError` if the joint cannot carry the load.
+        """
+        return import_module("mckibben.scenario").starting_scenario(self, load, sections)
 
     @property
     def muscles(self) -> tuple[Muscle, Muscle]:

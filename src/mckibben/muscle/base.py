@@ -57,7 +57,7 @@ class ForceLaw(Component):
 
     suggestions: ClassVar = {
         "stiffness": "slope(contraction, pressure), or joint.stiffness(angle, pressures)",
-        "()": "to identify it from data, write identify({}, data)",
+        "()": "to identify it from data, write mk.identify(data, {})",
     }
     equation: ClassVar[str] = ""
     """Formula in the symbols of the source."""

@@ -44,9 +44,10 @@ class GaussianProcessLaw(EquationTwo):
 
     Examples
     --------
-    >>> from mckibben import catalog, identify
+    >>> from mckibben import catalog
+    >>> from mckibben.identification import fit_law
     >>> from mckibben.muscle import GaussianProcessLaw
-    >>> fit = identify(GaussianProcessLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    >>> fit = fit_law(GaussianProcessLaw, catalog.dataset("dmsp-10-250-martens2017"))
     >>> type(fit.law).__name__, round(fit.rmse, 2)
     ('GaussianProcessLaw', 0.61)
     """

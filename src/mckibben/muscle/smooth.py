@@ -94,8 +94,9 @@ class SmoothLaw(_Deviations):
 
     Examples
     --------
-    >>> from mckibben import catalog, identify
-    >>> fit = identify(SmoothLaw, catalog.dataset("festo-tool-10mm"))
+    >>> from mckibben import catalog
+    >>> from mckibben.identification import fit_law
+    >>> fit = fit_law(SmoothLaw, catalog.dataset("festo-tool-10mm"))
     >>> round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
     (0.06, 0.15)
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import Fit, Validation, identify, validate
+from mckibben.identification import Fit, Validation, fit_law, validate
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
 from mckibben.numerics.compiled import jit
@@ -80,8 +80,8 @@ def run_identification(*, repeats: int = 5) -> Identification:
     """
     rig = _test(repeats)
     real = {name: catalog.dataset(name) for name in (MARTENS, FESTO)}
-    fits = {RIG: identify(ExponentialLaw, rig.settled)} | {
-        name: identify(ExponentialLaw, data) for name, data in real.items()
+    fits = {RIG: fit_law(ExponentialLaw, rig.settled)} | {
+        name: fit_law(ExponentialLaw, data) for name, data in real.items()
     }
     chou = ChouLaw.of(rig.muscle.specimen)
     published = catalog.law("lei-mas-10-180n")
@@ -97,7 +97,7 @@ def run_identification(*, repeats: int = 5) -> Identification:
                 {
                     EXPERIMENTAL: fits[name].law,
                     CHOU: chou,
-                    CHOU_FITTED: identify(ChouLaw, data).law,
+                    CHOU_FITTED: fit_law(ChouLaw, data).law,
                     PUBLISHED: published,
                 },
                 data,
@@ -108,7 +108,7 @@ def run_identification(*, repeats: int = 5) -> Identification:
 
 
 def _held_out(chou: ChouLaw, data: IsobaricDataset, out: NDArray[np.bool_]) -> Validation:
-    return validate({EXPERIMENTAL: identify(ExponentialLaw, data.select(~out)).law, CHOU: chou}, data.select(out))
+    return validate({EXPERIMENTAL: fit_law(ExponentialLaw, data.select(~out)).law, CHOU: chou}, data.select(out))
 
 
 def direction_gap(data: IsobaricDataset) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.errors import ParameterError
-from mckibben.identification import Fit, identify
+from mckibben.identification import Fit, fit_law
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.muscle import ExponentialLaw, Muscle, Specimen
 from mckibben.units import (
@@ -227,8 +227,8 @@ def catalog_makes() -> tuple[Make, ...]:
     of 40 mm: its forces are those of 20 mm times four, the ratio of the cross-sections and of the rated forces, 1500
     and 6000 N, with twice the spread (ours).
     """
-    ten = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
-    twenty = identify(ExponentialLaw, catalog.dataset("dmsp-20-300-martens2017"))
+    ten = fit_law(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    twenty = fit_law(ExponentialLaw, catalog.dataset("dmsp-20-300-martens2017"))
     small, large = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.specimen("DMSP-20-300")
     forty = dataclasses.replace(
         large, name="Festo 40 mm", initial_diameter=2 * float(large.initial_diameter or 0.0), rated_force=6000.0

@@ -134,7 +134,7 @@ def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
 
 def fit(result: FitWithFriction) -> Figure:
     """Points, fitted curves and residuals of a law, without the friction that was identified with it."""
-    return isobaric(result.points, result.fit)
+    return isobaric(result.points, result)
 
 
 @styled

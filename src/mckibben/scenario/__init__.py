@@ -3,6 +3,7 @@
 from mckibben.scenario.muscle import read_specimen, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
 from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario
+from mckibben.scenario.start import UNKNOWN, starting_scenario, starting_stiffness, starting_text
 from mckibben.scenario.values import (
     ModelFollows,
     batched,
@@ -14,6 +15,7 @@ from mckibben.scenario.values import (
 )
 
 __all__ = [
+    "UNKNOWN",
     "ModelFollows",
     "RunSettings",
     "Scenario",
@@ -29,6 +31,9 @@ __all__ = [
     "read_specimen",
     "run_many",
     "run_scenario",
+    "starting_scenario",
+    "starting_stiffness",
+    "starting_text",
     "valid_rows",
     "with_values",
     "write_muscle",

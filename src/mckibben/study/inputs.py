@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben import catalog
+from mckibben.component.calls import checked_call
 from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.config.model import read_text
-from mckibben.errors import NotInCatalogError, plain_name, suggest
+from mckibben.errors import CallError, NotInCatalogError, ParameterError, described, plain_name, quoted, suggest
 from mckibben.joint import Geometry
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
+    from mckibben.identification import FitWithFriction
     from mckibben.joint import AntagonisticJoint
     from mckibben.muscle import ForceLaw, Specimen
 
@@ -66,6 +69,74 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
     if (kind := dataset.table.attrs["specimen"]) in catalog.names("specimens"):
         check_points(dataset, names[0], recipe.accept, catalog.specimen(kind))
     return dataset
+
+
+@checked_call
+def identify(
+    data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | IsobaricDataset,
+    law: str | type[ForceLaw] = "exponential",
+    *,
+    friction: bool | str | None = None,
+    robust: bool = True,
+    recipe: Recipe | str | os.PathLike[str] | None = None,
+    **options: object,
+) -> FitWithFriction:
+    """Identify a force law, with friction and drift where loading and unloading differ.
+
+    Parameters
+    ----------
+    data
+        Points; or a file, several files of one test, or a dataset of the catalog by name.
+    law
+        Force law, by name (`mckibben catalog` lists them) or as a class.
+    friction
+        True or False to fit with or without friction, or the form of the friction, such as "coulomb". Default: as for
+        `identify_with_friction`.
+    robust
+        False to keep outliers.
+    recipe, options
+        How files are read: a `Recipe` or its file, and its attributes by name, such as ``initial_length="280 mm"``.
+
+    Raises
+    ------
+    NotInCatalogError
+        If there is no law, file or dataset of a name.
+    DatasetError, ScenarioError
+        As `read_dataset`, for files that cannot be read, and for wrong options.
+    IdentificationError
+        If the points do not determine the parameters.
+
+    Examples
+    --------
+    >>> round(identify("dmsp-10-250-martens2017", "exponential").estimates["decay"], 1)
+    40.0
+    """
+    from mckibben.dataset import IsobaricDataset, Recipe
+    from mckibben.identification import FrictionForm, identify_with_friction
+
+    if isinstance(data, type) or isinstance(law, IsobaricDataset) or (isinstance(law, str) and "." in law):
+        text, remedy = f"identify: law is {described(law)}", "are arguments swapped? write identify(data, law)"
+        raise CallError(text, field="law", value=law, remedy=remedy)
+    law_type = law_type_named(law) if isinstance(law, str) else law
+    form = None
+    if isinstance(friction, str):
+        if friction not in (forms := [form.value for form in FrictionForm]):
+            message, remedy = (
+                f"{quoted(friction)} is not a form of friction",
+                f"take {', '.join(forms)}, or True or False",
+            )
+            remedy = f"{remedy} (command line: {', '.join(forms)}, on or off)"
+            raise ParameterError(message, field="friction", value=friction, remedy=remedy)
+        form, friction = FrictionForm(friction), True
+    if isinstance(data, IsobaricDataset):
+        if recipe or options:
+            text = "points are given, which are not read"
+            raise ParameterError(text, field=next(iter(options), "recipe"), remedy="give these options to read_dataset")
+    else:
+        recipe = recipe if isinstance(recipe, Recipe | None) else Recipe.read(recipe)
+        names = [data] if isinstance(data, str | os.PathLike) else data
+        data = data_named([os.fspath(name) for name in names], (recipe or Recipe()).with_options(options))
+    return identify_with_friction(law_type, data, friction=friction, form=form, robust=robust)
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:

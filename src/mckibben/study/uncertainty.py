@@ -64,10 +64,10 @@ def joint_bands(
     Examples
     --------
     >>> from mckibben import catalog
-    >>> from mckibben.identification import identify
+    >>> from mckibben.identification import fit_law
     >>> from mckibben.muscle import ExponentialLaw
     >>> from mckibben.units import bar
-    >>> fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    >>> fit = fit_law(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
     >>> bands = joint_bands(catalog.joint("knee-table-2"), fit, 0.0, (3 * bar, 3 * bar))
     >>> print(f"{float(bands.stiffness.value):.1f} +- {float(bands.stiffness.standard_error):.1f} N*m/rad")
     52.3 +- 0.3 N*m/rad

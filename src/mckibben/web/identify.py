@@ -156,7 +156,7 @@ def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path
     UnitError, RangeError
         If `inner` is neither a length nor a volume, or is not possible.
     """
-    identified.fit.to_yaml(folder / "fit.yaml")
+    identified.to_yaml(folder / "fit.yaml")
     attrs, loops = data.table.attrs, identified.hysteresis
     length, volume = attrs.get("initial_length"), None
     if length and inner.strip():
@@ -167,7 +167,7 @@ def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path
     path = folder / "muscle.yaml"
     written = write_muscle(
         path,
-        identified.fit.law,
+        identified.law,
         specimen=attrs["specimen"],
         initial_length=length,
         volume=volume,

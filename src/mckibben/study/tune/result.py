@@ -53,6 +53,11 @@ class TuneResult(Result):
     """In the order of the search."""
     conditions: Table = field(default_factory=dict)
 
+    @property
+    def scenario(self) -> Scenario:
+        """The tuned scenario, the first of several."""
+        return self.scenarios[0]
+
     def verdict(self) -> str:
         """Return the costs before and after."""
         before = "" if np.isnan(self.cost_before) else f"{self.cost_before:.4g} -> "
