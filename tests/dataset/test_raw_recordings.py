@@ -5,9 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from mckibben import ExponentialLaw, identify_with_friction
+from mckibben import ExponentialLaw
 from mckibben.dataset import read_dataset, read_recording
 from mckibben.errors import McKibbenError, RangeError
+from mckibben.identification import identify_with_friction
 
 LENGTH, RATE, FRICTION, NOISE = 0.25, 20.0, 5.0, 0.3  # m, Hz, N
 PRESSURES = (2e5, 3e5, 4e5)

@@ -111,9 +111,9 @@ class _TextWithUnits(CheckedCalls):
 
     def __call__(cls, *args: object, **named: object) -> Any:  # noqa: N805
         if any(isinstance(value, str | list | tuple) for value in (*args, *named.values())):
-            names = list(cls.__signature__.parameters)
-            args = (*(_in_si(cls, *field) for field in zip(names, args, strict=False)), *args[len(names) :])
-            named = {name: _in_si(cls, name, value) for name, value in named.items()}
+            names, kind = list(cls.__signature__.parameters), cast("type[Described]", cls)
+            args = (*(_in_si(kind, *field) for field in zip(names, args, strict=False)), *args[len(names) :])
+            named = {name: _in_si(kind, name, value) for name, value in named.items()}
         return super().__call__(*args, **named)
 
 

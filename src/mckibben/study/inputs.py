@@ -121,11 +121,8 @@ def identify(
     form = None
     if isinstance(friction, str):
         if friction not in (forms := [form.value for form in FrictionForm]):
-            message, remedy = (
-                f"{quoted(friction)} is not a form of friction",
-                f"take {', '.join(forms)}, or True or False",
-            )
-            remedy = f"{remedy} (command line: {', '.join(forms)}, on or off)"
+            message = f"{quoted(friction)} is not a form of friction"
+            remedy = f"take True/False (command line: auto, on, off), {', '.join(forms)}"
             raise ParameterError(message, field="friction", value=friction, remedy=remedy)
         form, friction = FrictionForm(friction), True
     if isinstance(data, IsobaricDataset):
