@@ -45,7 +45,8 @@ def starting_scenario(joint: AntagonisticJoint, load: object, sections: Mapping[
     """
     values: dict[str, object] = dict.fromkeys(("file", "muscle", "rest_length"), "")
     values["name"] = joint.muscle2.specimen.name
-    fields = {**_sections(values | UNKNOWN), "joint": joint, "load": load, **sections}
+    fields = _sections(values | UNKNOWN)
+    fields |= {"joint": joint, "load": load, **sections}
     if "reference" in sections:
         return Scenario(**{key: field for key, field in fields.items() if key != "start" or key in sections})
     read = Scenario(**fields)
