@@ -86,21 +86,15 @@ def test_a_mask_is_one_boolean_per_point(mask):
     ("bad", "message"),
     [
         ({"force": [1, 2]}, "force: has 2 values for 12 points"),
-        ({"force": 1.0}, "force: has 0 dimensions"),
         ({"force": 12 * ["a"]}, "force: contains values other than numbers"),
         ({"force": [*range(11), np.inf]}, "force: inf at point 11 is not finite"),
         ({"contraction": [*range(12)]}, r"contraction: 1 at point 1 .* \(and 10 more\); .* percent"),
         ({"pressure": [-2e5] + 11 * [0]}, "pressure: -200000 at point 0 is below"),
         ({"direction": [*(11 * ["loading"]), "sideways"]}, "direction: 'sideways' at point 11"),
-        ({"direction": 12 * [1]}, "direction: contains values other than loading and unloading"),
         ({"repeat": [*range(11), 0.5]}, "repeat: 0.5 at point 11"),
-        ({"repeat": [*range(11), -1]}, "repeat: -1 at point 11"),
-        ({"force_samples": [[1, 2], [1]]}, "force_samples: has rows of unequal length"),
         ({"force_samples": np.zeros((12, 2)), "pressure_samples": np.zeros((12, 3))}, "number of samples"),
         ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),
-        ({"slack_force": np.nan}, "slack_force: nan is not a finite number"),
         ({"slack_force": True}, "slack_force: True is not a finite number"),
-        ({"initial_length": True}, "initial_length: True is not a finite number"),
     ],
 )
 def test_what_cannot_have_been_measured_is_refused(bad, message):
