@@ -1,6 +1,5 @@
 """Protocol files: what they say comes back, and what is wrong with them is told all at once."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from mckibben import catalog
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.rig.document import MuscleCardSettings, RigTest, read_test
+from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.running import check
 from mckibben.units import bar
 
@@ -198,28 +197,14 @@ def test_the_example_is_the_papers_test():
     assert "5850 points, 5850000 samples" in checked.describe()
 
 
-def test_a_card_and_its_calibrations(tmp_path):
-    forms = {
-        "force": {"name": "force", "unit": "N", "gain": 200.0, "low": -2000.0, "high": 2000.0},
-        "pressure": {"name": "pressure", "unit": "Pa", "gain": 1e5, "low": 0.0, "high": 1e6},
-        "valve": {"name": "valve", "unit": "Pa", "gain": 9e4, "low": 0.0, "high": 9e5},
-    }
-    path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(forms))
-    text = HEAD.replace("rig: {simulated: {seed: 1}}", "rig: {nidaqmx: {device: Dev2, calibration: calibration.json}}")
+def test_a_card_and_its_wiring(tmp_path):
+    (tmp_path / "card.yaml").write_text(Path("examples/rig/card.yaml").read_text().replace("Dev1", "Dev2"))
+    text = HEAD.replace("rig: {simulated: {seed: 1}}", "rig: {nidaqmx: {card: card.yaml}}")
     test = RigTest.parse(f"{text}protocol:\n  isobaric:\n", folder=tmp_path)
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
-    checked = check(test)
-    assert [channel.where for channel in checked.setup.backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
-    assert MuscleCardSettings(calibration=path).calibrations()["force"].gain == 200.0
-    path.write_text(json.dumps({"force": {**forms["force"], "gain": "much"}, "valve": forms["valve"]}))
-    with pytest.raises(ScenarioError) as refused:
-        check(test)
-    assert [problem.field for problem in refused.value.problems] == ["force.gain"]
-    path.write_text(json.dumps({"force": forms["force"], "valve": forms["pressure"]}))
-    with pytest.raises(ScenarioError) as refused:
-        check(test)
-    assert {problem.field for problem in refused.value.problems} == {"pressure", "valve"}
+    backend = check(test).setup.backend
+    assert [channel.where for channel in backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
+    assert backend.inputs[0].high == 800 and backend.inputs[1].high < 1e6  # before the end of the converter
 
 
 def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):

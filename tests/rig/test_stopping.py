@@ -16,7 +16,7 @@ from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
 from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
-from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
+from mckibben.rig.steps import Dwell, Move, Pressurise
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
@@ -184,63 +184,3 @@ def test_where_the_motor_stands_is_recorded_only_where_it_was_seen_to_stand(tmp_
         start(tmp_path / "2", rig, steps)
     assert isinstance(stopped.value.__cause__, SilentError)
     assert "pulses" not in read_record(tmp_path / "2").events[-1].data
-
-
-def resumed(folder, steps, stop_at, *, again=None, origin=0):
-    """Run steps up to a point, then go on; the points of the whole."""
-
-    def report(progress):
-        if progress.points >= stop_at:
-            report.stop_flag.signal = signal.SIGINT
-
-    report.stop_flag = StopFlag()
-    rig = twin()
-    with pytest.raises(SignalledError):
-        start(folder, rig, steps, report=report)
-    done = read_record(folder).points
-    again = again or twin()
-    bench = Bench(of=MUSCLE, drive=again.drive, limits=LIMITS, steady=0.3)
-    with Recorder(folder, {}, columns_of(again.inputs), resume=True) as recorder:
-        since = read_record(folder).columns["time"][-1]
-        Runner(RigSession(again, bench, recorder, origin=origin, since=since), done=done).run(steps)
-    return read_record(folder).points
-
-
-@pytest.mark.parametrize("stop_at", [0, 2])
-def test_a_walk_that_goes_on_from_elsewhere_keeps_its_places(tmp_path, stop_at):
-    """A card's motor stands where it was left, and the first walk begins where the muscle was mounted."""
-    acquire = Acquire(samples=20, duration=0.02)
-    steps = [Walk(to=4 * percent, step=1 * mm, speed=4 * mm, dwell=0.0, acquire=acquire)]
-    elsewhere = SimulatedRig(MUSCLE, seed=3, mounted_at=10 * percent)
-    found = resumed(tmp_path, steps, stop_at, again=elsewhere, origin=elsewhere.drive.nearest(-18 * mm))
-    assert [point.pulses for point in found] == [-400 * number for number in range(8)]
-
-
-def test_going_on_takes_the_muscle_nowhere_it_was_not_taken_before(tmp_path):
-    """6 bar at 15 %, then 1 bar and stretched, where 6 bar would be above the limit."""
-    acquire = Acquire(samples=20, duration=0.02)
-    steps = [
-        Move(to=15 * percent, speed=4 * mm),
-        Pressurise(pressure=6 * bar),
-        Pressurise(pressure=1 * bar),
-        Move(to=-2 * percent, speed=4 * mm),
-        Move(to=2 * percent, speed=4 * mm),
-        acquire,
-        acquire,
-        acquire,
-    ]
-    found = resumed(tmp_path, steps, 1)
-    assert len(found) == 3 and read_record(tmp_path).events[-1].kind == "done"
-    force = read_record(tmp_path).columns["force"]
-    assert force.max() < LIMITS.force / 2
-
-
-def test_after_going_on_it_waits_as_long_as_it_had_waited(tmp_path):
-    acquire = Acquire(samples=20, duration=0.02)
-    steps = [Move(to=2 * percent, speed=4 * mm), Dwell(duration=7.0), acquire, acquire, acquire]
-    resumed(tmp_path, steps, 1)
-    record = read_record(tmp_path)
-    (went_on,) = [event.row for event in record.events if event.kind == "resumed"]
-    time, pulses, plateau = (record.columns[name][went_on:] for name in ("time", "pulses", "plateau"))
-    stood = time[pulses == pulses[plateau == 2][0]]
-    assert time[plateau == 2][0] - stood[0] == pytest.approx(7.0, abs=0.3)

@@ -534,8 +534,8 @@ def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
 
 
 def test_the_page_moves_no_hardware(tmp_path):
-    (tmp_path / "card.json").write_text("{}", encoding="utf-8")
-    card = "{nidaqmx: {device: Dev1, calibration: card.json}}"
+    (tmp_path / "card.yaml").touch()
+    card = "{nidaqmx: {card: card.yaml}}"
     text = rig._START.replace("{simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}", card)
     with pytest.raises(ParameterError, match="simulated"):
         rig.checked(text, tmp_path)

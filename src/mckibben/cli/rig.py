@@ -191,11 +191,10 @@ def run_line(*, quiet: bool) -> Iterator[Callable[[RunProgress], None] | None]:
 
 def _text(now: RunProgress) -> str:
     reference = f" (reference {now.reference / deg:6.2f})" if now.reference == now.reference else ""
-    reading, cycle = now.reading, now.limit_cycle
-    hunting = f"  limit cycle of {cycle.angle / deg:.2g} deg, {cycle.command / bar:.2g} bar" if cycle else ""
+    reading = now.reading
     return (
         f"{now.phase.name.lower()} {now.time:6.2f} of {now.duration:.4g} s  {reading.angle / deg:6.2f} deg{reference}  "
-        f"{reading.pressure1 / bar:5.2f} {reading.pressure2 / bar:5.2f} bar  missed {now.missed}{hunting}"
+        f"{reading.pressure1 / bar:5.2f} {reading.pressure2 / bar:5.2f} bar  missed {now.missed}"
     )
 
 
@@ -293,11 +292,7 @@ def data(folder: Path, recording: bool = False) -> None:
 
 
 @rig.command()
-def check(
-    protocol: Annotated[
-        Path | None, Argument(metavar="[PROTOCOL.yaml]", help="Protocol (default: check the devices).")
-    ] = None,
-) -> None:
+def check(protocol: Annotated[Path, Argument(metavar="PROTOCOL.yaml", help="Protocol of the rig.")]) -> None:
     """Show the status of each channel, and all violations of a protocol."""
     from mckibben.rig.running import readings
 

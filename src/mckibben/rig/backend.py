@@ -8,11 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, NamedTuple
 
-from numpy import float64, int64
-from numpy.typing import NDArray
+from numpy import asarray, float64, int64
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ConfigDict, field_validator
 
 from mckibben.component.base import check_fields
 from mckibben.component.classes import Keyed
+from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import RigError
 from mckibben.rig.bench import Drive
 
@@ -37,6 +39,41 @@ class Channel(NamedTuple):
     low: float = -math.inf
     high: float = math.inf
     where: str = ""
+
+
+class ScaledChannel(ConfigModel):
+    """Line from the numbers of a device (counts, volts) to SI: value = gain * number + offset.
+
+    Attributes
+    ----------
+    gain, offset, unit
+        The line; the gain is negative for a sensor that is wired in reverse. SI unit, such as Pa, N, rad.
+    low, high
+        Range of a working sensor, or of the commands of a valve, in SI.
+    """
+
+    model_config = ConfigDict(strict=False)  # numbers of YAML are text
+
+    gain: float
+    offset: float = 0.0
+    unit: str
+    low: float
+    high: float
+
+    @field_validator("gain")
+    @classmethod
+    def _nonzero(cls, gain: float) -> float:
+        return (
+            gain if math.isfinite(gain) and gain else fail_validation("is no line", "give SI units per count or volt")
+        )
+
+    def si(self, numbers: ArrayLike) -> NDArray[float64]:
+        """Quantity in SI; any shape."""
+        return asarray(numbers, float64) * self.gain + self.offset
+
+    def raw(self, si: ArrayLike) -> NDArray[float64]:
+        """Numbers of the device; any shape."""
+        return (asarray(si, float64) - self.offset) / self.gain
 
 
 class Block(NamedTuple):

@@ -22,7 +22,6 @@ from mckibben.errors import ExportError, SimulationError
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.oscillation import Oscillation, Oscillations, Signals
 
 
 def vented_angle(plant: JointPlant) -> float:
@@ -199,57 +198,6 @@ class PlantProgram:
     def advance(self, state: Any, command1: float, command2: float, time: float) -> NDArray[np.float64]:
         """Packed state after a time [s] under commands [Pa]."""
         return np.asarray(self._advance(self.numbers, state, np.array([command1, command2, time])))
-
-
-class LimitCycleDetection:
-    """Compiled detection of limit cycles of a run, one sample per call.
-
-    Parameters
-    ----------
-    period
-        Control period [s].
-    resolution
-        Resolution of the angle [rad]; smaller cycles are not reported.
-    """
-
-    def __init__(self, period: float, resolution: float) -> None:
-        empty = Oscillation.empty(jnp.zeros(()))
-        self.layout, self.resolution = FlatTree.like(empty), resolution
-        self.memory: Any = self.layout.pack(empty)
-        self._step = flat_program(detect_flat, self.layout.size, 7, static=(self.layout,))
-        self._inputs = np.array([0.0, 0.0, 0.0, 0.0, 0.0, period, resolution])
-        self._step(self.memory, self._inputs)  # compiles it, if XLA does
-
-    def after(self, angle: float, desired: float, commands: tuple[float, float], index: int) -> Oscillations | None:
-        """Return the limit cycles after a sample; None for none.
-
-        Parameters
-        ----------
-        angle, desired
-            Measured angle and reference [rad].
-        commands
-            Commands of the two valves [Pa].
-        index
-            Number of the period, from 0.
-        """
-        self._inputs[:5] = angle, desired, *commands, index
-        self.memory, values = self._step(self.memory, self._inputs)
-        return limit_cycle_of(values)
-
-
-def limit_cycle_of(values: ArrayLike) -> Oscillations | None:
-    """Limit cycles from the values of `Oscillations`; None without one."""
-    oscillations = Oscillations(*np.asarray(values).tolist())
-    return oscillations if oscillations.angle > 0 or oscillations.command > 0 else None
-
-
-def detect_flat(states: FlatTree, memory: Array, inputs: Array) -> tuple[Array, Array]:
-    """The detector of limit cycles after one period, and the values of its `Oscillations`."""
-    angle, desired, command1, command2, index, period, resolution = inputs
-    still = jnp.zeros_like(angle)  # the stiffness is not measured
-    signals = Signals(angle, desired, still, still, command1, command2)
-    so_far = states.unpack(memory).after(signals, index, resolution)
-    return states.pack(so_far, jnp), jnp.stack(so_far.found(index + 1, period))
 
 
 @jit

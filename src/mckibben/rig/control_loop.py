@@ -19,11 +19,10 @@ from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.channel_probe import MOVED, ChannelProbe
-from mckibben.rig.compiled import ControlProgram, LimitCycleDetection
+from mckibben.rig.compiled import ControlProgram
 from mckibben.rig.joint_record import COMMANDED_AT, COMMANDS, READING, REFERENCE, JointReading, Phase, columns
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import MOST_READ, PROBED, JointMonitor, StopFlag
-from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
@@ -57,8 +56,6 @@ class RunPlan:
         Pressures of the muscles at the start [Pa].
     command_limits
         Lowest and highest command of each muscle [Pa].
-    angle_resolution
-        Step of the sensor [rad], 0 for none; smaller limit cycles are not reported.
     probing, torques
         Periods of the probe before the ramp, and torques of the muscles in it, see `ChannelProbe`; 0 for none.
 
@@ -75,7 +72,6 @@ class RunPlan:
     settling: int
     pressures: tuple[float, float]
     command_limits: tuple[tuple[float, float], tuple[float, float]]
-    angle_resolution: float = 0.0
     probing: int = 0
     torques: tuple[float, float] = (0.0, 0.0)
 
@@ -109,8 +105,6 @@ class RunProgress(NamedTuple):
         Reference angle [rad].
     missed
         Number of missed deadlines.
-    limit_cycle
-        Limit cycle of the closed loop so far; None for none.
     """
 
     time: float
@@ -119,7 +113,6 @@ class RunProgress(NamedTuple):
     reading: JointReading
     reference: float
     missed: int
-    limit_cycle: Oscillations | None = None
 
 
 @dataclass(frozen=True)
@@ -326,9 +319,6 @@ class ControlLoop:
         self._stepped: int | None = None  # sample of its last step
         self._inputs = np.zeros(6)
         self._commands: tuple[float, float] | None = None
-        self._detection = LimitCycleDetection(plan.period, plan.angle_resolution)
-        self._first = 0  # sample of the controller's first step
-        self._limit_cycle: Oscillations | None = None
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
@@ -409,7 +399,7 @@ class ControlLoop:
         """Report the progress after a period."""
         if self.progress is not None:
             duration, phase = self.plan.periods * self.plan.period, self.plan.phase(number)
-            self.progress(RunProgress(time, duration, phase, reading, reference, self._missed, self._limit_cycle))
+            self.progress(RunProgress(time, duration, phase, reading, reference, self._missed))
 
     def _rows(self, block: Block, clock: float, *, venting: bool = False) -> list[list[float]]:
         """Rows of samples, without commands."""
@@ -439,7 +429,7 @@ class ControlLoop:
         reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
             self._state = self.program.init(*reading)
-            self._stepped, self._first = number - 1, number
+            self._stepped = number - 1
         inputs = self._inputs
         inputs[0:2] = reference
         inputs[2], inputs[3], inputs[4] = angle, pressure1, pressure2
@@ -448,7 +438,6 @@ class ControlLoop:
         self._state, values = self.program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
         row[REFERENCE.start :] = [*reference.tolist(), *commands, float(limited), *values[2:].tolist()]
-        self._note(self._detection.after(angle, float(reference[0]), commands, number - self._first))
         return float(reference[0])
 
     def _open_loop(self, pressures: Sequence[float], row: list[float]) -> float:
@@ -456,18 +445,6 @@ class ControlLoop:
         commands, _ = self._command(pressures)
         row[COMMANDS] = [*commands, 0.0]
         return math.nan
-
-    def _note(self, found: Oscillations | None) -> None:
-        """Record the limit cycle of the closed loop, of the angle or a command, when it is first found."""
-        if found is not None and self._limit_cycle is None:
-            amplitude, period = float(found.angle), float(found.period)
-            text = f"the angle oscillates by {amplitude / deg:.3g} deg either way with a period of {period:.3g} s"
-            if not amplitude:
-                size = f"{found.command / bar:.3g} bar either way"
-                text = f"a command oscillates by {size} and reverses {found.reversals:.3g} times per second"
-            sizes = {"amplitude": amplitude, "period": period, "command": float(found.command)}
-            self.recorder.event("limit cycle", text, **{name: x for name, x in sizes.items() if math.isfinite(x)})
-        self._limit_cycle = found
 
     def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:
         """Command pressures [Pa] within their limits; return the commands, and whether they were limited."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
@@ -22,10 +21,10 @@ from mckibben.rig.backend import MovingBackend, MuscleRig
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.by_hand import HandBench
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
-from mckibben.rig.ni import CardSettings, NiRig
+from mckibben.rig.ni import Card, NiRig
 from mckibben.rig.protocol import Protocol
 from mckibben.rig.simulated.parts import Regulator
-from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
+from mckibben.units import BoundedInt, Contraction, Strength
 
 
 class MountedMuscle(Component):
@@ -112,26 +111,17 @@ class SimulatedRigSettings(Checked, MuscleRig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MuscleCardSettings(CardSettings, MuscleRig):
-    """A card of National Instruments, see `NiRig`."""
+class CardBench(Checked, MuscleRig):
+    """Sensors, a valve and a motor at a card of National Instruments, see `NiRig`."""
 
     short_name = "nidaqmx"
-    sensors = MappingProxyType({"force": "N", "pressure": "Pa"})
-    valves = MappingProxyType({"valve": "Pa"})
 
-    force: str = "ai0"
-    pressure: str = "ai1"
-    valve: str = "ao0"
-    counter: str = "ctr0"
-    direction: str = "port0/line2"
-    rate: SampleRate = 1000.0
-    patience: PositiveTime = 1.0
+    card: Path
     drive: Drive = Drive()
 
     def backend(self, session: int = 0) -> MovingBackend:
         """Return the card."""
-        motor: dict[str, Any] = {"drive": self.drive, **self.at("counter", "direction")}
-        return NiRig(rate=self.rate, patience=self.patience, **motor, **self.wiring())
+        return NiRig(Card.read(self.card), drive=self.drive)
 
 
 Moved = Literal["screw", "weights"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field
@@ -19,7 +18,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
-from mckibben.rig.ni import CardSettings, NiBackend
+from mckibben.rig.ni import Card, NiBackend
 from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
 from mckibben.scenario import Scenario
 from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
@@ -104,29 +103,15 @@ class SimulatedJointSettings(JointHardware):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCardSettings(CardSettings, JointHardware):
-    """A card of National Instruments, see `NiBackend`, which samples once per control period.
-
-    Parameters
-    ----------
-    angle, pressure1, pressure2
-        Inputs of the sensors.
-    valve1, valve2
-        Outputs of the valves. Other parameters are those of `CardSettings`.
-    """
+class CardJoint(JointHardware):
+    """A joint at a card of National Instruments, see `NiBackend`, which samples once per control period."""
 
     short_name = "nidaqmx"
-    sensors = MappingProxyType({"angle": "rad", "pressure1": "Pa", "pressure2": "Pa"})
-    valves = MappingProxyType({"valve1": "Pa", "valve2": "Pa"})
 
-    angle: str = "ai0"
-    pressure1: str = "ai1"
-    pressure2: str = "ai2"
-    valve1: str = "ao0"
-    valve2: str = "ao1"
+    card: Path
 
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
-        return NiBackend(rate=1 / run.period, patience=run.patience, **self.wiring())
+        return NiBackend(Card.read(self.card), rate=1 / run.period)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -192,7 +192,6 @@ def prepare(
         settling=0 if ideal else round(approach.settling / period),
         pressures=(float(start.pressures[0]), float(start.pressures[1])),
         command_limits=rated_commands(plant),
-        angle_resolution=float(plant.sensors.angle_resolution),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     substeps = 1 if rig.physical else scenario.needed_substeps()

@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from mckibben.config.model import ConfigModel, DocumentModel
+from mckibben.config.model import DocumentModel
 from mckibben.errors import RigError, SilentError
-from mckibben.rig.backend import Backend, Block, Channel
+from mckibben.rig.backend import Backend, Block, Channel, ScaledChannel
 
 _CABLE = "check cable, power and address of the terminal"
 
 
-class Register(ConfigModel):
+class Register(ScaledChannel):
     """A channel of a terminal: its register, and the line from counts to SI.
 
     Attributes
@@ -28,24 +28,11 @@ class Register(ConfigModel):
         Holding registers, or input registers, which cannot be written.
     type
         Type of its number.
-    gain, offset
-        Value in SI = gain * counts + offset.
-    unit
-        SI unit, such as Pa, N, rad.
-    low, high
-        Range of a working sensor, or of the commands of a valve, in SI.
     """
-
-    model_config = ConfigDict(strict=False)  # numbers of YAML are text
 
     address: int = Field(ge=0, le=65535)
     kind: Literal["holding", "input"] = "holding"
     type: Literal["int16", "uint16", "int32", "uint32", "float32"] = "int16"
-    gain: float = Field(gt=0)
-    offset: float = 0.0
-    unit: str
-    low: float
-    high: float
 
 
 class RegisterMap(DocumentModel):
@@ -181,13 +168,13 @@ class ModbusBackend(Backend):
             with self._translated(name):
                 answer = ask(one.address, count=kind.value[1], device_id=self.registers.device)
                 counts = self._client.convert_from_registers(self._answered(answer, name), kind)
-            values.append(one.gain * float(counts) + one.offset)
+            values.append(float(one.si(float(counts))))
         return values
 
     def _write(self, pressures: Sequence[float]) -> None:
         """Write commands [Pa], within the ranges of the valves; 0 is the lowest of them."""
         for (name, one), pressure in zip(self.registers.outputs.items(), pressures, strict=True):
-            counts = (min(max(pressure, one.low), one.high) - one.offset) / one.gain
+            counts = float(one.raw(min(max(pressure, one.low), one.high)))
             number = counts if one.type == "float32" else round(counts)
             words = self._client.convert_to_registers(number, self._client.DATATYPE[one.type.upper()])
             with self._translated(name):

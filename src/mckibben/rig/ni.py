@@ -6,20 +6,17 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
-from mckibben.component.base import Checked
-from mckibben.component.checks import check_positive
-from mckibben.errors import Problem, RangeError, RigError, SilentError, refuse_problems
-from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend, Watchdog
+from mckibben.config.model import DocumentModel
+from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend, ScaledChannel, Watchdog
 from mckibben.rig.bench import Drive
-from mckibben.rig.calibration import Calibration, read_calibrations
 
 _TERMINAL = "correct the terminal"
 _REMEDIES = {
@@ -119,6 +116,65 @@ def _first_line(error: Exception) -> str:
     return str(error).strip().partition("\n")[0].strip().rstrip(".") or type(error).__name__
 
 
+class Terminal(ScaledChannel):
+    """A channel of a card: its terminal, such as ``ai0``, and the line from volts to SI."""
+
+    terminal: str = Field(min_length=2)
+
+    def channel(self, name: str, device: str, low: float, high: float) -> Channel:
+        """Channel at a converter with a range [V], whose ends are the reading of a lost sensor."""
+        ends = sorted(map(float, self.si([math.nextafter(low, math.inf), math.nextafter(high, -math.inf)])))
+        return Channel(name, self.unit, max(ends[0], self.low), min(ends[1], self.high), f"{device}/{self.terminal}")
+
+
+class Card(DocumentModel):
+    """A card and its wiring; numbers are in SI.
+
+    Attributes
+    ----------
+    device, server
+        Name of the card; address of an NI gRPC Device Server, "host:port", on whose machine it is (default: this one).
+    inputs, outputs
+        Terminals of the sensors and valves, by channel.
+    heartbeat
+        Line that toggles with each heartbeat; an external relay opens when it does not.
+    hold
+        Line that through this relay energises the spring-return vent valve: high = closed.
+    counter, direction
+        Counter of a motor's pulses, and line of its direction: high = stretching.
+    rate
+        Sampling rate of each input [Hz], which the card has to have exactly; on a joint, the control frequency is.
+    patience
+        Timeout of the relay [s].
+    """
+
+    model_config = ConfigDict(strict=False)
+    kind: ClassVar[str] = "card"
+    examples: ClassVar[str] = "examples/rig/card.yaml"
+
+    device: str = "Dev1"
+    server: str = ""
+    inputs: dict[str, Terminal] = Field(min_length=1)
+    outputs: dict[str, Terminal] = Field(min_length=1)
+    heartbeat: str = Field("port0/line0", min_length=2)
+    hold: str = Field("port0/line1", min_length=2)
+    counter: str = Field("ctr0", min_length=2)
+    direction: str = Field("port0/line2", min_length=2)
+    rate: float = Field(1000.0, gt=0)
+    patience: float = Field(gt=0)
+
+    @property
+    def wiring(self) -> dict[str, str]:
+        """Terminals by name; `RangeError` if one is given twice."""
+        channels = {name: channel.terminal for name, channel in (self.inputs | self.outputs).items()}
+        wiring = channels | {name: getattr(self, name) for name in ("heartbeat", "hold", "counter", "direction")}
+        given = [*wiring.values()]
+        twice = [f"{name} at {where}" for name, where in wiring.items() if given.count(where) > 1]
+        if twice:
+            raise RangeError(f"{' and '.join(twice)} share a terminal", field="inputs", remedy="give each its own")
+        return {name: f"{self.device}/{where}" for name, where in wiring.items()}
+
+
 class NiBackend(Backend):
     """Sensors and valves on a card.
 
@@ -129,104 +185,45 @@ class NiBackend(Backend):
 
     Parameters
     ----------
-    inputs, outputs
-        Terminals of the sensors and valves by channel, in the notation of the driver; by default the paper's.
-    heartbeat
-        Line that toggles with each heartbeat; an external relay opens when it does not.
-    hold
-        Line that through this relay energises the spring-return vent valve: high = closed.
+    card
+        Card and wiring; `RangeError` for a terminal that is given twice.
     rate
-        Sampling rate of each input [Hz]; the card has to have it exactly.
-    patience
-        Timeout of the watchdog relay [s].
-    server
-        Address of an NI gRPC Device Server, "host:port", on whose machine the card is; empty: this one.
-    calibrations
-        Calibrations by channel; none for volts alone.
-
-    Raises
-    ------
-    RangeError
-        With all terminals that are missing or given twice.
+        Sampling rate of each input [Hz]; 0: that of the card's file.
     """
 
-    def __init__(
-        self,
-        inputs: Mapping[str, str] | None = None,
-        outputs: Mapping[str, str] | None = None,
-        *,
-        heartbeat: str = "Dev1/port0/line0",
-        hold: str = "Dev1/port0/line1",
-        rate: float = 1000.0,
-        patience: float = 1.0,
-        server: str = "",
-        calibrations: Mapping[str, Calibration] | None = None,
-    ) -> None:
-        check_positive("rig", "Hz", rate=rate)
-        check_positive("rig", "s", patience=patience)
-        self._inputs = {"force": "Dev1/ai0", "pressure": "Dev1/ai1"} if inputs is None else dict(inputs)
-        self._outputs = {"valve": "Dev1/ao0"} if outputs is None else dict(outputs)
-        self._lines = {"heartbeat": heartbeat, "hold": hold}
-        self.rate, self.patience, self.server = float(rate), float(patience), server
-        self.calibrations = calibrations or {}
-        self._check_terminals()
+    def __init__(self, card: Card, *, rate: float = 0.0) -> None:
+        self.card, self.wiring = card, card.wiring
+        self.rate, self.patience = rate or card.rate, card.patience
         self._driver: Driver | None = None
         self._tasks: list[Any] = []
         self._samples: Any = None  # task of the inputs
         self._reader: Any = None
         self._writer: Any = None
         self._switch: Any = None
+        self._lines = ("heartbeat", "hold")
         self._levels: dict[str, bool] = {}  # of the lines
         self._taken = 0
         self._watchdog = Watchdog(self.patience)
         self._facts: dict[str, str] = {}
 
     @property
-    def terminals(self) -> dict[str, str]:
-        """All terminals by name."""
-        return {**self._inputs, **self._outputs, **self._lines}
-
-    def _check_terminals(self) -> None:
-        required = {"inputs": self._inputs, "outputs": self._outputs, **self.terminals}
-        problems = [Problem("is missing", field=name) for name, terminal in required.items() if not terminal]
-        given = [*self._inputs.values(), *self._outputs.values(), *self._lines.values()]
-        twice = sorted({terminal for terminal in given if given.count(terminal) > 1})
-        problems += [Problem(f"{terminal} is given twice", field="wiring") for terminal in twice]
-        refuse_problems("wiring", problems)
-
-    @property
     def inputs(self) -> Sequence[Channel]:
-        return self._channels(self._inputs, -10.0, 10.0)
+        return [terminal.channel(name, self.card.device, -10.0, 10.0) for name, terminal in self.card.inputs.items()]
 
     @property
     def outputs(self) -> Sequence[Channel]:
-        return self._channels(self._outputs, -1e-3, 10.001)
-
-    def _channels(self, terminals: Mapping[str, str], low: float, high: float) -> Sequence[Channel]:
-        return [
-            self.calibrations[name].channel(where, low, high)
-            if name in self.calibrations
-            else Channel(name, "V", math.nextafter(low, math.inf), math.nextafter(high, -math.inf), where)
-            for name, where in terminals.items()
-        ]
+        return [terminal.channel(name, self.card.device, -1e-3, 10.001) for name, terminal in self.card.outputs.items()]
 
     @property
     def description(self) -> Mapping[str, str]:
         """Description for the record; driver and serial numbers once it has been opened."""
-        return {
-            "kind": "nidaqmx",
-            **({"server": self.server} if self.server else {}),
-            **self._facts,
-            "wiring": ", ".join(f"{name} at {where}" for name, where in self.terminals.items()),
-            "patience": f"{self.patience:g} s, of the relay",
-            **{f"calibration of {name}": repr(calibration) for name, calibration in self.calibrations.items()},
-        }
+        return {"kind": "nidaqmx", **self._facts, "card": self.card.dumps()}
 
     def open(self) -> None:
         """Open the card as `Backend.open`; `RigError` also if it does not have the rate."""
         if self._driver is not None:
             raise RigError("the rig is already open", remedy="close it first")
-        self._driver = Driver(self.server)
+        self._driver = Driver(self.card.server)
         try:
             self._open_outputs(self._driver)
             self._open_inputs(self._driver)
@@ -246,15 +243,13 @@ class NiBackend(Backend):
         driver = self._open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
-        volts = np.empty((len(self._inputs), count))
+        volts = np.empty((len(self.card.inputs), count))
         with driver.translated("reading"):
             self._reader.read_many_sample(volts, count, timeout=count / self.rate + timeout)
         first, self._taken = self._taken, self._taken + count
         times = np.arange(first, self._taken) / self.rate
-        for row, name in zip(volts, self._inputs, strict=True):
-            if name in self.calibrations:
-                row[:] = self.calibrations[name].si(row)
-        return Block(first, times, np.ascontiguousarray(volts.T), self._counted(times))
+        values = [terminal.si(row) for row, terminal in zip(volts, self.card.inputs.values(), strict=True)]
+        return Block(first, times, np.stack(values, axis=1), self._counted(times))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Set the pressures of the valves [Pa]; one that is not at rest closes the vent valve again."""
@@ -265,8 +260,8 @@ class NiBackend(Backend):
         ):
             ranges = ", ".join(f"{channel.low:g}..{channel.high:g} {channel.unit}" for channel in channels)
             raise RigError(f"{list(pressures)} cannot be given at outputs of {ranges}")
-        known = [self.calibrations.get(name) for name in self._outputs]
-        volts = np.array([c.volts(value) if c else value for c, value in zip(known, pressures, strict=True)], float)
+        terminals = self.card.outputs.values()
+        volts = np.array([terminal.raw(value) for terminal, value in zip(terminals, pressures, strict=True)])
         with driver.translated("the valves"):
             self._writer.write_one_sample(np.clip(volts, 0.0, 10.0))
             if (volts > 1e-3).any():
@@ -286,7 +281,7 @@ class NiBackend(Backend):
         with contextlib.suppress(Exception):
             self._set(hold=False)
         with contextlib.suppress(Exception):
-            self._writer.write_one_sample(np.zeros(len(self._outputs)))
+            self._writer.write_one_sample(np.zeros(len(self.card.outputs)))
 
     def close(self) -> None:
         """Vent, end the heartbeat, and close the card. Never raises."""
@@ -301,9 +296,9 @@ class NiBackend(Backend):
 
     def status(self) -> Iterator[ChannelStatus]:
         """Driver and devices, and the readings of the sensors; whatever is missing is a row, no error."""
-        there = self.server or "this machine"
+        there = self.card.server or "this machine"
         try:
-            with contextlib.closing(Driver(self.server)) as driver:
+            with contextlib.closing(Driver(self.card.server)) as driver:
                 yield ChannelStatus("driver", there, driver.version())
                 for name, model in driver.devices().items():
                     yield ChannelStatus("device", name, model)
@@ -316,29 +311,29 @@ class NiBackend(Backend):
         package = driver.package
         self._levels = dict.fromkeys(self._lines, False)
         lines = self._new_task(driver)
-        for name, where in self._lines.items():
-            with driver.translated(f"{name} at {where}"):
+        for name in self._lines:
+            with driver.translated(f"{name} at {(where := self.wiring[name])}"):
                 lines.do_channels.add_do_chan(where, line_grouping=package.constants.LineGrouping.CHAN_PER_LINE)
         self._switch = package.stream_writers.DigitalMultiChannelWriter(lines.out_stream, auto_start=True)
         self._switch.verify_array_shape = False
         with driver.translated("the digital lines"):
             self._set()
         valves = self._new_task(driver)
-        for name, where in self._outputs.items():
-            with driver.translated(f"{name} at {where}"):
+        for name in self.card.outputs:
+            with driver.translated(f"{name} at {(where := self.wiring[name])}"):
                 valves.ao_channels.add_ao_voltage_chan(where, min_val=0.0, max_val=10.0)
         self._writer = package.stream_writers.AnalogMultiChannelWriter(valves.out_stream, auto_start=True)
         self._writer.verify_array_shape = False
         with driver.translated("the valves"):
-            self._writer.write_one_sample(np.zeros(len(self._outputs)))
+            self._writer.write_one_sample(np.zeros(len(self.card.outputs)))
 
     def _open_inputs(self, driver: Driver) -> None:
         """Start the samples, of which the driver buffers 10 s."""
         package, constants = driver.package, driver.package.constants
         self._samples = self._new_task(driver)
         wired = {"terminal_config": constants.TerminalConfiguration.DIFF, "min_val": -10.0, "max_val": 10.0}
-        for name, where in self._inputs.items():
-            with driver.translated(f"{name} at {where}"):
+        for name in self.card.inputs:
+            with driver.translated(f"{name} at {(where := self.wiring[name])}"):
                 self._samples.ai_channels.add_ai_voltage_chan(where, **wired)
         self._reader = package.stream_readers.AnalogMultiChannelReader(self._samples.in_stream)
         self._reader.verify_array_shape = False
@@ -349,8 +344,7 @@ class NiBackend(Backend):
         if not math.isclose(actual, self.rate, rel_tol=1e-9):
             message = f"the card cannot sample at {self.rate:g} Hz, the nearest is {actual:.9g} Hz"
             raise RigError(message, remedy="set that rate")
-        devices = {where.split("/")[0] for where in self.terminals.values()}
-        models = [f"{name} ({model})" for name, model in driver.devices().items() if name in devices]
+        models = [f"{name} ({model})" for name, model in driver.devices().items() if name == self.card.device]
         driver_version = f"{driver.version()}, nidaqmx {version(package.__name__)}"
         self._facts = {"driver": driver_version, "devices": ", ".join(models)}
         with driver.translated("the start of the inputs"):
@@ -404,37 +398,19 @@ class NiRig(NiBackend, MovingBackend):
 
     Parameters
     ----------
-    inputs, outputs, card
+    card
         As for `NiBackend`.
-    counter
-        Counter of the motor's pulses.
-    direction
-        Line of the motor's direction: high = stretching.
     drive
         Motor, reducer and lead screw; default: the paper's.
     """
 
-    def __init__(
-        self,
-        inputs: Mapping[str, str] | None = None,
-        outputs: Mapping[str, str] | None = None,
-        *,
-        counter: str = "Dev1/ctr0",
-        direction: str = "Dev1/port0/line2",
-        drive: Drive | None = None,
-        **card: Any,
-    ) -> None:
-        super().__init__(inputs, outputs, **card)
+    def __init__(self, card: Card, *, drive: Drive | None = None) -> None:
+        super().__init__(card)
         self.drive = drive or Drive()
-        self._lines["direction"], self._counter = direction, counter
-        self._check_terminals()
+        self._lines, self._counter = (*self._lines, "direction"), self.wiring["counter"]
         self._train: Any = None
         self._begin, self._rate = 0.0, 1.0  # of the train [s], [Hz]
         self._pulses = self._position = 0  # of the train, and before it
-
-    @property
-    def terminals(self) -> dict[str, str]:
-        return {**super().terminals, **({"counter": self._counter} if "direction" in self._lines else {})}
 
     def open(self) -> None:
         """Open the card as `NiBackend`; the pulses of the motor count from here."""
@@ -505,32 +481,3 @@ class NiRig(NiBackend, MovingBackend):
 
     def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
         return self._position + self._sent(times)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CardSettings(Checked):
-    """A card of National Instruments, see `NiBackend`: its terminals, and the file of its calibrations."""
-
-    sensors: ClassVar[Mapping[str, str]]
-    """Units of the inputs by channel, which is the name of the field of its terminal."""
-    valves: ClassVar[Mapping[str, str]]
-    """Units of the outputs by channel."""
-
-    device: str = "Dev1"
-    heartbeat: str = "port0/line0"
-    hold: str = "port0/line1"
-    server: str = ""
-    calibration: Path
-
-    def at(self, *names: str) -> dict[str, str]:
-        """Terminals of fields, by the name of the field."""
-        return {name: f"{self.device}/{getattr(self, name)}" for name in names}
-
-    def wiring(self) -> dict[str, Any]:
-        """Arguments of `NiBackend`."""
-        wired = {"inputs": self.at(*self.sensors), "outputs": self.at(*self.valves), **self.at("heartbeat", "hold")}
-        return {**wired, "server": self.server, "calibrations": self.calibrations()}
-
-    def calibrations(self) -> dict[str, Calibration]:
-        """Return the calibrations of the file, by channel; `ScenarioError` with all problems."""
-        return read_calibrations(self.calibration, {**self.sensors, **self.valves})

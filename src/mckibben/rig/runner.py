@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 from mckibben.errors import StoppedError
 from mckibben.muscle import Muscle, forces
@@ -13,12 +13,12 @@ from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Point
 from mckibben.rig.session import RigSession
-from mckibben.rig.steps import TURNING, Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
+from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
 from mckibben.storage.mcap import Column
 from mckibben.units import bar, percent
 
-DONE, RESUMED = "done", "resumed"
-"""Kinds of event."""
+DONE, RESUMED, BLOCK = "done", "resumed", "block"
+"""Kinds of event; a block begins at a `Vent`, from which a test is resumed."""
 
 
 def columns_of(inputs: Sequence[Channel]) -> tuple[Column, ...]:
@@ -109,22 +109,6 @@ class StepInterpreter(abc.ABC):
     def _vent(self) -> None: ...
 
 
-@dataclass
-class _Target:
-    """State that the steps have requested; on resuming, reached from the same side before the first missing point."""
-
-    pressed: int = 0  # position at which the pressure was set
-    turn: int = 0  # start of the present motion
-    before: int = 0  # start of the one before
-    pressure: float = 0.0
-    via: float = 0.0  # pressure before the set one
-    holding: float | None = None
-    shut: float | None = None
-    hold: HoldForce | None = None
-    speed: float = 0.0
-    rest: float = 0.0
-
-
 class Runner(StepInterpreter):
     """Runs the steps of a test in a session; in any case the muscle is vented at the end.
 
@@ -133,17 +117,16 @@ class Runner(StepInterpreter):
     session
         Session of the rig.
     done
-        Points that an earlier session has recorded. Their steps are skipped; before the first missing point the rig is
-        brought to the state of the completed steps, from the same side.
+        Points that earlier sessions have recorded, up to a `Vent`: the steps before it are skipped.
     """
 
     def __init__(self, session: RigSession, *, done: Sequence[Point] = ()) -> None:
         super().__init__(session.bench)
         self._rig = session
         self._done = done
-        self._target = _Target()
         self._live = not done
         self._number = 0
+        self._held: float | None = None  # force
         self._speed = self.bench.drive.fastest / self.bench.drive.pulses_per_metre / 4  # unless a step has set one
 
     def run(self, steps: Sequence[ProtocolStep]) -> None:
@@ -181,13 +164,9 @@ class Runner(StepInterpreter):
 
     def _acquire(self, acquire: Acquire) -> float:
         number, self._number = self._number, self._number + 1
-        if number < len(self._done):
-            point = self._done[number]
-            if self._target.holding is not None:
-                self._target.before = self._target.turn = self._target.pressed = point.pulses
-            self.position = point.pulses
-            return point.force
-        self._go_live()
+        if not self._live:
+            self.position = self._done[number].pulses
+            return self._done[number].force
         self._rig.measure_length()
         bench, recorder = self.bench, self._rig.recorder
         every = max(1, round(bench.rate * acquire.duration / acquire.samples))
@@ -205,8 +184,8 @@ class Runner(StepInterpreter):
             contraction=bench.contraction_at(pulses),
             force=means["force"],
             pressure=means["pressure"],
-            set_pressure=self._target.pressure,
-            set_force=self._target.hold.force if self._target.hold else None,
+            set_pressure=self._rig.set_point,
+            set_force=self._held,
             direction=acquire.direction,
             phase=acquire.phase,
             repeat=self._repeat,
@@ -232,36 +211,30 @@ class Runner(StepInterpreter):
             )
 
     def _move_to(self, pulses: int, speed: float) -> None:
-        target = self._target
-        if (pulses - self.position) * (self.position - target.turn) < 0:
-            target.before, target.turn = target.turn, self.position
-        self.position, target.speed, target.rest = pulses, speed, 0.0
+        self.position = pulses
         if self._live:
             self._rig.move_to(pulses, speed)
 
     def _rest(self, duration: float) -> None:
-        self._target.rest += duration
         if self._live:
             self._rig.wait(duration)
 
     def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None:
-        target = self._target
-        target.via, target.pressure, target.holding, target.rest = target.pressure, pressure, holding, 0.0
-        target.hold, target.pressed, target.shut = None, self.position, shut
-        if holding is None:
-            target.before = target.turn = self.position
+        self._held = None
         if self._live:
-            self._rig.set_pressure(target.via, pressure, rate, holding, shut)
+            self._rig.set_pressure(pressure, rate, holding, shut)
 
     def _vent(self) -> None:
-        self._target.via = self._target.pressure = self._target.rest = 0.0
-        self._target.holding = self._target.hold = self._target.shut = None
-        self._target.before = self._target.turn = self._target.pressed = self.position
+        self._held = None
+        if not self._live and self._number >= len(self._done):
+            self._live = True
+            self._rig.recorder.event(RESUMED, f"at point {self._number}", point=self._number)
         if self._live:
+            self._rig.recorder.event(BLOCK, points=self._number)
             self._rig.vent_and_wait()
 
     def _hold(self, step: HoldForce) -> None:
-        self._target.rest, self._target.hold = 0.0, step
+        self._held = step.force
         if not self._live or self._rig.hang(step.force):
             return
         deadline = self._rig.now + step.longest
@@ -272,29 +245,4 @@ class Runner(StepInterpreter):
                     f"the force of {step.force:g} N was not reached within {step.longest:g} s",
                     remedy="choose one that the muscle has at this pressure within its range",
                 )
-        self.position = self._target.turn = self._target.before = self._rig.pulses
-
-    def _go_live(self) -> None:
-        """On resuming, reach the state of the completed steps, from the same side."""
-        if self._live:
-            return
-        self._live = True
-        target = self._target
-        rest = target.rest
-        speed = target.speed or self._speed
-        self._rig.recorder.event(RESUMED, f"at point {self._number - 1}", point=self._number - 1)
-        self._rig.vent_and_wait()
-        self._rig.move_to(target.pressed, speed)
-        if target.via > 0:
-            self._rig.set_pressure(0.0, target.via, 1 * bar, target.holding)
-        if target.pressure != 0:
-            rate = 1 * bar if target.holding is not None else None
-            self._rig.set_pressure(target.via, target.pressure, rate, target.holding, target.shut)
-        if target.hold is not None:
-            self._hold(target.hold)
-        else:
-            most = round(TURNING * self.bench.drive.pulses_per_metre)
-            self._rig.move_to(target.turn + max(-most, min(most, target.before - target.turn)), speed)
-            self._rig.move_to(target.turn, speed)
-            self._rig.move_to(self.position, speed)
-        self._rig.wait(rest)
+        self.position = self._rig.pulses

@@ -20,7 +20,7 @@ from mckibben.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import Point, assemble, header_of, read_record, recording_of, segments
 from mckibben.rig.recorder import Recorder, software_versions
-from mckibben.rig.runner import DONE, Runner, columns_of
+from mckibben.rig.runner import BLOCK, DONE, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
 from mckibben.rig.session import VENTED, ProgressCallback, RigSession
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
@@ -31,13 +31,8 @@ if TYPE_CHECKING:
     from mckibben.rig.backend import ChannelStatus
 
 
-def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
-    """Status of the channels of a protocol's rig, or of the paper's terminals: lines, each with whether it works."""
-    from mckibben.rig.ni import NiRig
-
-    if protocol is None:
-        yield from map(status_line, NiRig().status())
-        return
+def readings(protocol: Path) -> Iterator[tuple[str, bool]]:
+    """Status of the channels of a protocol's rig, and its violations: lines, each with whether it is in order."""
     test, document = read_test(protocol)
     yield from map(status_line, test.rig.backend().status())
     try:
@@ -313,20 +308,22 @@ def _past(folder: Path) -> _PastSessions:
         return _PastSessions()
     record = read_record(folder)
     events, times, pulses = record.events, record.columns["time"], record.columns["pulses"]
-    done = []
+    whole = 0
     for number, point in enumerate(record.points):
         if point.number != number or np.isnan(record.samples("time", point)).any():
             break
-        done.append(point)
+        whole += 1
+    finished = any(event.kind == DONE for event in events)
+    begun = [event.data["points"] for event in events if event.kind == BLOCK and event.data["points"] <= whole]
     at_rest = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
     since = float(times[-1]) + 1 / record.header["rate_Hz"] if len(times) else 0.0
     position = int(pulses[-1]) if len(pulses) else 0
     return _PastSessions(
-        tuple(done),
+        tuple(record.points[: whole if finished else max(begun, default=0)]),
         since,
         position if at_rest is None else at_rest,
         not events or at_rest is not None,
-        any(event.kind == DONE for event in events),
+        finished,
     )
 
 

@@ -88,7 +88,7 @@ class RigSession:
         self._names = [channel.name for channel in self.backend.inputs]
         self._expected = 0
         self._latest: BlockMeans | None = None
-        self._set_pressure = 0.0
+        self.set_point = 0.0  # set pressure [Pa]
         self._points = 0
 
     def begin(self) -> None:
@@ -96,7 +96,7 @@ class RigSession:
         self.recorder.event("opened", "", **self.backend.description)
         self.vent_and_wait()
         if self.backend.physical:  # sensors, valve and supply, before the pressure rises above 1 bar
-            self.set_pressure(0.0, PROBED, None, None)
+            self.set_pressure(PROBED)
             self.vent_and_wait()
 
     def acquire(self, count: int, plateau: int) -> tuple[float, Mapping[str, float]]:
@@ -207,14 +207,14 @@ class RigSession:
             left -= len(self._cycle(min(left, self.bench.samples_per_cycle)).time)
 
     def set_pressure(
-        self, before: float, pressure: float, rate: float | None, holding: float | None, shut: float | None = None
+        self, pressure: float, rate: float | None = None, holding: float | None = None, shut: float | None = None
     ) -> None:
         """Change the pressure, and wait until the muscle has it.
 
         Parameters
         ----------
-        before, pressure
-            Set pressures before and after [Pa].
+        pressure
+            Set pressure [Pa].
         rate
             Rate of the set pressure [Pa/s]; None for a step.
         holding
@@ -227,7 +227,7 @@ class RigSession:
         StoppedError
             If the pressure does not settle, or a limit is exceeded.
         """
-        self._set_pressure = pressure
+        before, self.set_point = self.set_point, pressure
         self.recorder.event("pressure", pressure=pressure)
         if rate is not None:
             begun = self.now
@@ -267,7 +267,7 @@ class RigSession:
 
     def vent_and_wait(self) -> None:
         """Vent, and wait until the muscle is empty."""
-        self._set_pressure = 0.0
+        self.set_point = 0.0
         self.recorder.event("venting")
         self.backend.vent()
         self.monitor.expect(None, self.now, venting=True)
@@ -323,9 +323,7 @@ class RigSession:
         self._record(block, 1 if plateau >= 0 else bench.decimation, plateau)
         self.stop_flag.check()
         if self.report is not None:
-            self.report(
-                Progress(latest.time, latest, bench.contraction_at(self.pulses), self._set_pressure, self._points)
-            )
+            self.report(Progress(latest.time, latest, bench.contraction_at(self.pulses), self.set_point, self._points))
         return block
 
     def _record(self, block: Block, every: int, plateau: int) -> None:

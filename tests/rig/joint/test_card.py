@@ -26,10 +26,7 @@ def on_card():
     def make(joint):
         server, address = device.serve(device.Card(joint, SENSORS, VALVES, device.KNEE))
         servers.append(server)
-        inputs = dict(zip(("angle", "pressure1", "pressure2"), SENSORS, strict=True))
-        outputs = dict(zip(("valve1", "valve2"), VALVES, strict=True))
-        settings = {"rate": 1 / PERIOD, "patience": 5.0, "server": address}
-        return NiBackend(inputs, outputs, calibrations=device.KNEE, **settings)
+        return NiBackend(device.wired(address, device.KNEE, patience=5.0), rate=1 / PERIOD)
 
     yield make
     for server in servers:

@@ -1,4 +1,4 @@
-"""The file of a joint rig, and the calibrations of a card."""
+"""The file of a joint rig, and the wiring of a card."""
 
 import importlib
 from pathlib import Path
@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from mckibben.rig import JointRig, RunConditions
-from mckibben.rig.calibration import to_json
 from mckibben.units import bar, deg, kPa, ms
 
 pytest.importorskip("grpc", reason="needs the extra daq")
@@ -24,18 +23,15 @@ def test_the_example_says_what_the_defaults_are_but_for_the_angles():
 
 
 def test_a_card_is_wired_as_it_is_said(tmp_path, stiff):
-    (tmp_path / "knee.json").write_text(to_json(device.KNEE), encoding="utf-8")
-    (tmp_path / "rig.yaml").write_text(
-        "rig: {nidaqmx: {device: Dev2, pressure2: ai5, calibration: knee.json}}\n", encoding="utf-8"
-    )
+    device.wired("", device.KNEE, device="Dev2").to_yaml(tmp_path / "card.yaml")
+    (tmp_path / "rig.yaml").write_text("rig: {nidaqmx: {card: card.yaml}}\n", encoding="utf-8")
     card = JointRig.read(tmp_path / "rig.yaml").rig.backend(stiff.plant, RunConditions(2 * ms, 0.5))
-    assert card.calibrations == device.KNEE and (card.rate, card.patience) == (500.0, 0.5)
+    assert (card.rate, card.patience) == (500.0, 1.0)
     assert {channel.name: channel.where for channel in (*card.inputs, *card.outputs)} == {
         "angle": "Dev2/ai0",
         "pressure1": "Dev2/ai1",
-        "pressure2": "Dev2/ai5",
+        "pressure2": "Dev2/ai2",
         "valve1": "Dev2/ao0",
         "valve2": "Dev2/ao1",
     }
-    assert card.inputs[0].high == pytest.approx(176.8 * deg)
     assert card.outputs[1].high == pytest.approx(9 * bar, rel=1e-3)

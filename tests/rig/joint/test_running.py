@@ -6,20 +6,19 @@ import math
 import numpy as np
 import pytest
 
-from mckibben.codegen.native import compiler
 from mckibben.control.base import Setpoint
 from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.rig import ControlProgram, JointLimits, Sensing, Timing, compiled
 from mckibben.rig.backend import Backend
-from mckibben.rig.compiled import LimitCycleDetection, StepResult, vented_angle
+from mckibben.rig.compiled import vented_angle
 from mckibben.rig.control_loop import realtime_process_settings
 from mckibben.rig.joint_record import Phase
 from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
 from mckibben.units import bar, deg, kPa, ms
 
-from .conftest import PERIOD, Kept, SteadyControl, StiffJoint
+from .conftest import PERIOD, Kept, SteadyControl
 
 
 @pytest.fixture(scope="module")
@@ -53,25 +52,6 @@ def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
     compiled.flat_program.cache_clear()
     np.testing.assert_allclose(steps(ControlProgram(control)), expected, rtol=1e-9)
     compiled.flat_program.cache_clear()
-
-
-@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
-def test_the_detector_of_limit_cycles_is_compiled_once_for_all_processes(tmp_path, monkeypatch):
-    def detect():
-        compiled.flat_program.cache_clear()
-        try:
-            detection = LimitCycleDetection(1 * ms, 0.01 * deg)
-            swings = np.sin(2 * np.pi * 5.0 * np.arange(3000) * 1 * ms) * deg
-            return [detection.after(float(angle), 0.0, (0.0, 0.0), index) for index, angle in enumerate(swings)]
-        finally:
-            compiled.flat_program.cache_clear()
-
-    monkeypatch.setattr("mckibben.codegen.native.programs_folder", lambda: tmp_path)
-    first = detect()
-    monkeypatch.setattr("mckibben.codegen.native.NativeFunction._built", lambda *_, **__: pytest.fail("compiled again"))
-    assert detect() == first
-    assert first[-1] is not None
-    assert first[-1].period == pytest.approx(0.2, rel=0.05)
 
 
 @pytest.mark.slow
@@ -267,58 +247,6 @@ def test_a_command_between_samples_counts_from_when_it_came(stiff):
         joint.close()
     least, most = (8 * bar - 5 * bar * np.exp(-(PERIOD - at) / 0.02) for at in (after, before))
     assert least - 1 <= values[2] <= most + 1
-
-
-class Swinging(StiffJoint):
-    """Its angle oscillates by 2 deg, 7 times a second, whatever the commands."""
-
-    def state(self, state):
-        return np.array([2 * deg, 0.0, *map(float, state.pressures)])
-
-    def advance(self, state, command1, command2, time):
-        angle, velocity, *_ = state.tolist()
-        rate = 2 * math.pi * 7
-        cosine, sine = math.cos(rate * time), math.sin(rate * time)
-        moved = cosine * angle + sine / rate * velocity, cosine * velocity - rate * sine * angle
-        return np.array([*moved, *super().advance(state, command1, command2, time)[2:]])
-
-
-@pytest.mark.parametrize(("resolution", "reported"), [(0.0, True), (1.2 * deg, False)])
-def test_a_limit_cycle_is_reported_while_the_loop_runs(stiff, resolution, reported):
-    swinging, shown = stiff._replace(moved=Swinging()), []
-    plan = dataclasses.replace(swinging.plan(1200, reference=0.0), angle_resolution=resolution)
-    _, kept = swinging.run(plan=plan, limits=_patient(), progress=shown.append)
-    assert [kind for kind, _ in kept.events].count("limit cycle") == reported
-    first = next((k for k, each in enumerate(shown) if each.limit_cycle), None)
-    if not reported:
-        assert first is None
-        return
-    amplitude, period = shown[-1].limit_cycle[:2]
-    assert amplitude == pytest.approx(2 * deg, rel=0.05) and period == pytest.approx(1 / 7, rel=0.05)
-    assert 4 / 7 <= first * PERIOD < 6 / 7  # after four periods
-
-
-class Chattering(SteadyControl):
-    """Its command to muscle 2 swings by 0.5 bar either way, 50 times a second."""
-
-    def init(self, angle, pressure1, pressure2):
-        return 0
-
-    def step(self, state, told):
-        swing = 0.5 * bar * math.sin(2 * math.pi * 50 * PERIOD * state)
-        return StepResult(state + 1, np.array([2 * bar, 2 * bar + swing, 0.0, 13.0]))
-
-
-def test_a_command_that_chatters_is_reported_while_the_angle_is_quiet(stiff):
-    shown = []
-    outcome, kept = stiff._replace(control=Chattering()).run(
-        plan=stiff.plan(500, reference=0.0), limits=_patient(), progress=shown.append
-    )
-    assert outcome.completed
-    assert [kind for kind, _ in kept.events].count("limit cycle") == 1
-    found = shown[-1].limit_cycle
-    assert shown[50].limit_cycle is None and found.angle == 0.0
-    assert found.command == pytest.approx(0.5 * bar, rel=0.05) and found.reversals == pytest.approx(100, rel=0.05)
 
 
 def test_in_real_time_it_takes_the_time_that_it_says(stiff):

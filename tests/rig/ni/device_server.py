@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, SilentError
-from mckibben.rig.calibration import Calibration
+from mckibben.rig import ni
 from mckibben.units import bar, deg
 
 grpc = pytest.importorskip("grpc", reason="needs the extra daq")
@@ -33,18 +33,30 @@ TIMEOUT, OVERWRITTEN, NO_DEVICE, NO_CHANNEL, RESERVED, GONE = -200284, -200279, 
 
 
 BENCH = {
-    "force": Calibration(name="force", unit="N", gain=200.0, low=-2000.0, high=2000.0),
-    "pressure": Calibration(name="pressure", unit="Pa", gain=1 * bar, low=0.0, high=10 * bar),
-    "valve": Calibration(name="valve", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar),
+    "force": ni.Terminal(terminal="ai0", unit="N", gain=200.0, low=-2000.0, high=2000.0),
+    "pressure": ni.Terminal(terminal="ai1", unit="Pa", gain=1 * bar, low=-0.2 * bar, high=10 * bar),
+    "valve": ni.Terminal(terminal="ao0", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar),
 }
 KNEE = {
-    "angle": Calibration(name="angle", unit="rad", gain=36 * deg, offset=5.0, low=-170 * deg, high=170 * deg),
+    "angle": ni.Terminal(terminal="ai0", unit="rad", gain=36 * deg, offset=-180 * deg, low=-176.8 * deg, high=3.0),
     **{
-        name: Calibration(name=name, unit="Pa", gain=2.5 * bar, offset=1.0, low=-0.3 * bar, high=10 * bar)
-        for name in ("pressure1", "pressure2")
+        f"pressure{i}": ni.Terminal(
+            terminal=f"ai{i}", unit="Pa", gain=2.5 * bar, offset=-2.5 * bar, low=-0.5 * bar, high=10.2 * bar
+        )
+        for i in (1, 2)
     },
-    **{name: Calibration(name=name, unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar) for name in ("valve1", "valve2")},
+    **{
+        f"valve{i}": ni.Terminal(terminal=f"ao{i - 1}", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar)
+        for i in (1, 2)
+    },
 }
+
+
+def wired(server: str, known: Mapping[str, ni.Terminal] = BENCH, **fields: Any) -> ni.Card:
+    """A card with these channels."""
+    inputs = {name: terminal for name, terminal in known.items() if not name.startswith("valve")}
+    outputs = {name: terminal for name, terminal in known.items() if name.startswith("valve")}
+    return ni.Card(**{"server": server, "inputs": inputs, "outputs": outputs, "patience": 1.0} | fields)
 
 
 @dataclass
@@ -71,10 +83,10 @@ class Card(service.NiDAQmxServicer):
         twin: Any,
         inputs: Sequence[str] = INPUTS,
         outputs: Sequence[str] = OUTPUTS,
-        calibrations: Mapping[str, Calibration] | None = None,
+        channels: Mapping[str, ni.Terminal] | None = None,
     ) -> None:
         self.twin = twin
-        known = BENCH if calibrations is None else calibrations
+        known = BENCH if channels is None else channels
         self.sensors = [known[channel.name] for channel in twin.inputs]
         self.regulators = [known[channel.name] for channel in twin.outputs]
         self.inputs, self.outputs = list(inputs), list(outputs)
@@ -214,7 +226,7 @@ class Card(service.NiDAQmxServicer):
         except RigError as error:
             raise RefusedError(OVERWRITTEN, "The application is not able to keep up with the hardware.") from error
         places = [self.inputs.index(channel) for channel in task.channels]
-        columns = [np.clip(self.sensors[place].volts(block.values[:, place]), -10, 10) for place in places]
+        columns = [np.clip(self.sensors[place].raw(block.values[:, place]), -10, 10) for place in places]
         return messages.ReadAnalogF64Response(read_array=np.concatenate(columns), samps_per_chan_read=count)
 
     def WriteAnalogF64(self, request: Any, context: Any) -> Any:
@@ -241,7 +253,7 @@ class Card(service.NiDAQmxServicer):
         elif self.twin.is_open:
             try:
                 pairs = zip(self.regulators, self.valves, strict=True)
-                self.twin.set_valves([float(calibration.si(volts)) for calibration, volts in pairs])
+                self.twin.set_valves([float(terminal.si(volts)) for terminal, volts in pairs])
             except RigError:  # the relay has let go
                 self.twin.vent()
 

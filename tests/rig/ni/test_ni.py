@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.errors import RangeError, RigError, ScenarioError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.rig import ni
 from mckibben.rig.backend import Backend, MovingBackend
-from mckibben.rig.ni import NiBackend, NiRig
+from mckibben.rig.ni import Card, NiBackend, NiRig
 from mckibben.rig.simulated import HostDelayed, SamplesDropped, SamplesStopped, SensorDisconnected, SimulatedRig
 from mckibben.units import bar, mm
 
@@ -27,6 +27,10 @@ MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10
 SAFE = 0.2 * bar
 
 
+def at(channel, terminal):
+    return device.BENCH[channel].model_copy(update={"terminal": terminal})
+
+
 class Bench:
     """A card with a twin, and its address."""
 
@@ -37,7 +41,7 @@ class Bench:
         self.rigs = []
 
     def rig(self, kind=NiRig, **settings):
-        rig = kind(server=self.address, **{"calibrations": device.BENCH} | settings)
+        rig = kind(device.wired(self.address, **settings))
         self.rigs.append(rig)
         rig.open()
         return rig
@@ -74,8 +78,9 @@ def press(rig, twin, pressure):
 
 
 def test_it_is_a_backend_before_anything_is_connected():
-    assert isinstance(NiRig(), MovingBackend) and isinstance(NiBackend(), Backend)
-    assert [channel.where for channel in NiRig().inputs] == ["Dev1/ai0", "Dev1/ai1"]
+    card = device.wired("")
+    assert isinstance(NiRig(card), MovingBackend) and isinstance(NiBackend(card), Backend)
+    assert [channel.where for channel in NiRig(card).inputs] == ["Dev1/ai0", "Dev1/ai1"]
 
 
 def test_nidaqmx_is_not_imported_until_a_rig_is_opened():
@@ -108,7 +113,7 @@ def test_it_reads_the_samples_of_the_card(bench):
 
 def test_order_of_the_inputs_is_that_of_the_wiring(bench):
     there = bench()
-    rig = there.rig(inputs={"pressure": "Dev1/ai1", "force": "Dev1/ai0"})
+    rig = there.rig(inputs={name: device.BENCH[name] for name in ("pressure", "force")})
     press(rig, there.twin, 4 * bar)
     pressure, force = read(rig, 2.0)[-1].values.mean(axis=0)
     assert pressure == pytest.approx(4 * bar, abs=0.1 * bar) and force == pytest.approx(there.twin.truth.force, abs=1)
@@ -116,11 +121,9 @@ def test_order_of_the_inputs_is_that_of_the_wiring(bench):
 
 def test_backend_without_a_motor_needs_no_counter(bench):
     there = bench()
-    rig = there.rig(NiBackend, inputs={"pressure": "Dev1/ai1"})
+    rig = there.rig(NiBackend, inputs={"pressure": device.BENCH["pressure"]})
     assert rig.read(50).values.shape == (50, 1) and (rig.read(50).pulses == 0).all()
     assert not {task.kind for task in there.card.tasks.values()} & {"co"}
-    with pytest.raises(RangeError, match="counter"):
-        NiRig(counter="")
 
 
 def test_motor_makes_its_pulses_and_counts_them(bench):
@@ -234,10 +237,10 @@ def test_card_that_is_gone_is_told_and_closes_without_an_error(bench):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"inputs": {"force": "Dev2/ai0"}}, "force at Dev2/ai0: .*connected are: Dev1"),
-        ({"inputs": {"force": "Dev1/ai40"}}, "force at Dev1/ai40: Physical channel"),
-        ({"heartbeat": "Dev1/port7/line0"}, "heartbeat at Dev1/port7/line0"),
-        ({"outputs": {"valve": "Dev1/ao3"}}, "valve at Dev1/ao3"),
+        ({"device": "Dev2"}, "heartbeat at Dev2/port0/line0: .*connected are: Dev1"),
+        ({"inputs": {"force": at("force", "ai40")}}, "force at Dev1/ai40: Physical channel"),
+        ({"heartbeat": "port7/line0"}, "heartbeat at Dev1/port7/line0"),
+        ({"outputs": {"valve": at("valve", "ao3")}}, "valve at Dev1/ao3"),
         ({"rate": 1003.0}, r"nearest is 1002\.99645 Hz"),
     ],
 )
@@ -258,7 +261,7 @@ def test_card_in_use_is_told(bench):
 
 def test_missing_server_driver_and_package_are_told(monkeypatch):
     with pytest.raises(RigError, match=r"127\.0\.0\.1:9.*check that it runs"):
-        NiRig(server="127.0.0.1:9").open()
+        NiRig(device.wired("127.0.0.1:9")).open()
     import nidaqmx.errors
     import nidaqmx.task._task as module
 
@@ -267,39 +270,40 @@ def test_missing_server_driver_and_package_are_told(monkeypatch):
 
     monkeypatch.setattr(module.utils, "_select_interpreter", none)  # so too on a machine that has a driver
     with pytest.raises(RigError, match="driver NI-DAQmx is not installed"):
-        NiRig().open()
+        NiRig(device.wired("")).open()
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
     with pytest.raises(RigError, match=r"pip install 'mckibben\[daq\]'"):
-        NiRig().open()
-    (only,) = NiRig().status()
+        NiRig(device.wired("")).open()
+    (only,) = NiRig(device.wired("")).status()
     assert "mckibben[daq]" in only.problem
 
 
 def test_what_is_present_is_shown_with_readings(bench):
     there = bench(faults=[SensorDisconnected(0.0, "pressure")])
-    rows = {row.name: row for row in NiRig(server=there.address, calibrations=device.BENCH).status()}
+    rows = {row.name: row for row in NiRig(device.wired(there.address)).status()}
     assert rows["driver"].reading == "NI-DAQmx 24.5.0" and rows["device"].reading == "PCI-6281, serial 1234ABC"
     assert " N (noise" in rows["force"].reading and not rows["force"].problem
     assert "lost" in rows["pressure"].problem
     assert there.card.beats == 0 and there.twin.truth.vented  # nothing was touched
     assert not {task.kind for task in there.card.tasks.values()} - {"cleared"}
-    *_, last = NiRig({"angle": "Dev1/ai7"}, server=there.address).status()
-    assert "Dev1/ai7" in last.problem
+    *_, last = NiRig(device.wired(there.address, inputs={"force": at("force", "ai77")})).status()
+    assert "Dev1/ai77" in last.problem
 
 
 def test_description_tells_card_driver_and_wiring(bench):
     described = bench().rig().description
     assert described["devices"] == "Dev1 (PCI-6281, serial 1234ABC)"
-    assert "NI-DAQmx 24.5.0, nidaqmx 1." in described["driver"] and "valve at Dev1/ao0" in described["wiring"]
+    assert "NI-DAQmx 24.5.0, nidaqmx 1." in described["driver"] and "terminal: ao0" in described["card"]
 
 
 def test_wiring_that_cannot_be_safe_is_refused():
-    with pytest.raises(RangeError) as caught:
-        NiRig({}, heartbeat="", hold="")
-    for text in ("inputs", "heartbeat", "hold"):
-        assert f"\n  {text}: " in str(caught.value)
-    with pytest.raises(RangeError, match="Dev1/ai0 is given twice"):
-        NiRig({"force": "Dev1/ai0", "pressure": "Dev1/ai0"})
+    text = device.wired("").dumps()
+    assert Card.parse(text) == device.wired("")
+    with pytest.raises(ScenarioError) as caught:
+        Card.parse(text.replace("port0/line0", "''").replace("gain: 200", "gain: 0"))
+    assert {problem.field for problem in caught.value.problems} == {"heartbeat", "inputs.force.gain"}
+    with pytest.raises(RangeError, match="force at ai1 and pressure at ai1"):
+        NiRig(Card.parse(text.replace("ai0", "ai1")))
 
 
 @pytest.mark.parametrize("signals", [[9.1e5], [-1e4], [float("nan")], [], [1e5, 1e5]])

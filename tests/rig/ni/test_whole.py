@@ -9,7 +9,6 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
-from mckibben.rig.calibration import to_json
 from mckibben.rig.document import read_test
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.running import check, readings, run_test
@@ -23,12 +22,12 @@ device = importlib.import_module("device_server")
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 TEXT = """name: a short test on a card
-muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}
-rig: {{nidaqmx: {{server: "{address}", calibration: bench.json, patience: 60 s}}}}
-limits: {{pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm, deviation: 20 N}}
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+rig: {nidaqmx: {card: card.yaml}}
+limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm, deviation: 20 N}
 protocol:
-  isobaric: {{pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 4 %, repeats: 1, speed: 4 mm/s,
-    dwell: 200 ms, acquisition: 100 ms, samples: 100}}
+  isobaric: {pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 4 %, repeats: 1, speed: 4 mm/s,
+    dwell: 200 ms, acquisition: 100 ms, samples: 100}
 """
 
 
@@ -41,12 +40,8 @@ def on_card(tmp_path):
         twin = SimulatedRig(MUSCLE, seed=len(servers), mounted_at=mounted_at, **settings)
         server, address = device.serve(device.Card(twin))
         servers.append(server)
-        (tmp_path / "bench.json").write_text(to_json(device.BENCH))
-        (tmp_path / "p.yaml").write_text(TEXT.format(address=address))
-        # the folder's own copy names the card that was there before
-        if (copy := tmp_path / "out" / "protocol.yaml").exists():
-            test, _ = read_test(tmp_path / "p.yaml")
-            test.to_yaml(copy)
+        (tmp_path / "card.yaml").write_text(device.wired(address, patience=60.0).dumps())
+        (tmp_path / "p.yaml").write_text(TEXT)
         return twin, check(*read_test(tmp_path / "p.yaml"))
 
     yield make
