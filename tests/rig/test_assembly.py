@@ -11,7 +11,7 @@ from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
-from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR
+from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"),

@@ -188,7 +188,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_its_last_vent(tmp_path):
         # the friction is as it was, as the block begins anew: 24 N are between the sides
         np.testing.assert_allclose(data.force, whole.force, atol=1.5)
         assert (np.diff(data.table["time"]) > 0).all()
-    assert partly >= 2  # were stopped in the midst of a plateau, which is then done again
+    assert partly >= 1  # was stopped in the midst of a plateau, which is then done again
 
 
 def test_a_fault_of_ours_vents_and_is_told(tmp_path):

@@ -10,7 +10,7 @@ from mckibben.errors import RangeError, StoppedError
 from mckibben.rig.backend import Block
 from mckibben.rig.bench import Drive, RigLimits
 from mckibben.rig.safety import RigMonitor
-from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR
+from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 from mckibben.units import bar, mm
 
 LIMITS = RigLimits(pressure=4 * bar, force=500.0, stretch=5 * mm, shorten=40 * mm)

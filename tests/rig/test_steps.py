@@ -12,7 +12,7 @@ from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.dry_run import dry_run
-from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE
+from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, VALVE
 from mckibben.rig.steps import (
     Acquire,
     Dwell,

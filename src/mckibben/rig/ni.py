@@ -200,7 +200,7 @@ class NiBackend(Backend):
         self._reader: Any = None
         self._writer: Any = None
         self._switch: Any = None
-        self._lines = ("heartbeat", "hold")
+        self._lines: tuple[str, ...] = ("heartbeat", "hold")
         self._levels: dict[str, bool] = {}  # of the lines
         self._taken = 0
         self._watchdog = Watchdog(self.patience)

@@ -28,11 +28,11 @@ class Turning(StiffJoint):
 class Miswired(SimulatedJoint):
     """Its sensors and valves are connected in another order, and its sensors have other gains."""
 
-    sensors, valves, gains = (0, 1, 2), (0, 1), (1.0, 1.0, 1.0)
+    order, valves, gains = (0, 1, 2), (0, 1), (1.0, 1.0, 1.0)
 
     def read(self, count, *, timeout=1.0):
         block = super().read(count, timeout=timeout)
-        return block._replace(values=block.values[:, self.sensors] * self.gains)
+        return block._replace(values=block.values[:, self.order] * self.gains)
 
     def set_valves(self, pressures):
         super().set_valves([pressures[i] for i in self.valves])
@@ -64,12 +64,12 @@ def test_a_joint_in_order_is_probed_at_low_pressure_and_then_run(stiff):
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
-        ({"sensors": (0, 2, 1)}, "pressure1"),
+        ({"order": (0, 2, 1)}, "pressure1"),
         ({"valves": (1, 0)}, "pressure1"),
-        ({"sensors": (0, 2, 1), "valves": (1, 0)}, "angle"),
+        ({"order": (0, 2, 1), "valves": (1, 0)}, "angle"),
         ({"gains": (-1.0, 1.0, 1.0)}, "angle"),
         ({"gains": (1.0, 1.0, 0.0)}, "pressure2"),
-        ({"sensors": (0, 1, 1)}, "pressure1"),
+        ({"order": (0, 1, 1)}, "pressure1"),
         ({"gains": (1.0, math.nan, 1.0)}, "pressure 1 sensor"),
         ({"faults": [SensorDisconnected(0.25, "pressure2")]}, "pressure 2 sensor"),
         ({"faults": [SupplyLost(0.0)]}, "pressure1"),

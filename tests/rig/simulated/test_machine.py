@@ -30,7 +30,8 @@ def at_work(muscle, pressure, regulator=TIGHT):
 
 def passed(machine, duration):
     """Times, forces and pressures of the knots within a duration."""
-    return np.array([np.array(column) for column in machine.pass_until(machine.now + duration)])
+    times, values = machine.pass_until(machine.now + duration)
+    return np.array([times, *zip(*values, strict=True)])
 
 
 def test_friction_along_a_way_is_that_of_the_muscle():

@@ -12,8 +12,8 @@ from .faults import ValveStuck as ValveStuck
 from .machine import Truth as Truth
 from .parts import Regulator as Regulator
 from .parts import Stretcher as Stretcher
+from .rig import VALVE as VALVE
 from .rig import SimulatedRig as SimulatedRig
-from .sensing import FORCE_SENSOR as FORCE_SENSOR
-from .sensing import PRESSURE_SENSOR as PRESSURE_SENSOR
-from .sensing import VALVE as VALVE
-from .sensing import Sensor as Sensor
+from .sampling import FORCE_SENSOR as FORCE_SENSOR
+from .sampling import PRESSURE_SENSOR as PRESSURE_SENSOR
+from .sampling import Sensor as Sensor

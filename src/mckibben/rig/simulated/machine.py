@@ -22,6 +22,7 @@ from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.rig.compiled import FlatTree, flat_program
 from mckibben.rig.simulated.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
 from mckibben.rig.simulated.parts import Carriage, Motor, Regulator, Stretcher
+from mckibben.rig.simulated.sampling import INSTANT
 from mckibben.units import ms
 
 _LONGEST, _MOVING = 100 * ms, 10 * ms  # between two knots, at rest and in motion
@@ -30,9 +31,6 @@ _STILL = 0.5  # Pa/s and mK/s, highest rates at rest
 _NOTHING = 1.0  # Pa, a signal of zero
 _FAR = 1e9  # Pa, an error of the pressure that opens a valve fully
 _ADIABATIC = 1.4**1.5  # as `AirActuator.fastest_index`
-
-INSTANT = 1e-9
-"""Tolerance of times [s]."""
 
 
 class ClampedMuscle(NamedTuple):
@@ -132,22 +130,6 @@ class Truth(NamedTuple):
     temperature: float
 
 
-class Knots(NamedTuple):
-    """Knots of a piecewise linear history.
-
-    Attributes
-    ----------
-    time
-        Times since the first opening [s].
-    force, pressure
-        Force [N] and pressure [Pa] at these times.
-    """
-
-    time: list[float]
-    force: list[float]
-    pressure: list[float]
-
-
 class Machine:
     """State of the simulated rig without sensors and card.
 
@@ -233,10 +215,10 @@ class Machine:
         if self.now >= self._exhaust_at - INSTANT:
             self.exhausting, self._exhaust_at, self._resting = True, math.inf, False
 
-    def pass_until(self, to: float) -> Knots:
-        """Integrate until a time [s], before which there are no events."""
+    def pass_until(self, to: float) -> tuple[list[float], list[tuple[float, ...]]]:
+        """Integrate until a time [s], before which there are no events; times, and force and pressure at them."""
         pressure = self._air[1]
-        knots = Knots([self.now], [self._force], [pressure])
+        times, values = [self.now], list[tuple[float, ...]]([(self._force, pressure)])
         moving = self.motor.moving(self.now)
         while self.now < to:
             idle = self._resting and not moving
@@ -246,10 +228,9 @@ class Machine:
             else:
                 span = to - self.now
             self.now = to if self.now + span > to - INSTANT else self.now + span
-            knots.time.append(self.now)
-            knots.force.append(self._force)
-            knots.pressure.append(pressure)
-        return knots
+            times.append(self.now)
+            values.append((self._force, pressure))
+        return times, values
 
     def _advance(self, span: float, stretch: float) -> float:
         """Integrate over a span [s] to a stretch [m]; return the pressure [Pa]."""
