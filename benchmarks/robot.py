@@ -19,14 +19,16 @@ import mckibben as mk
 from mckibben import catalog
 from mckibben.errors import SimulationError
 from mckibben.robot import (
+    Body,
+    Foot,
     Ground,
     Joint,
-    Link,
+    MusclePair,
+    Place,
     PressureSchedule,
     Robot,
     RobotPlant,
     RobotStart,
-    Trunk,
     read_robot,
     simulate_robot,
     simulate_robots,
@@ -60,10 +62,16 @@ def robot_plant(where: str) -> RobotPlant:
         return RobotPlant(read_robot("lei-leg"), valve, GROUNDS[where.removesuffix(IN_SPACE)])
     muscle = mk.Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     pair = mk.AntagonisticJoint(mk.KneeGeometry(370 * mm, 30 * mm, 208 * mm), muscle, muscle)
-    hip = Joint(-15 * deg, 15 * deg, pair, name="hip", damping=0.05)
-    knee = Joint(-25 * deg, 30 * deg, pair, link_angle=-30 * deg, name="knee", damping=0.05)
-    links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005)
-    own = Robot(Trunk(1.0), links, (hip, knee), foot_radius=20 * mm)
+    forwards = (0.0, -1.0, 0.0)
+    hip = Joint("hip", forwards, -15 * deg, 15 * deg, "thigh", damping=0.05)
+    knee = Joint("knee", forwards, -25 * deg, 30 * deg, "shank", None, Place(z=-0.4), -30 * deg, damping=0.05)
+    bodies = (
+        Body("trunk", 1.0),
+        Body("thigh", 0.5, Place(z=-0.19), (0.009, 0.0)),
+        Body("shank", 0.3, Place(z=-0.15), (0.005, 0.0)),
+    )
+    pairs = tuple(MusclePair(name, pair.geometry, muscle, muscle) for name in ("hip", "knee"))
+    own = Robot(bodies, (hip, knee), pairs, "vertical", Foot("shank", Place(z=-0.37), 20 * mm))
     return RobotPlant(own, valve, GROUNDS[where])
 
 

@@ -3,16 +3,135 @@
 Run it with `python examples/robot/hopping.py`; it prints the time in the air of each hop.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, ArrayLike, Float
 
 import mckibben as mk
+from mckibben.component.checks import check_count
+from mckibben.component.columns import Label
 from mckibben.control import Setpoint
-from mckibben.robot import JointwiseControl, PhasedReference, RobotScenario, RobotStart, simulate_robot
-from mckibben.units import bar, deg, ms
+from mckibben.numerics.elementary import exp
+from mckibben.robot import (
+    JointwiseControl,
+    RobotMeasurement,
+    RobotReference,
+    RobotScenario,
+    RobotStart,
+    simulate_robot,
+)
+from mckibben.units import PositiveTime, ShortTime, Tension, bar, deg, ms
+
+Scalar = Float[Array, ""]
 
 FILE = Path(__file__).with_name("lei-leg.yaml")
+
+
+FLIGHT, TOUCHDOWN, STANCE, PUSH_OFF = range(4)
+"""Phases: foot in the air; a set time from its touch on; until the leg lengthens; until the foot leaves the ground."""
+
+
+class PhaseState(NamedTuple):
+    """Phase and its time [s], setpoints, angle of the extensor [rad], and duration of the last flight [s]."""
+
+    phase: Array
+    since: Scalar
+    setpoints: tuple[Setpoint, ...]
+    extension: Scalar
+    flight: Scalar
+
+
+class PhasedReference(RobotReference):
+    """Setpoints by phase of a hop, with detection of touchdown, of the deepest point, and of take-off.
+
+    Phases are flight; touchdown, from the first force on the foot for a set time; stance, until the angle of the
+    `extensor` joint reverses; push-off, until the force on the foot is zero. Setpoints follow those of the phase
+    with a first-order lag. A push-off that is the same in each hop leads to hops of equal height, at which it
+    adds the energy that a hop loses: M. H. Raibert, Legged Robots That Balance, MIT Press 1986, ch. 2.
+
+    Parameters
+    ----------
+    flight, touchdown, stance, push_off
+        Setpoint of each joint in each phase: angle [rad] and stiffness [N*m/rad].
+    threshold
+        Force [N] on the foot that counts as contact.
+    touchdown_time, blanking, lag
+        Duration of the touchdown [s], time [s] after an event in which the foot may bounce without another one, and
+        time constant [s] of the setpoints.
+    extensor
+        Index of the joint whose angle grows as the robot gets longer.
+    """
+
+    telemetry_labels: ClassVar = {
+        "phase": Label("1", "phase of the hop: 0 flight, 1 touchdown, 2 stance, 3 push-off"),
+        "flight_time": Label("s", "duration of the last flight"),
+    }
+
+    flight: tuple[Setpoint, ...]
+    touchdown: tuple[Setpoint, ...]
+    stance: tuple[Setpoint, ...]
+    push_off: tuple[Setpoint, ...]
+    threshold: Tension = 5.0
+    touchdown_time: ShortTime = 20 * ms
+    blanking: ShortTime = 30 * ms
+    lag: PositiveTime = 5 * ms
+    extensor: int = eqx.field(static=True, default=-1)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        for name in ("touchdown", "stance", "push_off"):
+            check_count(name, len(getattr(self, name)), len(self.flight), "joint, as for the flight")
+
+    def init(self, measurement: RobotMeasurement) -> PhaseState:
+        zero = jnp.zeros(())
+        setpoints = tuple(Setpoint(*map(jnp.asarray, one)) for one in self.flight)
+        begun = jnp.where(measurement.ground_force > self.threshold, STANCE, FLIGHT)
+        return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero)
+
+    def step(
+        self, state: PhaseState, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PhaseState, tuple[Setpoint, ...]]:
+        touching = measurement.ground_force > self.threshold
+        extension = measurement.angles[self.extensor]
+        phase = state.phase
+        settled = state.since >= self.blanking
+        landed = (phase == FLIGHT) & touching & settled
+        ended = (
+            landed
+            | ((phase == TOUCHDOWN) & (state.since >= self.touchdown_time))
+            | ((phase == STANCE) & (extension > state.extension) & settled)
+            | ((phase == PUSH_OFF) & ~touching & settled)
+        )
+        flight = jnp.where(landed, state.since, state.flight)
+        phase = jnp.where(ended, (phase + 1) % 4, phase)
+        since = jnp.where(ended, 0.0, state.since + period)
+        part = 1 - exp(-jnp.asarray(period) / self.lag)
+        setpoints = []
+        for index, held in enumerate(state.setpoints):
+            each = [getattr(self, name)[index] for name in ("flight", "touchdown", "stance", "push_off")]
+            angle = _select(phase, [one.angle for one in each])
+            stiffness = _select(phase, [one.stiffness for one in each])
+            setpoints.append(
+                Setpoint(held.angle + part * (angle - held.angle), held.stiffness + part * (stiffness - held.stiffness))
+            )
+        following = PhaseState(phase, since, tuple(setpoints), extension, flight)
+        return following, tuple(setpoints)
+
+    def telemetry(self, state: PhaseState) -> dict[str, Array]:
+        return {"phase": state.phase, "flight_time": state.flight}
+
+
+def _select(phase: Array, values: Sequence[ArrayLike]) -> Array:
+    """Value of a phase."""
+    chosen = jnp.asarray(values[0])
+    for number, value in enumerate(values[1:], 1):
+        chosen = jnp.where(phase == number, value, chosen)
+    return chosen
 
 
 def hop(duration: float = 4.0):
@@ -32,10 +151,10 @@ def hop(duration: float = 4.0):
         mk.PositionStiffnessControl(
             mk.PID(kp=6 * bar, ki=40 * bar, kd=0.1 * bar),
             mk.PID(kp=0.08 * bar, ki=5 * bar, kd=0.0),
-            model=joint.muscles,
+            model=plant.robot.pair(index),
             minimum_tension=5.0,
         )
-        for joint in plant.robot.joints
+        for index in plant.robot.pairs
     )
     angles = (0 * deg, -8 * deg)
     pressures = plant.robot.pressures_for(angles, (0.0, 0.0), (16.0, 14.0))

@@ -42,7 +42,7 @@ DURATION, PERIOD = 2.0, 2 * ms
 def plant() -> RobotPlant:
     """The paper's leg with its trunk held, valves of first order and sensors."""
     robot = read_robot("lei-leg")
-    held = dataclasses.replace(robot, trunk=dataclasses.replace(robot.trunk, freedom="fixed"))
+    held = dataclasses.replace(robot, base="fixed")
     return RobotPlant(held, FirstOrderValve(20 * ms), sensors=SampledSensors(0.022 * deg, 2 * kPa, seed=1))
 
 
@@ -58,15 +58,15 @@ def controllers(of: RobotPlant) -> dict[str, JointwiseControl]:
         mk.PositionStiffnessControl(
             POSITION_LOOPS[joint.name],
             mk.PID(kp=0.08 * bar, ki=5 * bar, kd=0.0),
-            model=joint.muscles,
+            model=of.robot.pair(i),
             minimum_tension=5.0,
         )
-        for joint in joints
+        for i, joint in enumerate(joints)
     )
     at_rest = joint_equations(of.robot, (0.0,) * 3, (0.0,) * 3, of.gravity)
     decoupling = tuple(
         mk.DecouplingControl(
-            joint.muscles,
+            of.robot.pair(i),
             mk.GeneralLoad(float(at_rest.matrix[i][i]), 0.0, joint.damping),
             mk.PolePlacement(30.0),
             valve=of.valve,
@@ -92,7 +92,7 @@ def errors(of: RobotPlant, controller: JointwiseControl) -> dict[str, tuple[floa
     late, found = run["time"] > 0.3, {}
     for i, (joint, reference) in enumerate(zip(of.robot.joints, references(), strict=True)):
         angle, wanted = run["angle"][i], reference(run["time"])
-        stiffness = joint.muscles.evaluate(angle, tuple(run["pressure"][2 * i : 2 * i + 2]))[1]
+        stiffness = of.robot.pair(i).evaluate(angle, tuple(run["pressure"][2 * i : 2 * i + 2]))[1]
         both = (np.asarray(one)[late] for one in (angle - wanted.angle, stiffness - wanted.stiffness))
         found[joint.name] = tuple(float(np.sqrt(np.mean(np.square(one)))) for one in both)
     return found

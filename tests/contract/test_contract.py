@@ -32,7 +32,7 @@ from mckibben.component.base import Component
 from mckibben.component.classes import concrete_subclasses
 from mckibben.contract import check_class, check_extension, checks
 from mckibben.contract.probes import PERIOD, plant_scope, probes_of
-from mckibben.control import Controller, Reference, Setpoint, Signal, Sine
+from mckibben.control import Controller, Reference, Signal, Sine
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.joint import PendulumLoad
@@ -71,16 +71,14 @@ LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=
 DECOUPLING = control.DecouplingControl(KNEE, LOAD, control.PolePlacement())
 REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
 TIMED = robot.TimedReference((REFERENCE, REFERENCE))
-PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
-ROBOT = dataclasses.replace(
-    robot.read_robot("lei-leg-planar"),
-    biarticular=(
-        robot.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
-    ),
+SPANNING = robot.PathMuscle(
+    "x",
+    ROUGH,
+    (robot.OverJoint("hip", "lengthens", joint.Pulley(5 * mm, 20 * mm)),),
+    (robot.BodyPoint("trunk", robot.Place(0.03, 0.0, 0.1)), robot.BodyPoint("thigh", robot.Place(0.03, 0.0, -0.05))),
 )
-SPANNING = robot.SpanningMuscle(
-    ROUGH, (robot.BodyPoint("trunk", (0.03, 0.0, 0.1)), robot.BodyPoint("knee", (0.03, 0.0, -0.05)))
-)
+LEG = robot.read_robot("lei-leg-planar")
+ROBOT = dataclasses.replace(LEG, muscles=(*LEG.muscles, SPANNING))
 EXAMPLES = [
     *(example() for example in LAWS.values()),
     muscle.SpringLaw(1000.0, 180 * mm),
@@ -134,13 +132,14 @@ EXAMPLES = [
     TIMED,
     robot.JointwiseControl((LOOPS, LOOPS), TIMED),
     robot.CoupledControl((DECOUPLING, DECOUPLING), TIMED, (2e5,), robot=ROBOT),
-    robot.PhasedReference(*PHASES),
     ROBOT,
-    ROBOT.trunk,
-    ROBOT.links[0],
+    ROBOT.bodies[0],
+    ROBOT.bodies[0].centre,
     ROBOT.joints[0],
-    ROBOT.biarticular[0],
+    ROBOT.muscles[0],
+    ROBOT.foot,
     SPANNING,
+    SPANNING.over[0],
     SPANNING.through[0],
     robot.RobotPlant(ROBOT, FirstOrderValve(0.02)),
     MountedMuscle(SPECIMEN, CHOU, friction=SLIP),

@@ -31,7 +31,7 @@ DURATION, PERIOD = 0.4, 2 * ms
 @pytest.fixture(scope="module")
 def plant():
     robot = read_robot("lei-leg")
-    held = dataclasses.replace(robot, trunk=dataclasses.replace(robot.trunk, freedom="fixed"))
+    held = dataclasses.replace(robot, base="fixed")
     return RobotPlant(held, FirstOrderValve(20 * ms), sensors=SampledSensors(0.022 * deg, 2 * kPa, seed=1))
 
 
@@ -46,9 +46,7 @@ def start(plant):
 @pytest.mark.slow
 def test_it_repeats_the_recorded_run_of_three_joints(plant, start, single, tmp_path):
     load = GeneralLoad(0.05, 0.0, 0.3)
-    each = tuple(
-        DecouplingControl(one.muscles, load, PolePlacement(30.0), valve=plant.valve) for one in plant.robot.joints
-    )
+    each = tuple(DecouplingControl(plant.robot.pair(i), load, PolePlacement(30.0), valve=plant.valve) for i in range(3))
     reference = TimedReference((Reference(Sine(4 * deg, 1.0), Step(14.5, 15.5, 0.2)),) * len(each))
     controller = CoupledControl(each, reference, robot=plant.robot)
     export_robot_controller(
@@ -63,8 +61,8 @@ def test_it_repeats_the_recorded_run_of_three_joints(plant, start, single, tmp_p
 @pytest.mark.parametrize("duration", [0.0005, 0.0, 0.401])
 def test_a_duration_of_no_whole_periods_is_refused(plant, start, duration, tmp_path):
     each = tuple(
-        DecouplingControl(one.muscles, GeneralLoad(0.05, 0.0, 0.3), PolePlacement(30.0), valve=plant.valve)
-        for one in plant.robot.joints
+        DecouplingControl(plant.robot.pair(i), GeneralLoad(0.05, 0.0, 0.3), PolePlacement(30.0), valve=plant.valve)
+        for i in range(3)
     )
     controller = JointwiseControl(each, TimedReference((Reference(0.0, 14.5),) * len(each)))
     with pytest.raises(SimulationError) as refused:

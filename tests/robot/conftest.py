@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 
 from mckibben import catalog
-from mckibben.robot import Joint, Link, Robot, RobotScenario, Trunk
+from mckibben.robot import Body, Foot, Joint, MusclePair, OverJoint, PathMuscle, Place, Robot, RobotScenario
 from mckibben.units import deg
 
 FILE = "examples/robot/lei-leg.yaml"
@@ -33,6 +33,38 @@ def pair():
 
 def robot_of(pair, freedom, names=("hip", "knee", "ankle")):
     """A robot of up to three joints, of which the knee bends backwards as its angle increases."""
-    links = (Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.18, 0.005), Link(0.1, 0.1, 0.05, 0.001))
-    joints = tuple(Joint(-5 * deg, 5 * deg, pair, name=name, forward=name != "knee") for name in names)
-    return Robot(Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom), links[: len(names)], joints)
+    bodies = limb("thigh", 0.5, 0.19, 0.009), limb("shank", 0.3, 0.18, 0.005), limb("foot", 0.1, 0.05, 0.001)
+    joints = tuple(
+        Joint(name, (0.0, 1.0 if name == "knee" else -1.0, 0.0), -5 * deg, 5 * deg, body=body.name, place=at)
+        for name, body, at in zip(names, bodies, PLACES, strict=False)
+    )
+    bodies = bodies[: len(names)]
+    trunk = Body("trunk", 1.3, Place(z=0.1), (0.02, 0.02, 0.02))
+    foot = Foot(bodies[-1].name, (*PLACES, Place(z=-0.1))[len(names)])
+    return Robot((trunk, *bodies), joints, tuple(pair_over(name, pair) for name in names), freedom, foot)
+
+
+PLACES = (Place(), Place(z=-0.4), Place(z=-0.37))
+
+
+def limb(name, mass, centre, inertia, axial=0.0):
+    """A body that hangs from its hinge, with its centre of mass at a distance."""
+    return Body(name, mass, Place(z=-centre), (inertia, axial))
+
+
+def pair_over(name, pair):
+    """The muscles of a joint, over a joint of a robot."""
+    return MusclePair(name, pair.geometry, pair.muscle1, pair.muscle2, pair.tendon)
+
+
+def with_unit(robot, index, **changes):
+    """A robot with changes of a pair or muscle."""
+    units = list(robot.muscles)
+    units[index] = dataclasses.replace(units[index], **changes)
+    return dataclasses.replace(robot, muscles=tuple(units))
+
+
+def over_two(muscle, paths, joints, actions, name):
+    """A muscle over two joints."""
+    over = tuple(OverJoint(*part) for part in zip(joints, actions, paths, strict=True))
+    return PathMuscle(name, muscle, over)

@@ -11,9 +11,10 @@ import mckibben as mk
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.numerics.spatial import ZERO
-from mckibben.robot import BiarticularMuscle, CoupledControl, RobotMeasurement, RobotStart, TimedReference, read_robot
+from mckibben.robot import CoupledControl, RobotMeasurement, RobotStart, TimedReference, read_robot
 from mckibben.robot.dynamics import acceleration, at_rest, joint_equations, posture_of
 from mckibben.units import ms
+from tests.robot.conftest import over_two
 
 EXAMPLE = runpy.run_path("examples/robot/three_joints.py")
 LOAD = mk.GeneralLoad(1.0, 0.0)
@@ -22,10 +23,12 @@ ANGLES, RATES = (0.05, -0.03, -0.2), (1.0, -2.0, 3.0)
 
 def test_the_equations_of_the_joints_are_those_of_the_motion():
     robot = read_robot("lei-leg")
-    robot = dataclasses.replace(robot, joints=(*robot.joints[:2], dataclasses.replace(robot.joints[2], forward=False)))
+    robot = dataclasses.replace(
+        robot, joints=(*robot.joints[:2], dataclasses.replace(robot.joints[2], axis=(0.0, 1.0, 0.0)))
+    )
     made = joint_equations(robot, ANGLES, RATES, 9.81)
     matrix, bias, torques = np.array(made.matrix, float), np.array(made.bias, float), np.array([2.0, -1.0, 0.5])
-    held = dataclasses.replace(robot, trunk=dataclasses.replace(robot.trunk, freedom="fixed"))
+    held = dataclasses.replace(robot, base="fixed")
     posture = posture_of(held, ANGLES)
     velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, RATES)))
     found = acceleration(held, posture, velocity, tuple(torques), ZERO, 9.81).angles
@@ -37,15 +40,15 @@ def test_the_equations_of_the_joints_are_those_of_the_motion():
 def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles():
     robot = read_robot("lei-leg")
     paths = mk.joint.Pulley(0.03, 0.08), mk.joint.Pulley(0.02, 0.08)
-    rectus = BiarticularMuscle(robot.muscles[0], *paths, "hip", "knee", "shortens", "shortens", "rectus")
-    robot = dataclasses.replace(robot, biarticular=(rectus,))
-    controllers = tuple(mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0)) for joint in robot.joints)
+    rectus = over_two(robot.all_muscles[0], paths, ("hip", "knee"), ("shortens",) * 2, "rectus")
+    robot = dataclasses.replace(robot, muscles=(*robot.muscles, rectus))
+    controllers = tuple(mk.DecouplingControl(robot.pair(i), LOAD, mk.PolePlacement(30.0)) for i in range(3))
     control = CoupledControl(controllers, TimedReference(EXAMPLE["references"]()), (2e5,), robot=robot)
     measurement = RobotMeasurement(tuple(map(jnp.asarray, ANGLES)), tuple(map(jnp.asarray, (3e5,) * 7)), jnp.zeros(()))
     planned = (3.0, -4.0, 5.0)
     loads = control._loads(measurement, tuple(map(jnp.asarray, RATES)), tuple(map(jnp.asarray, planned)))
     made = joint_equations(robot, ANGLES, RATES, 9.81)
-    alone = dataclasses.replace(robot, biarticular=())
+    alone = dataclasses.replace(robot, muscles=robot.muscles[:3])
     rectus_torque = np.subtract(robot.torques(ANGLES, (3e5,) * 7), alone.torques(ANGLES, (3e5,) * 6))
     damping = np.array([joint.damping for joint in robot.joints])
     needed = np.array(made.matrix) @ planned + np.array(made.bias) + damping * RATES - rectus_torque
@@ -60,8 +63,8 @@ def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles
 def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_robot():
     plant, delay, period = EXAMPLE["plant"](), 8 * ms, 1 * ms
     each = tuple(
-        mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0), valve=plant.valve, command_delay=delay)
-        for joint in plant.robot.joints
+        mk.DecouplingControl(plant.robot.pair(i), LOAD, mk.PolePlacement(30.0), valve=plant.valve, command_delay=delay)
+        for i in range(3)
     )
     control = CoupledControl(each, TimedReference(EXAMPLE["references"]()), robot=plant.robot).with_period(period)
     state = plant.begin(RobotStart(ANGLES, (3e5, 2e5) * 3, clearance=0.5))
@@ -72,14 +75,14 @@ def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_robot():
     measurement = RobotMeasurement(state.posture.angles, state.pressures, jnp.zeros(()))
     zero = tuple(map(jnp.zeros_like, begun))
     loads, at_rest_loads = control._loads(measurement, RATES, begun), control._loads(measurement, zero, zero)
-    for i, joint in enumerate(plant.robot.joints):
+    for i in range(3):
         found = []
         for load in (loads[i], at_rest_loads[i]):
             one = dataclasses.replace(control.controllers[i], load=load)
             pair = slice(2 * i, 2 * i + 2)
             estimates = one.init_estimates(Measurement(ANGLES[i], state.pressures[pair]))
             estimates = estimates._replace(motion=estimates.motion._replace(velocity=RATES[i], disturbance=0.0))
-            predicted = one._predicted(joint.muscles, estimates._replace(sent=(commands[pair],) * 9), period)
+            predicted = one._predicted(plant.robot.pair(i), estimates._replace(sent=(commands[pair],) * 9), period)
             found.append(abs(float(predicted.motion.angle - end[i])))
         assert found[0] < 0.01 * abs(float(end[i]) - ANGLES[i])
         assert found[0] < found[1] / 5

@@ -11,12 +11,12 @@ from scipy.optimize import approx_fprime, fsolve
 import mckibben as mk
 from mckibben import catalog
 from mckibben.numerics.spatial import ZERO
-from mckibben.robot import Ground, Joint, Link, Robot, RobotPlant, Trunk, attainable_foot_stiffness, foot_stiffness
+from mckibben.robot import Body, Ground, Joint, Place, Robot, RobotPlant, attainable_foot_stiffness, foot_stiffness
 from mckibben.robot.dynamics import Posture, Velocity, acceleration, motion
 from mckibben.robot.ground import compliant_force
 from mckibben.robot.jumping import standing_torques
 from mckibben.units import deg
-from tests.robot.conftest import robot_of
+from tests.robot.conftest import limb, pair_over, robot_of, with_unit
 
 zero = jnp.zeros(())
 
@@ -32,10 +32,13 @@ def test_knee_with_locked_hip_and_fixed_trunk_is_the_joint_of_the_paper(pair, va
     load = catalog.load("knee-table-2")
     inertia, moment = float(load.total_inertia), float(load.gravity_moment)
     centre = moment / 9.81  # of a body of 1 kg
-    hip = Joint(-5 * deg, 5 * deg, pair, name="hip", locked=0.0)
-    knee = Joint(-30 * deg, 30 * deg, pair, link_angle=-load.hanging_angle, damping=load.damping, name="knee")
-    links = (Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 1.0, centre, inertia - centre**2))
-    plant = RobotPlant(Robot(Trunk(1.0, freedom="fixed"), links, (hip, knee)), valve)
+    swing, own = {"axis": (0.0, -1.0, 0.0)}, inertia - centre**2
+    hip = Joint("hip", lower=-5 * deg, upper=5 * deg, body="thigh", locked=0.0, **swing)
+    knee = Joint("knee", lower=-30 * deg, upper=30 * deg, body="shank", place=Place(z=-0.4), **swing)
+    knee = dataclasses.replace(knee, offset=-load.hanging_angle, damping=load.damping)
+    bodies = Body("trunk", 1.0), limb("thigh", 0.5, 0.19, 0.009), limb("shank", 1.0, centre, own)
+    muscles = tuple(pair_over(name, pair) for name in ("hip", "knee"))
+    plant = RobotPlant(Robot(bodies, (hip, knee), muscles), valve)
     joint = mk.JointPlant(pair, load, valve)
     pressures, commands = (3e5, 3.3e5), (2.8e5, 3.6e5)
     start = plant.init_state((0.0, 0.05), (3e5, 3e5, *pressures), clearance=1.0)
@@ -92,16 +95,15 @@ def test_contact_pushes_only_and_begins_at_nought():
 @pytest.mark.slow
 def test_friction_of_muscles_moves_with_the_robot(plant):
     """A muscle with friction and creep in the robot has the state that it has in the joint."""
-    pair = plant.robot.joints[1].muscles
+    pair = plant.robot.pair(1)
     rough = dataclasses.replace(
         pair.muscle1, friction=mk.MaxwellSlip(7.5, 0.5e-3), creep=mk.MaxwellCreep(4e3, time_constant=0.1)
     )
-    joint = dataclasses.replace(plant.robot.joints[1], muscles=dataclasses.replace(pair, muscle1=rough))
-    robot = dataclasses.replace(plant.robot, joints=(plant.robot.joints[0], joint))
+    robot = with_unit(plant.robot, 1, muscle1=rough)
     both = RobotPlant(robot, mk.FirstOrderValve(0.02))
     start = both.init_state((0.0, 0.0), (3e5,) * 4, clearance=0.5)
     end = jax.jit(lambda state: both.advance(state, (3e5, 3e5, 2e5, 4e5), 0.1, 400))(start)
-    alone = joint.muscles.init_state(0.0, (3e5, 3e5))
+    alone = robot.pair(1).init_state(0.0, (3e5, 3e5))
     assert jax.tree.structure(end.muscles[2]) == jax.tree.structure(alone[0])
     assert any(
         abs(float(x - y)) > 0
@@ -111,14 +113,14 @@ def test_friction_of_muscles_moves_with_the_robot(plant):
 
 def foot_of(robot, at):
     """The foot [m] forwards and up of the hip."""
-    absolute = np.cumsum([joint.link_angle + angle for joint, angle in zip(robot.joints, at, strict=True)])
-    lengths = np.array([link.length for link in robot.links])
+    absolute = np.cumsum([joint.offset + angle for joint, angle in zip(robot.joints, at, strict=True)])
+    lengths = np.array([0.4, 0.37])
     return np.array([np.sum(lengths * np.sin(absolute)), -np.sum(lengths * np.cos(absolute))])
 
 
 def foot_jacobian(robot, at):
-    absolute = np.cumsum([joint.link_angle + angle for joint, angle in zip(robot.joints, at, strict=True)])
-    lengths = np.array([link.length for link in robot.links])
+    absolute = np.cumsum([joint.offset + angle for joint, angle in zip(robot.joints, at, strict=True)])
+    lengths = np.array([0.4, 0.37])
     moved = np.stack([lengths * np.cos(absolute), lengths * np.sin(absolute)])
     return moved @ np.tril(np.ones((len(lengths), len(lengths))))
 
@@ -147,7 +149,7 @@ def test_foot_stiffness_is_that_of_small_displacements(plant):
     bent = np.array(angles) + (jacobian.T @ force) / stiffness
     assert foot_of(robot, bent) - foot_of(robot, np.array(angles)) == pytest.approx(found.compliance @ force, rel=1e-3)
     assert found.principal[0] < found.principal[1]
-    low, high = robot.joints[1].muscles.attainable_stiffness(-0.2, 0.0)
+    low, high = robot.pair(1).attainable_stiffness(-0.2, 0.0)
     attainable = attainable_foot_stiffness(robot, angles, (0.0, 0.0), levels=3)
     assert len(attainable) == 9 and float(low) < float(high)
     softest = min(one.principal[0] for one in attainable)

@@ -13,7 +13,6 @@ import mckibben as mk
 from mckibben.cli import app
 from mckibben.errors import RangeError, ScenarioError, UnreachableError
 from mckibben.robot import (
-    BiarticularMuscle,
     RobotPlant,
     RobotScenario,
     attainable_foot_stiffness,
@@ -25,6 +24,7 @@ from mckibben.robot import (
 from mckibben.robot.foot import foot_jacobian
 from mckibben.robot.stiffness_map import map_at
 from mckibben.units import bar, deg
+from tests.robot.conftest import over_two, with_unit
 
 POSTURES = {"lei-leg-planar": (0.02, -0.3), "lei-leg": (0.05, 0.02, -0.3)}
 
@@ -32,17 +32,16 @@ POSTURES = {"lei-leg-planar": (0.02, -0.3), "lei-leg": (0.05, 0.02, -0.3)}
 def with_rectus(name):
     """A robot with a muscle over hip and knee."""
     robot = read_robot(name)
-    muscle = robot.muscles[0]
     paths = mk.joint.Pulley(0.03, 0.08), mk.joint.Pulley(0.02, 0.08)
-    rectus = BiarticularMuscle(muscle, *paths, "hip", "knee", "shortens", "shortens", "rectus")
-    return dataclasses.replace(robot, biarticular=(rectus,))
+    rectus = over_two(robot.all_muscles[0], paths, ("hip", "knee"), ("shortens",) * 2, "rectus")
+    return dataclasses.replace(robot, muscles=(*robot.muscles, rectus))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(POSTURES))
 def test_the_affine_map_is_the_derivative_of_the_torques(name):
     robot, angles = with_rectus(name), np.array(POSTURES[name])
-    pressures = np.linspace(3.5e5, 4.5e5, len(robot.muscles))
+    pressures = np.linspace(3.5e5, 4.5e5, len(robot.all_muscles))
     found = map_at(robot, angles.tolist())
     np.testing.assert_allclose(found.torque_at(pressures), robot.torques(angles, pressures), atol=1e-12)
     for joint in range(len(angles)):
@@ -58,7 +57,7 @@ def test_an_attainable_stiffness_is_exact(name, force):
     robot, angles = with_rectus(name), POSTURES[name]
     if force is not None and not robot.is_planar:
         force = (force[0], 1.0, force[1])
-    pressures = np.full(len(robot.muscles), 4.0e5)
+    pressures = np.full(len(robot.all_muscles), 4.0e5)
     pressures[::2] += 0.3e5
     affine = map_at(robot, angles)
     torques = affine.torque_at(pressures)
@@ -95,10 +94,7 @@ def test_no_point_of_a_grid_is_nearer(principal, direction):
         own = np.linalg.inv(foot_stiffness(robot, angles, stiffness).compliance)
         return float(np.linalg.norm(root @ own @ root - np.eye(2)))
 
-    ranges = [
-        np.linspace(*one.muscles.attainable_stiffness(at, 0.0), 13)
-        for one, at in zip(robot.joints, angles, strict=True)
-    ]
+    ranges = [np.linspace(*robot.pair(index).attainable_stiffness(at, 0.0), 13) for index, at in enumerate(angles)]
     best = min(error(one) for one in itertools.product(*ranges))
     assert found.least <= found.error <= best * (1 + 1e-6)
     assert found.error == pytest.approx(best, rel=0.01)
@@ -131,13 +127,13 @@ def test_the_attainable_set_holds_what_random_pressures_attain(name):
     """With a biarticular muscle, in random directions of the joints' stiffness; torques are those of the pressures."""
     robot, angles = with_rectus(name), POSTURES[name]
     affine, rng = map_at(robot, angles), np.random.default_rng(2)
-    middle = np.full(len(robot.muscles), 3.5e5)
+    middle = np.full(len(robot.all_muscles), 3.5e5)
     torques = affine.torque_at(middle)
     null = np.linalg.svd(affine.torque[1])[2][len(angles) :]
     tried = middle + rng.normal(0, 1e5, (20_000, len(null))) @ null
     tensions = affine.tension[0] + affine.tension[1] * tried
-    highest = [float(one.domain.pressure_max) for one in robot.muscles]
-    strongest = [float(one.specimen.force_limit) for one in robot.muscles]
+    highest = [float(one.domain.pressure_max) for one in robot.all_muscles]
+    strongest = [float(one.specimen.force_limit) for one in robot.all_muscles]
     inside = tried[((tensions >= 1) & (tensions <= strongest) & (tried >= 0) & (tried <= highest)).all(axis=1)]
     assert len(inside) > 100
     moved, _ = foot_jacobian(robot, angles)
@@ -179,7 +175,6 @@ def test_what_is_not_possible_is_refused():
     wanted = foot_matrix((30.0, 800.0), -0.2)
     locked = dataclasses.replace(robot, joints=(robot.joints[0], dataclasses.replace(robot.joints[1], locked=-0.3)))
     spring = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
-    sprung = dataclasses.replace(robot.joints[0], muscles=dataclasses.replace(robot.joints[0].muscles, tendon=spring))
     for call, kind, field in (
         (lambda: pressures_for_foot_stiffness(robot, angles, -wanted), RangeError, "wanted"),
         (lambda: pressures_for_foot_stiffness(robot, angles, np.eye(3)), RangeError, "wanted"),
@@ -187,9 +182,7 @@ def test_what_is_not_possible_is_refused():
         (lambda: pressures_for_foot_stiffness(robot, (0.0, -1.0), wanted), RangeError, "angle"),
         (lambda: pressures_for_foot_stiffness(locked, angles, wanted), RangeError, "joints"),
         (
-            lambda: pressures_for_foot_stiffness(
-                dataclasses.replace(robot, joints=(sprung, robot.joints[1])), angles, wanted
-            ),
+            lambda: pressures_for_foot_stiffness(with_unit(robot, 0, tendon=spring), angles, wanted),
             RangeError,
             "muscle",
         ),
@@ -204,12 +197,10 @@ def test_what_is_not_possible_is_refused():
 
 def test_a_slack_return_spring_cannot_hold_a_torque():
     robot, angles = read_robot("lei-leg-planar"), (0.0, -0.3)
-    hip, knee = robot.joints
     path = float(robot.routed_muscles(angles)[3].path)
     for longer, kind in ((-0.02, None), (0.005, UnreachableError)):
         spring = mk.muscle.return_spring(5000.0, path + longer)
-        sprung = dataclasses.replace(knee, muscles=dataclasses.replace(knee.muscles, muscle2=spring))
-        one = dataclasses.replace(robot, joints=(hip, sprung))
+        one = with_unit(robot, 1, muscle2=spring)
         if kind is None:
             assert pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15)).tensions[3] > 0
             continue
@@ -237,8 +228,7 @@ def test_a_pushed_foot_in_mujoco_yields_as_computed(name, tmp_path):
     wanted = foot_matrix((30.0, 700.0), -0.25, None if robot.is_planar else 30.0)
     found = pressures_for_foot_stiffness(robot, angles, wanted)
     joints = tuple(dataclasses.replace(one, damping=2.0) for one in robot.joints)
-    trunk = dataclasses.replace(robot.trunk, freedom="fixed")
-    plant = RobotPlant(dataclasses.replace(robot, trunk=trunk, joints=joints), mk.FirstOrderValve(0.02), gravity=0.0)
+    plant = RobotPlant(dataclasses.replace(robot, base="fixed", joints=joints), mk.FirstOrderValve(0.02), gravity=0.0)
     start = plant.init_state(angles, found.pressures, clearance=0.5)
     made = robot_files(plant, name.replace("-", "_"), start=start)
     for file, content in made.contents.items():

@@ -93,8 +93,7 @@ def test_the_motion_is_that_of_a_stiff_solver(slip_speed):
 def test_friction_takes_energy_in_stages_of_any_length(freedom):
     rng = np.random.default_rng(5)
     plant, start = with_ground(Ground(slip_speed=1 * mm, implicit_friction=True))
-    trunk = dataclasses.replace(plant.robot.trunk, freedom=freedom)
-    plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, trunk=trunk))
+    plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, base=freedom))
     start = start._replace(upward_speed=0.0 if freedom == "fixed" else start.upward_speed)
     free = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, friction=0.0))
 

@@ -36,7 +36,7 @@ class Recorder(RobotController):
 
 @pytest.fixture(scope="module")
 def fixed(pair):
-    """A robot of three joints that hangs from a fixed trunk."""
+    """A robot of three joints that hangs from a fixed base."""
     return RobotPlant(robot_of(pair, "fixed"), FirstOrderValve(20 * ms))
 
 
@@ -123,10 +123,11 @@ def test_a_batch_is_single_runs(fixed):
         command_delay=2.5 * ms,
     )
     masses = [0.4, 0.6]
-    batch = simulate_robots(plant, schedule(10 * ms), START, over={"robot.links.0.mass": masses}, **RUN)
+    batch = simulate_robots(plant, schedule(10 * ms), START, over={"robot.bodies.1.mass": masses}, **RUN)
     for row, mass in enumerate(masses):
-        links = (dataclasses.replace(plant.robot.links[0], mass=mass), *plant.robot.links[1:])
-        own = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, links=links))
+        trunk, thigh, *others = plant.robot.bodies
+        bodies = (trunk, dataclasses.replace(thigh, mass=mass), *others)
+        own = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, bodies=bodies))
         run = simulate_robot(own, schedule(10 * ms), START, **RUN)
         assert float(batch["muscle_work"][row]) != 0
         peak = float(abs(run["stop_torque"]).max())

@@ -27,14 +27,15 @@ def robots(pair, kind):
         robot = read_robot("lei-leg")
         knee = dataclasses.replace(robot.joints[2], locked=10 * deg)
         return dataclasses.replace(robot, joints=(*robot.joints[:2], knee))
-    return dataclasses.replace(oblique(pair, kind), foot_radius=0.02)
+    robot = oblique(pair, kind)
+    return dataclasses.replace(robot, foot=dataclasses.replace(robot.foot, radius=0.02))
 
 
 def posture_at(robot, start, places):
     """Posture and velocity 0 at coordinates in MuJoCo's order."""
-    trunk, angles = places[: len(robot.trunk.motions)], iter(places[len(robot.trunk.motions) :])
+    trunk, angles = places[: len(robot.motions)], iter(places[len(robot.motions) :])
     at = [jnp.asarray(next(angles)) if one.locked is None else jnp.asarray(one.locked) for one in robot.joints]
-    named = {name: jnp.asarray(one) for name, one in zip(robot.trunk.motions, trunk, strict=True)}
+    named = {name: jnp.asarray(one) for name, one in zip(robot.motions, trunk, strict=True)}
     still = {name: jnp.zeros(()) for name in start.posture._fields if getattr(start.posture, name) is not None}
     posture = start.posture._replace(**{**still, "angles": tuple(at), **named})
     return posture, jax.tree.map(jnp.zeros_like, start.velocity)
@@ -45,13 +46,13 @@ def inertia_matrix(robot, posture, still):
     free = [i for i, joint in enumerate(robot.joints) if joint.locked is None]
 
     def kinetic(rates):
-        trunk = dict(zip(robot.trunk.motions, rates, strict=False))
+        trunk = dict(zip(robot.motions, rates, strict=False))
         angles = list(still.angles)
-        for place, i in enumerate(free, len(robot.trunk.motions)):
+        for place, i in enumerate(free, len(robot.motions)):
             angles[i] = rates[place]
         return motion(robot, posture, still._replace(**trunk, angles=tuple(angles)), 9.81).kinetic
 
-    return jax.hessian(kinetic)(jnp.zeros(len(robot.trunk.motions) + len(free)))
+    return jax.hessian(kinetic)(jnp.zeros(len(robot.motions) + len(free)))
 
 
 @pytest.mark.slow
@@ -59,11 +60,11 @@ def inertia_matrix(robot, posture, still):
 def test_bodies_are_those_of_the_robot(pair, kind):
     if kind == "free":  # in the plane
         robot = read_robot("lei-leg-planar")
-        robot = dataclasses.replace(robot, trunk=dataclasses.replace(robot.trunk, freedom="free"))
+        robot = dataclasses.replace(robot, base="free")
     else:
         robot = robots(pair, kind)
     plant = RobotPlant(robot, mk.FirstOrderValve(0.02))
-    start = plant.init_state(robot.posture_angles({}), [0.0] * len(robot.muscles))
+    start = plant.init_state(robot.posture_angles({}), [0.0] * len(robot.all_muscles))
     rigging = robot_mjcf._Rigging(plant)
     scene = robot_mjcf._scene(plant, rigging.bodies, start)
     model = mujoco.MjModel.from_xml_string(mjcf(plant, "robot", 1e-3, rigging.drives, [], scene))
@@ -76,7 +77,7 @@ def test_bodies_are_those_of_the_robot(pair, kind):
         return inertia_matrix(robot, posture, still), foot, posture.z
 
     assert model.nv == moving
-    if robot.trunk.motions:  # MuJoCo makes a fixed trunk a part of the world
+    if robot.motions:  # MuJoCo makes a fixed trunk a part of the world
         assert model.body_mass.sum() == pytest.approx(float(robot.total_mass), abs=1e-9)
     for joint in robot.joints:
         if joint.locked is None:
@@ -91,8 +92,8 @@ def test_bodies_are_those_of_the_robot(pair, kind):
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full) if hasattr(data, "M") else mujoco.mj_fullM(model, full, data.qM)
         np.testing.assert_allclose(full, inertia, rtol=0, atol=1e-9)
-        lowest = data.geom_xpos[-1].copy()
-        lowest[2] -= float(robot.foot_radius)
-        if not robot.trunk.motions:  # a trunk that is held at the height of the start
+        lowest = data.geom("foot").xpos.copy()
+        lowest[2] -= float(robot.foot.radius)
+        if not robot.motions:  # a trunk that is held at the height of the start
             lowest[2] -= float(start.posture.z - height)
         np.testing.assert_allclose(lowest, foot, rtol=0, atol=1e-9)

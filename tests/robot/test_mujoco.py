@@ -15,19 +15,20 @@ from mckibben.export.robot_compliance import compliance
 from mckibben.export.robot_mjcf import robot_files, robot_model
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.robot import (
-    BiarticularMuscle,
+    Body,
+    Foot,
     Ground,
     Joint,
-    Link,
+    Place,
     PressureSchedule,
     Robot,
     RobotPlant,
     RobotScenario,
     RobotStart,
-    Trunk,
     simulate_robot,
 )
 from mckibben.units import bar, deg
+from tests.robot.conftest import limb, over_two, pair_over
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")]
 PERIOD, SUBSTEPS = 1e-3, 4
@@ -35,16 +36,11 @@ MUSCLE = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("l
 KNEE = mk.KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.208)
 PULLEYS = PairedPaths(Pulley(0.025, 0.165), Pulley(0.03, 0.165))
 LEVEL, SLOPE = Ground(), Ground(slope=8 * deg, side_slope=-5 * deg)
-HAMSTRING = BiarticularMuscle(
-    MUSCLE,
+BONES = (
     TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.0),
     TwoBonePath(0.02, 0.20, 0.02, -0.005, 0.27),  # x is where the angle turns: backwards
-    joint1="hip",
-    joint2="knee",
-    action1="lengthens",
-    action2="shortens",
-    name="hamstring",
 )
+HAMSTRING = over_two(MUSCLE, BONES, ("hip", "knee"), ("lengthens", "shortens"), "hamstring")
 
 
 def pair(geometry):
@@ -56,18 +52,25 @@ def plant_of(freedom, *, side=False, valve=None, ground=LEVEL):
 
     In space a side swing above the hip, and a turn about an oblique axis in place of the ankle's.
     """
+    forwards, backwards = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)
     joints = (
-        Joint(-15 * deg, 15 * deg, pair(KNEE), name="hip", damping=0.05, link_angle=20 * deg),
-        Joint(-25 * deg, 30 * deg, pair(KNEE), name="knee", damping=0.05, link_angle=-40 * deg, forward=False),
-        Joint(-20 * deg, 20 * deg, pair(PULLEYS), name="ankle", damping=0.03, link_angle=50 * deg),
+        Joint("hip", forwards, -15 * deg, 15 * deg, "thigh", damping=0.05, offset=20 * deg),
+        Joint("knee", backwards, -25 * deg, 30 * deg, "shank", place=Place(z=-0.4), damping=0.05, offset=40 * deg),
+        Joint("ankle", forwards, -20 * deg, 20 * deg, "sole", place=Place(z=-0.37), damping=0.03, offset=50 * deg),
     )
-    links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005), Link(0.12, 0.2, 0.05, 0.002)
-    trunk = Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom)
+    pairs = tuple(map(pair_over, ("hip", "knee", "ankle"), map(pair, (KNEE, KNEE, PULLEYS))))
     if side:
-        swing = Joint(-15 * deg, 15 * deg, pair(KNEE), name="side", damping=0.05, axis=(1.0, 0.0, 0.0))
+        swing = Joint("side", (1.0, 0.0, 0.0), -15 * deg, 15 * deg, damping=0.05)
         joints = swing, *joints[:2], dataclasses.replace(joints[2], axis=(0.3, -0.8, 0.2))
-        links = Link(0.0, 0.0, 0.0, 0.0), *(dataclasses.replace(one, axial_inertia=0.001) for one in links)
-    robot = Robot(trunk, links, joints, (HAMSTRING,), foot_radius=0.02)
+        pairs = pair_over("side", pair(KNEE)), *pairs
+    axial = 0.001 if side else 0.0
+    bodies = (
+        Body("trunk", 1.3, Place(z=0.1), (0.02, 0.02, 0.02)),
+        limb("thigh", 0.5, 0.19, 0.009, axial),
+        limb("shank", 0.3, 0.15, 0.005, axial),
+        limb("sole", 0.2, 0.05, 0.002, axial),
+    )
+    robot = Robot(bodies, joints, (*pairs, HAMSTRING), freedom, Foot("sole", Place(z=-0.12), 0.02))
     return RobotPlant(robot, valve or mk.FirstOrderValve(0.02), ground)
 
 
@@ -118,7 +121,7 @@ def moved(plant, start, commands):
     """Positions in MuJoCo's order, and the run, by our own dynamics."""
     schedule = PressureSchedule(tuple((one,) for one in commands))
     run = simulate_robot(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
-    return np.stack([*(run[name] for name in plant.robot.trunk.motions), *run["angle"]], -1), run
+    return np.stack([*(run[name] for name in plant.robot.motions), *run["angle"]], -1), run
 
 
 def stepped(model, data, seen=lambda: None):
@@ -143,7 +146,7 @@ def own_contact(plant):
 
     def passive(model, data):
         foot = model.geom("foot").id
-        point = data.geom_xpos[foot] - plant.robot.foot_radius * normal
+        point = data.geom_xpos[foot] - plant.robot.foot.radius * normal
         jacobian = np.empty((3, model.nv))
         mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[foot])
         speed = jacobian @ data.qvel
@@ -228,9 +231,8 @@ def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
         assert found[joint.name].stiffness / joint.stop_stiffness == pytest.approx(mobility, rel=2e-3)
 
 
-OTHER = BiarticularMuscle(
-    MUSCLE, Pulley(0.02, 0.1), Pulley(0.015, 0.072), "hip", "knee", "shortens", "lengthens", "rope"
-)
+ROPES = Pulley(0.02, 0.1), Pulley(0.015, 0.072)
+OTHER = over_two(MUSCLE, ROPES, ("hip", "knee"), ("shortens", "lengthens"), "rope")
 
 
 def test_cams_pulleys_locked_joints_and_air(tmp_path):
@@ -239,11 +241,12 @@ def test_cams_pulleys_locked_joints_and_air(tmp_path):
     cams = PairedPaths(Cam(0.025, 0.165, arm_slope=0.004), Pulley(0.03, 0.165))
     hip, knee, ankle = plant.robot.joints
     joints = (
-        dataclasses.replace(hip, muscles=pair(cams)),
+        hip,
         dataclasses.replace(knee, locked=5 * deg),
         dataclasses.replace(ankle, locked=0.0),
     )
-    plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=joints, biarticular=(OTHER,)))
+    muscles = pair_over("hip", pair(cams)), *plant.robot.muscles[1:3], OTHER
+    plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=joints, muscles=muscles))
     start = plant.init_state(ANGLES, PRESSURES)
     made = robot_files(plant, "other", start=start)
     assert sum("hip1" in one for one in made.left_out) == 1
@@ -266,9 +269,9 @@ def test_cams_pulleys_locked_joints_and_air(tmp_path):
 def test_what_mujoco_cannot_hold_is_refused():
     plant = plant_of("free")
     above = TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.1)
-    mixed = dataclasses.replace(HAMSTRING, path1=above, path2=Pulley(0.02, 0.04))
+    mixed = over_two(MUSCLE, (above, Pulley(0.02, 0.04)), ("hip", "knee"), ("lengthens", "shortens"), "mixed")
     for robot, valve, field in (
-        (dataclasses.replace(plant.robot, biarticular=(mixed,)), plant.valve, "path1"),
+        (dataclasses.replace(plant.robot, muscles=(*plant.robot.muscles[:3], mixed)), plant.valve, "over"),
         (plant.robot, mk.SwitchingValves(conductance=1e-9, supply=7e5, period=0.01), "valve"),
     ):
         with pytest.raises(ExportError) as caught:

@@ -14,10 +14,8 @@ import mckibben as mk
 from mckibben.control import Controller
 from mckibben.errors import CallError, ParameterError, RangeError, SimulationError
 from mckibben.robot import (
-    BiarticularMuscle,
     JointwiseControl,
     PressureSchedule,
-    Robot,
     RobotMeasurement,
     RobotPlant,
     RobotStart,
@@ -28,8 +26,10 @@ from mckibben.robot import (
 from mckibben.robot.plant import RobotSample
 from mckibben.simulation import Outcome
 from mckibben.units import deg
+from tests.robot.conftest import over_two, with_unit
 
 STEP = {"duration": 0.1, "control_period": 0.25e-3}
+PULLEYS = mk.Pulley(0.03, 0.08), mk.Pulley(0.02, 0.082)
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +40,8 @@ def start(plant):
 
 @pytest.mark.slow
 def test_single_runs_and_batches_with_a_series_spring_agree_in_both_engines(plant, start):
-    hip, knee = plant.robot.joints
     tendon = mk.SeriesSpring(stiffness=2e4, preload=60.0, travel=8e-3)
-    knee = dataclasses.replace(knee, muscles=dataclasses.replace(knee.muscles, tendon=tendon))
-    springy = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=(hip, knee)))
+    springy = dataclasses.replace(plant, robot=with_unit(plant.robot, 1, tendon=tendon))
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     given = {"substeps": 2, **STEP}
     run = simulate_robot(springy, schedule, start, **given)
@@ -165,17 +163,15 @@ def test_schedules_that_do_not_fit(levels, switches, field):
 
 @pytest.mark.slow
 def test_biarticular_muscle_turns_both_joints(plant):
-    muscle = plant.robot.joints[0].muscles.muscle1
-    one = BiarticularMuscle(
-        muscle, mk.Pulley(0.03, 0.08), mk.Pulley(0.02, 0.082), "hip", "knee", "lengthens", "shortens", name="rectus"
-    )
-    robot = dataclasses.replace(plant.robot, biarticular=(one,))
+    muscle = plant.robot.all_muscles[0]
+    one = over_two(muscle, PULLEYS, ("hip", "knee"), ("lengthens", "shortens"), "rectus")
+    robot = dataclasses.replace(plant.robot, muscles=(*plant.robot.muscles, one))
     pressures = (3e5,) * 5
     with_it, without = robot.torques((0.0, 0.0), pressures), plant.robot.torques((0.0, 0.0), pressures[:4])
     added = [float(a - b) for a, b in zip(with_it, without, strict=True)]
     tension = float(muscle.force(muscle.specimen.contraction_at(0.162), 3e5))
     assert added == pytest.approx([-0.03 * tension, 0.02 * tension])
-    held = robot.pressures_for((0.0, 0.0), (0.0, 0.0), (None, None), biarticular=(1e5,))
+    held = robot.pressures_for((0.0, 0.0), (0.0, 0.0), (None, None), others=(1e5,))
     assert [float(x) for x in robot.torques((0.0, 0.0), held)] == pytest.approx([0.0, 0.0], abs=1e-6)
     both = RobotPlant(robot, plant.valve, plant.ground)
     start = RobotStart((0.0, 0.0), held, upward_speed=-0.5)
@@ -186,25 +182,18 @@ def test_biarticular_muscle_turns_both_joints(plant):
 @pytest.mark.parametrize(
     ("change", "field"),
     [
-        ({"joint1": "ankle"}, "biarticular.0.joint1"),
-        ({"joint2": "hip"}, "biarticular.0.joint2"),
-        ({"action1": "pulls"}, "action1"),
-        ({"path1": mk.Pulley(0.03, 0.2)}, "biarticular.0.muscle"),
-        ({"name": "knee2"}, "biarticular.0.name"),
+        ({"joints": ("ankle", "knee")}, "muscles.2.over.0.joint"),
+        ({"joints": ("hip", "hip")}, "muscles.2.over.1.joint"),
+        ({"actions": ("pulls", "shortens")}, "action"),
+        ({"paths": (mk.Pulley(0.03, 0.2), mk.Pulley(0.02, 0.082))}, "muscles.2"),
+        ({"name": "knee2"}, "muscles.2.name"),
     ],
 )
 def test_biarticular_muscles_that_do_not_fit(plant, change, field):
-    given = {
-        "muscle": plant.robot.joints[0].muscles.muscle1,
-        "path1": mk.Pulley(0.03, 0.08),
-        "path2": mk.Pulley(0.02, 0.082),
-        "joint1": "hip",
-        "joint2": "knee",
-        "action1": "lengthens",
-        "action2": "shortens",
-    }
+    given = {"paths": PULLEYS, "joints": ("hip", "knee"), "actions": ("lengthens", "shortens"), "name": "x"}
     with pytest.raises(RangeError) as caught:
-        Robot(plant.robot.trunk, plant.robot.links, plant.robot.joints, (BiarticularMuscle(**given | change),))
+        other = over_two(plant.robot.all_muscles[0], **(given | change))
+        dataclasses.replace(plant.robot, muscles=(*plant.robot.muscles, other))
     assert caught.value.field == field and caught.value.remedy
 
 
@@ -245,8 +234,8 @@ def test_controllers_of_another_robot(plant, start):
     assert caught.value.field == "controllers"
 
 
-def test_a_fixed_trunk_has_no_speed(plant, start):
-    robot = dataclasses.replace(plant.robot, trunk=dataclasses.replace(plant.robot.trunk, freedom="fixed"))
+def test_a_fixed_base_has_no_speed(plant, start):
+    robot = dataclasses.replace(plant.robot, base="fixed")
     with pytest.raises(RangeError) as caught:
         dataclasses.replace(plant, robot=robot).init_state(start.angles, start.pressures, upward_speed=-1.0)
     assert caught.value.field == "upward_speed"
@@ -257,8 +246,8 @@ def test_batches_need_something_that_varies(plant, start):
     with pytest.raises(ParameterError):
         simulate_robots(plant, schedule, start, **STEP)
     with pytest.raises(ParameterError) as caught:
-        simulate_robots(plant, schedule, start, over={"robot.trunk.masss": [1.0, 2.0]}, **STEP)
-    assert "robot.trunk.mass" in caught.value.remedy
+        simulate_robots(plant, schedule, start, over={"robot.bodies.0.masss": [1.0, 2.0]}, **STEP)
+    assert "robot.bodies.0.mass" in caught.value.remedy
 
 
 @pytest.mark.slow

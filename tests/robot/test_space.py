@@ -13,10 +13,10 @@ from mckibben.errors import RangeError, ScenarioError, SimulationError
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.spatial import ZERO, Vector
-from mckibben.robot import Ground, Joint, Link, Robot, RobotPlant, RobotScenario, RobotStart, Trunk, read_robot
+from mckibben.robot import Body, Foot, Ground, Joint, Place, Robot, RobotPlant, RobotScenario, RobotStart, read_robot
 from mckibben.robot.dynamics import Posture, acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.units import deg
-from tests.robot.conftest import robot_of
+from tests.robot.conftest import limb, pair_over, robot_of
 
 FILE = "examples/robot/lei-leg-in-space.yaml"
 AXES = (1.0, 0.0, 0.0), (0.3, -0.8, 0.2), (0.0, -1.0, 0.0)
@@ -26,16 +26,17 @@ def oblique(pair, freedom):
     """A robot of three joints in space, the last of which is parallel to no other."""
     robot = robot_of(pair, freedom)
     joints = tuple(dataclasses.replace(one, axis=axis) for one, axis in zip(robot.joints, AXES, strict=True))
-    links = tuple(dataclasses.replace(link, axial_inertia=0.0004) for link in robot.links)
-    trunk = dataclasses.replace(robot.trunk, roll_inertia=0.015, yaw_inertia=0.011)
-    return dataclasses.replace(robot, joints=joints, links=links, trunk=trunk)
+    trunk, *limbs = robot.bodies
+    limbs = (dataclasses.replace(body, inertia=(body.inertia[0], 0.0004)) for body in limbs)
+    trunk = dataclasses.replace(trunk, inertia=(0.015, 0.02, 0.011))
+    return dataclasses.replace(robot, joints=joints, bodies=(trunk, *limbs))
 
 
 def in_motion(robot):
     posture = posture_of(robot, (0.5, -0.8, 0.3), z=1.0)
     velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, (2.0, -3.0, 1.0))))
     turned = {"yaw": 0.4, "pitch": 0.2, "roll": -0.3, "x": 0.3, "y": -0.2, "z": 1.0}
-    rates = {name: jnp.asarray(turned[name]) for name in robot.trunk.motions}
+    rates = {name: jnp.asarray(turned[name]) for name in robot.motions}
     posture = posture._replace(**{name: one for name, one in rates.items() if name in ("yaw", "pitch", "roll")})
     return posture, velocity._replace(**rates)
 
@@ -65,9 +66,9 @@ def test_energy_and_momenta_in_flight(pair):
 
 def test_a_side_swing_alone_is_a_pendulum(pair):
     """About the forward axis with the robot locked: I theta'' = torque - m g c sin(theta)."""
-    link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004)
-    side = Joint(-10 * deg, 10 * deg, pair, name="side", axis=(0.5, 0.0, 0.0))  # of any length
-    robot = Robot(Trunk(1.0, freedom="fixed"), (link,), (side,))
+    side = Joint("side", (0.5, 0.0, 0.0), -10 * deg, 10 * deg, "arm")  # an axis of any length
+    bodies = Body("trunk", 1.0), limb("arm", 0.5, 0.19, 0.009, 0.0004)
+    robot = Robot(bodies, (side,), foot=Foot("arm", Place(z=-0.4)))
     posture = posture_of(robot, (0.1,))
     found = acceleration(robot, posture, at_rest(posture), (0.7,), ZERO, 9.81).angles[0]
     inertia = 0.009 + 0.5 * 0.19**2
@@ -129,16 +130,22 @@ def test_gradients_are_those_of_finite_differences():
 
 
 def test_what_cannot_be_is_refused(pair):
-    link = Link(0.4, 0.5, 0.19, 0.009)
-    joint = Joint(-5 * deg, 5 * deg, pair)
+    link, base = limb("arm", 0.5, 0.19, 0.009), Body("trunk", 1.0, inertia=(0.01, 0.01, 0.01))
+    joint = Joint("side", (1.0, 0.0, 0.0), -5 * deg, 5 * deg, "arm")
+    robot = Robot((base, link), (joint,))
     for make, field in (
         (lambda: dataclasses.replace(joint, axis=(0.0, 0.0, 0.0)), "axis"),
         (lambda: dataclasses.replace(joint, axis=(1.0, 0.0)), "axis"),
-        (lambda: Robot(Trunk(1.0), (Link(0.0, 0.0, 0.0, 0.0),), (joint,)), "links"),
-        (lambda: dataclasses.replace(link, axial_inertia=-1.0), "axial_inertia"),
-        (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.0), "roll_inertia"),
-        (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.03), "inertia"),
-        (lambda: dataclasses.replace(link, axial_inertia=0.019), "axial_inertia"),
+        (lambda: dataclasses.replace(robot, bodies=(base, limb("arm", 0.0, 0.0, 0.0))), "joints.0.body"),
+        (lambda: dataclasses.replace(robot, bodies=(base, link, link)), "bodies.2.name"),
+        (lambda: dataclasses.replace(robot, joints=(dataclasses.replace(joint, body=None),)), "bodies.1.name"),
+        (lambda: dataclasses.replace(robot, joints=(dataclasses.replace(joint, body="leg"),)), "joints.0.body"),
+        (lambda: dataclasses.replace(robot, foot=Foot("leg")), "foot.body"),
+        (lambda: dataclasses.replace(link, inertia=(0.01,)), "inertia"),
+        (lambda: dataclasses.replace(link, inertia=(0.009, -1.0)), "inertia"),
+        (lambda: dataclasses.replace(link, inertia=(0.009, 0.019)), "inertia"),
+        (lambda: dataclasses.replace(link, inertia=(0.009, 0.009, 0.009, 0.01, 0.0, 0.0)), "inertia"),
+        (lambda: dataclasses.replace(robot, base="floating", bodies=(Body("trunk", 1.0), link)), "yaw_inertia"),
         (lambda: Ground(slope=80 * deg), "slope"),
     ):
         with pytest.raises(RangeError) as caught:
@@ -146,11 +153,12 @@ def test_what_cannot_be_is_refused(pair):
         assert caught.value.field == field and caught.value.remedy
 
 
-def test_a_slender_link_cannot_turn_about_its_own_line(pair):
-    turn = Joint(-5 * deg, 5 * deg, pair, name="yaw", axis=(0.0, 0.0, 1.0))
-    for axial, field in ((0.0, "axial_inertia"), (1e-4, None)):
-        link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=axial)
-        plant = RobotPlant(Robot(Trunk(1.0), (link,), (turn,), foot_radius=0.02), mk.FirstOrderValve(0.02))
+def test_a_slender_body_cannot_turn_about_its_own_line(pair):
+    turn = Joint("yaw", (0.0, 0.0, 1.0), -5 * deg, 5 * deg, "arm")
+    for axial, field in ((0.0, "inertia"), (1e-4, None)):
+        bodies, foot = (Body("trunk", 1.0), limb("arm", 0.5, 0.19, 0.009, axial)), Foot("arm", Place(z=-0.4), 0.02)
+        robot = Robot(bodies, (turn,), (pair_over("yaw", pair),), "vertical", foot)
+        plant = RobotPlant(robot, mk.FirstOrderValve(0.02))
         if field is None:
             assert plant.needed_substeps((0.0,), None, 0.25e-3) < 100
             continue
@@ -168,7 +176,7 @@ def test_files_of_a_robot_in_space():
     assert turned.plant().ground.slope == pytest.approx(5 * deg)
     assert RobotScenario.parse(turned.dumps()) == turned
     for text, line, field in (
-        ("  trunk: {freedom: floating, inertia: 0 kg*m^2}\n", 4, "robot.trunk.inertia"),
+        ("  bodies: {trunk: {mass: -1 kg}}\n", 4, "robot.bodies[0].mass"),
         ("ground: {side_slope: 70 deg}\n", 4, "ground.side_slope"),
         ("  joints: {hip: {axis: [0, 0, 2]}}\n", 4, "robot.joints[1].axis[2]"),
     ):
@@ -180,19 +188,17 @@ def test_files_of_a_robot_in_space():
 
 @pytest.mark.parametrize("written", ["[1, 0, 7]", "[1, 0]", "up"])
 def test_a_wrong_axis_is_reported_with_its_line(written):
-    geometry = "{from: knee-table-2, connector_length: 208 mm}"
-    muscles = f"{{geometry: {geometry}, muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}}}"
     text = f"""name: x
 robot:
-  trunk: {{mass: 1 kg}}
-  links:
-    - {{length: 400 mm, mass: 0.5 kg, centre: 190 mm, inertia: 0.009 kg*m^2, axial_inertia: 0.0004 kg*m^2}}
+  bodies:
+    - {{name: trunk, mass: 1 kg}}
+    - {{name: arm, mass: 0.5 kg, centre: [0 mm, 0 mm, -190 mm], inertia: [0.009 kg*m^2, 0.0004 kg*m^2]}}
   joints:
     - name: side
       axis: {written}
       lower: -5 deg
       upper: 5 deg
-      muscles: {muscles}
+      body: arm
 """
     with pytest.raises(ScenarioError) as caught:
         RobotScenario.parse(text)

@@ -13,7 +13,7 @@ from mckibben.errors import RangeError, ScenarioError
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
 from mckibben.robot import JointwiseControl, PressureSchedule, RobotScenario, RobotStart, TimedReference, simulate_robot
 from mckibben.robot.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
-from mckibben.robot.tree import MASSLESS, Body, Frame, Hinge, equations, frames_of, path_through
+from mckibben.robot.tree import MASSLESS, BodyInertia, Frame, Hinge, equations, frames_of, path_through
 from mckibben.units import deg
 
 ARM = "examples/robot/umarm.yaml"
@@ -30,8 +30,8 @@ def pull_of_gravity(robot, angles):
 
     def energy(q):
         posture = posture_of(robot, tuple(q))
-        links = zip(frames(robot, posture, at_rest(posture))[1:], robot.links, strict=True)
-        places = ((link.mass, frame.point(Vector(0.0, 0.0, -link.centre))[0].x) for frame, link in links)
+        parts = zip(frames(robot, posture, at_rest(posture))[1:], robot.frame_bodies[1:], strict=True)
+        places = ((body.mass, frame.point(body.centre.vector)[0].x) for frame, body in parts if body is not None)
         return 9.81 * jnp.asarray(sum(mass * x for mass, x in places))
 
     return -np.asarray(jax.grad(energy)(jnp.asarray(angles)))
@@ -44,7 +44,7 @@ def test_an_arm_of_24_muscles_is_that_of_soromox(arm, case):
     pressures = case["pressure_Pa"]
     routed = arm.routed_muscles(tuple(angles))
     np.testing.assert_allclose([float(unit.path) for unit in routed], case["length_m"], rtol=1e-12)
-    tensions = [float(u.tendon.tension(u.muscle, u.path, p)) for u, p in zip(routed, pressures, strict=True)]
+    tensions = [float(u.tension(p)) for u, p in zip(routed, pressures, strict=True)]
     np.testing.assert_allclose(tensions, case["force_N"], rtol=1e-9)
     torques = np.array(arm.torques(tuple(angles), pressures))
     np.testing.assert_allclose(torques, case["torque_Nm"], atol=2e-8)
@@ -84,7 +84,7 @@ def random_tree(rng):
         angle, rate = float(rng.uniform(-1, 1)), float(rng.uniform(-3, 3))
         hinges.append(Hinge(vector(axis / np.linalg.norm(axis)), vector(place), angle, rate, parent, True, rotor))
         tensor = Tensor(*(float(inertia[at]) for at in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))))
-        bodies.append(Body(float(rng.uniform(0.2, 2)), vector(rng.uniform(-0.2, 0.2, 3)), tensor))
+        bodies.append(BodyInertia(float(rng.uniform(0.2, 2)), vector(rng.uniform(-0.2, 0.2, 3)), tensor))
     paths = []
     for _ in range(5):
         chosen = rng.choice(9, size=3, replace=False)
@@ -169,21 +169,21 @@ def depth_first(hinges, parent=0):
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
 FORK = f"""name: x
 robot:
-  trunk: {{mass: 1 kg, freedom: fixed}}
-  links:
-    - {{length: 300 mm, mass: 0.5 kg, centre: 150 mm, inertia: 0.009 kg*m^2}}
-    - {{length: 200 mm, mass: 0.2 kg, centre: 150 mm, inertia: 0.003 kg*m^2}}
-    - {{length: 200 mm, mass: 0.2 kg, centre: 150 mm, inertia: 0.003 kg*m^2}}
+  bodies:
+    - {{name: base, mass: 1 kg}}
+    - {{name: arm, mass: 0.5 kg, centre: [0 mm, 0 mm, -150 mm], inertia: [0.009 kg*m^2, 0 kg*m^2]}}
+    - {{name: left, mass: 0.2 kg, centre: [0 mm, 0 mm, -150 mm], inertia: [0.003 kg*m^2, 0 kg*m^2]}}
+    - {{name: right, mass: 0.2 kg, centre: [0 mm, 0 mm, -150 mm], inertia: [0.003 kg*m^2, 0 kg*m^2]}}
   joints:
-    - {{name: arm, lower: -10 deg, upper: 10 deg}}
-    - {{name: left, lower: -10 deg, upper: 10 deg, parent: arm, place: [0 mm, 50 mm, -300 mm]}}
-    - {{name: right, lower: -10 deg, upper: 10 deg, parent: arm, place: [0 mm, -50 mm, -300 mm]}}
-  spanning:
+    - {{name: a, axis: [0, -1, 0], lower: -10 deg, upper: 10 deg, body: arm}}
+    - {{name: l, axis: [0, -1, 0], lower: -10 deg, upper: 10 deg, body: left, parent: arm, place: [0 mm, 50 mm, -300 mm]}}
+    - {{name: r, axis: [0, -1, 0], lower: -10 deg, upper: 10 deg, body: right, parent: arm, place: [0 mm, -50 mm, -300 mm]}}
+  muscles:
     - name: across
       connector_length: 15 mm
-      through: [{{body: trunk, place: [30 mm, 0 mm, -200 mm]}}, {{body: right, place: [30 mm, 0 mm, -70 mm]}}]
+      through: [{{body: base, place: [30 mm, 0 mm, -200 mm]}}, {{body: right, place: [30 mm, 0 mm, -70 mm]}}]
       muscle: {MUSCLE}
-"""
+"""  # noqa: E501
 
 
 def test_a_fork_is_read_and_a_muscle_turns_the_joints_that_it_passes():
@@ -203,12 +203,12 @@ def test_a_fork_is_read_and_a_muscle_turns_the_joints_that_it_passes():
 @pytest.mark.parametrize(
     ("old", "new", "line", "field"),
     [
-        ("body: right", "body: wrong", 16, "robot.spanning[0].through[1].body"),
-        ("body: right", "body: trunk", 16, "robot.spanning[0]"),
+        ("body: right, place: [30", "body: wrong, place: [30", 15, "robot.muscles[0].through[1].body"),
+        ("body: right, place: [30", "body: base, place: [30", 15, "robot.muscles[0]"),
         ("parent: arm, place: [0 mm, 50 mm", "parent: right, place: [0 mm, 50 mm", 10, "robot.joints[1].parent"),
         ("place: [0 mm, 50 mm, -300 mm]", "place: [0 mm, 50 mm]", 10, "robot.joints[1].place"),
-        ("name: left", "name: trunk", 10, "robot.joints[1].name"),
-        ("-200 mm]", "200 mm]", 16, "robot.spanning[0]"),
+        ("body: left", "body: base", 10, "robot.joints[1].body"),
+        ("-200 mm]", "200 mm]", 15, "robot.muscles[0]"),
     ],
 )
 def test_a_mistake_in_a_tree_has_its_line(old, new, line, field):

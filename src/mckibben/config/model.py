@@ -199,7 +199,7 @@ def _merged(content: Any, changes: Any) -> Any:
     if not isinstance(changes, dict) or content is None:
         return changes
     if isinstance(content, tuple):
-        known = [part.get("name") if isinstance(part, dict) else None for part in content]
+        known = [part.get("name", part.get("over")) if isinstance(part, dict) else None for part in content]
         for name in changes:
             if name not in known:
                 fail_validation(f"there is no part {quoted(name)}", suggest(name, list(filter(None, known))))

@@ -8,14 +8,13 @@ spring and a damper in any posture.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.robot import Joint, Robot, RobotPlant, RobotState
-from mckibben.robot.dynamics import mobilities, posture_of
+from mckibben.robot import BodyPoint, Foot, Joint, Place, RobotPlant, RobotState
+from mckibben.robot.dynamics import Posture, mobilities, posture_of
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
 """Speeds [m/s], [rad/s] at which the restitution equals that of the plant."""
@@ -50,24 +49,33 @@ class Compliance(NamedTuple):
 
 def compliance(plant: RobotPlant, start: RobotState) -> dict[str, Compliance]:
     """Compliance of the "ground", of its "friction", and of the stops of each moving joint, by name."""
-    robot, ground = plant.robot, plant.ground
+    robot = plant.robot
     zero = posture_of(robot, [0.0] * len(robot.joints))
-    foot = _at_centre_of_last(robot)
-    body = float(mobilities(foot, zero)[0].trace()) / 3  # MuJoCo's mean over x, y and z
-    normal = np.array([float(component) for component in ground.normal])
-    mobility, softness = float(normal @ mobilities(robot, start.posture)[0] @ normal), {}
-    if robot.trunk.freedom == "fixed":  # a straight robot below a fixed trunk has no mobility along itself
-        mobility = max(mobility, 1 / float(robot.total_mass))
-    stiffness = float(ground.stiffness)
-    damper = _damper(stiffness, float(ground.damping), 1 / mobility, TOUCH_SPEED)
-    softness["ground"] = _scaled(stiffness, damper, body)
-    weight = float(robot.total_mass * plant.gravity)
-    slope = float(ground.friction * weight / ground.slip_speed) or 1.0
-    softness["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
+    softness = {} if robot.foot is None else _of_ground(plant, start, robot.foot, zero)
     for joint, mobility in zip(robot.joints, mobilities(robot, zero)[1].diagonal().tolist(), strict=True):
         if joint.locked is None:
             softness[joint.name] = _stop(joint, mobility)
     return softness
+
+
+def _of_ground(plant: RobotPlant, start: RobotState, foot: Foot, zero: Posture) -> dict[str, Compliance]:
+    """Compliance of the "ground" and of its "friction"."""
+    robot, ground = plant.robot, plant.ground
+    carrying = robot.frame_bodies[robot.frame_names.index(foot.body)]
+    centre = BodyPoint(foot.body, Place() if carrying is None else carrying.centre)
+    body = float(mobilities(robot, zero, centre)[0].trace()) / 3  # MuJoCo's mean over x, y and z
+    normal = np.array([float(component) for component in ground.normal])
+    mobility = float(normal @ mobilities(robot, start.posture)[0] @ normal)
+    if robot.base == "fixed":  # a stretched robot below a fixed base has no mobility along itself
+        mobility = max(mobility, 1 / float(robot.total_mass))
+    stiffness = float(ground.stiffness)
+    damper = _damper(stiffness, float(ground.damping), 1 / mobility, TOUCH_SPEED)
+    weight = float(robot.total_mass * plant.gravity)
+    slope = float(ground.friction * weight / ground.slip_speed) or 1.0
+    return {
+        "ground": _scaled(stiffness, damper, body),
+        "friction": _scaled(0.0, slope / FRICTION_RATIO, body),
+    }
 
 
 def _stop(joint: Joint, mobility: float) -> Compliance:
@@ -86,9 +94,3 @@ def _damper(stiffness: float, damping: float, mass: float, speed: float) -> floa
     restitution = max(1 - 2 / 3 * damping * speed, 0.05)
     logarithm = -math.log(restitution)
     return 2 * logarithm / math.hypot(math.pi, logarithm) * math.sqrt(stiffness * mass)
-
-
-def _at_centre_of_last(robot: Robot) -> Robot:
-    """The robot with its foot at the centre of mass of the last link."""
-    last = dataclasses.replace(robot.links[-1], length=max(float(robot.links[-1].centre), 1e-12))
-    return dataclasses.replace(robot, links=(*robot.links[:-1], last), foot_radius=0.0)

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mckibben.numerics.spatial import Vector
 from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
 from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
 from mckibben.robot.attainable import attainable_foot_stiffness
@@ -104,7 +103,8 @@ def foot_ellipses(
     posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
     posture = posture_of(robot, angles)
     links = frames(robot, posture, at_rest(posture))[1:]
-    points = [*(link.position for link in links), links[-1].point(Vector(0.0, 0.0, -robot.links[-1].length))[0]]
+    feet = [] if robot.foot is None else [robot.foot]
+    points = [*(link.position for link in links), *(links[-1].point(foot.place.vector)[0] for foot in feet)]
     x, z = (np.array([float(point[i]) for point in points]) / mm for i in (0, 2))
     posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
     posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")

@@ -1,10 +1,10 @@
 """Robots with air muscles: bodies on hinges, muscles, ground contact; landing and jumping."""
 
 from mckibben.robot.attainable import attainable_foot_stiffness
+from mckibben.robot.bodies import Body, BodyPoint, Foot, Joint, Place
 from mckibben.robot.control import (
     CoupledControl,
     JointwiseControl,
-    PhasedReference,
     PressureSchedule,
     RobotController,
     RobotReference,
@@ -15,17 +15,19 @@ from mckibben.robot.foot_pressures import FootPressures, foot_matrix, pressures_
 from mckibben.robot.ground import Ground
 from mckibben.robot.jumping import JumpStudy, study_jump
 from mckibben.robot.landing import LandingStudy, study_landing
-from mckibben.robot.mechanism import BiarticularMuscle, BodyPoint, Joint, Link, Robot, SpanningMuscle, Trunk
+from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import EnergyBalance, RobotMetrics
+from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
 from mckibben.robot.scenario import RobotScenario, read_robot
 from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
 
 __all__ = [
-    "BiarticularMuscle",
+    "Body",
     "BodyPoint",
     "CoupledControl",
     "EnergyBalance",
+    "Foot",
     "FootPressures",
     "FootStiffness",
     "Ground",
@@ -33,8 +35,11 @@ __all__ = [
     "JointwiseControl",
     "JumpStudy",
     "LandingStudy",
-    "Link",
-    "PhasedReference",
+    "MusclePair",
+    "MuscleUnit",
+    "OverJoint",
+    "PathMuscle",
+    "Place",
     "PressureSchedule",
     "Robot",
     "RobotController",
@@ -46,9 +51,7 @@ __all__ = [
     "RobotScenario",
     "RobotStart",
     "RobotState",
-    "SpanningMuscle",
     "TimedReference",
-    "Trunk",
     "attainable_foot_stiffness",
     "foot_matrix",
     "foot_stiffness",

@@ -42,7 +42,7 @@ def attainable_foot_stiffness(
         If the torque of a joint is not attainable, with its name and the attainable range; or if a muscle over two
         joints cannot be taut; or if none of the values is stable.
     """
-    corners = (robot.biarticular or robot.spanning) and is_affine(robot)
+    corners = len(robot.all_muscles) > 2 * len(robot.pairs) and is_affine(robot)
     count = levels ** len(robot.joints)
     matrices = _between_corners(robot, angles, torques, count) if corners else _grid(robot, angles, torques, levels)
     (jacobian, geometric), free = foot_jacobian(robot, angles, force), movable(robot)
@@ -56,8 +56,8 @@ def attainable_foot_stiffness(
 def _grid(robot: Robot, angles: Sequence[float], torques: Sequence[float], levels: int) -> list[Floats]:
     """Diagonal stiffness matrices [N*m/rad] of the joints, from the softest to the stiffest."""
     ranges = []
-    for joint, angle, torque in zip(robot.joints, angles, torques, strict=True):
-        low, high = (float(one) for one in joint.pair.attainable_stiffness(angle, torque))
+    for index, (angle, torque) in enumerate(zip(angles, torques, strict=True)):
+        low, high = (float(one) for one in robot.pair(index).attainable_stiffness(angle, torque))
         if not np.isfinite(low):
             robot.pressures_for(angles, torques, [None] * len(robot.joints))  # raises, with the name of the joint
         ranges.append(np.linspace(low, high, levels))
@@ -69,7 +69,7 @@ def _between_corners(robot: Robot, angles: Sequence[float], torques: Sequence[fl
     from scipy.optimize import linprog
 
     affine, free, rng = map_at(robot, angles), movable(robot), np.random.default_rng(0)
-    low, high, _ = pressure_ranges(robot, affine, [one.domain for one in robot.muscles], np.inf, 1.0)
+    low, high, _ = pressure_ranges(robot, affine, [one.domain for one in robot.all_muscles], np.inf, 1.0)
     equal, held = affine.torque[1][free] * bar, np.asarray(torques, float)[free] - affine.torque[0][free]
     check_torques(robot, equal, held, low / bar, high / bar)
     slopes = affine.stiffness[1][np.ix_(free, free)] * bar

@@ -1,22 +1,26 @@
-"""Bodies of a robot: trunk and links, with their masses and inertias."""
+"""Rigid bodies, points on them, and the hinges between them."""
 
 from __future__ import annotations
 
 from numbers import Real
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import equinox as eqx
 
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
+from mckibben.config.model import fail_validation
 from mckibben.errors import RangeError
-from mckibben.units import Distance, Inertia, Mass, PositiveMass
+from mckibben.numerics.spatial import Tensor, Vector, product, total, unit_vector
+from mckibben.plant.joint_friction import JointFriction
+from mckibben.plant.sensors import Disturbance, NoDisturbance
+from mckibben.units import Angle, Coordinate, Damping, Distance, Inertia, Mass, Quantity, StiffnessScale, deg
 
 Freedom = Literal["fixed", "vertical", "planar", "free", "spatial", "floating"]
-"""Motion of the trunk: none, up and down (a slider), in the plane without pitch (a boom) or with it, in space without
+"""Motion of the base: none, up and down (a slider), in the plane without pitch (a boom) or with it, in space without
 rotation (a gantry), or unconstrained."""
 
-_MOTIONS = {
+MOTIONS = {
     "fixed": (),
     "vertical": ("z",),
     "planar": ("x", "z"),
@@ -24,103 +28,231 @@ _MOTIONS = {
     "spatial": ("x", "y", "z"),
     "floating": ("x", "y", "z", "yaw", "pitch", "roll"),
 }
-"""Coordinates of the trunk for each freedom: translations, then rotations, each in the axes after those before it."""
+"""Coordinates of the base for each freedom: translations, then rotations, each in the axes after those before it."""
+
+Direction = Annotated[float, Quantity("1", "1", -1, 1)]
+Product = Annotated[float, Quantity("kg*m^2", "kg*m^2", -1e4, 1e4)]
+StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
 
 
-class Trunk(Component):
-    """Body above the hip.
+def _unless_zero(number: object) -> object:
+    return None if isinstance(number, int | float) and number == 0 else number
+
+
+class Place(Component):
+    """Point of a body in its axes [m]; in files a list of three coordinates.
+
+    A coordinate of 0 is None: compiled programs leave it out, and it cannot vary.
+
+    >>> Place(0.1, 0.0, -0.4).vector
+    Vector(x=0.1, y=0.0, z=-0.4)
+    """
+
+    x: Coordinate | None = eqx.field(default=None, converter=_unless_zero)
+    y: Coordinate | None = eqx.field(default=None, converter=_unless_zero)
+    z: Coordinate | None = eqx.field(default=None, converter=_unless_zero)
+
+    @classmethod
+    def from_file(cls, value: object) -> object:
+        """Return a list of three coordinates as a section."""
+        if not isinstance(value, list | tuple):
+            return value
+        if len(value) != 3:
+            fail_validation(f"a point with {len(value)} coordinates", "give three: forwards, to the left and up")
+        return dict(zip("xyz", value, strict=True))
+
+    @classmethod
+    def to_file(cls, section: dict[str, object]) -> list[object]:
+        """Return a section as a list of three coordinates."""
+        return [section.get(name, "0 mm") for name in "xyz"]
+
+    @property
+    def vector(self) -> Vector:
+        """The coordinates."""
+        return Vector(*(0.0 if number is None else number for number in (self.x, self.y, self.z)))
+
+
+class Body(Component):
+    """Rigid body. Its axes are those of the base where all angles and offsets are 0.
 
     Parameters
     ----------
-    mass, inertia
-        Mass [kg], and inertia about the centre of mass [kg*m^2], which matters only for a trunk that turns; that of
-        the pitch.
+    name
+        Name in joints, points and errors.
+    mass
+        Mass [kg].
     centre
-        Height of the centre of mass above the hip [m].
-    freedom
-        "fixed", "vertical" (on a slider), "planar" (a boom: no pitch), "free" (in the plane), "spatial" (a gantry: no
-        rotation), or "floating" (in space). A floating trunk must not pitch by 90 deg, where yaw and roll coincide.
-    roll_inertia, yaw_inertia
-        Inertia about the forward and the upward axis [kg*m^2]. Default: `inertia`.
+        Centre of mass, from the hinge that carries the body.
+    inertia
+        About the centre of mass [kg*m^2], in the axes of the body: two numbers, across its z axis and about it, of a
+        body that is symmetric about that; three principal ones (xx, yy, zz); or six (xx, yy, zz, xy, xz, yz).
     """
 
-    mass: PositiveMass
-    inertia: Inertia = 0.0
-    centre: Distance = 0.0
-    freedom: Freedom = eqx.field(static=True, default="vertical")
-    roll_inertia: Inertia | None = None
-    yaw_inertia: Inertia | None = None
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if self.freedom in ("free", "floating"):
-            check_positive("Trunk", "kg*m^2", inertia=self.inertia)
-        if self.freedom == "floating":
-            check_positive("Trunk", "kg*m^2", roll_inertia=self.roll_inertia, yaw_inertia=self.yaw_inertia)
-            _check_inertias("Trunk", "inertia", self.inertias)
-
-    @property
-    def motions(self) -> tuple[str, ...]:
-        """Coordinates of its freedom: translations, then rotations."""
-        return _MOTIONS[self.freedom]
-
-    @property
-    def inertias(self) -> tuple[Any, Any, Any]:
-        """Principal inertias about the forward, the left and the upward axis [kg*m^2]."""
-        roll, yaw = (self.inertia if one is None else one for one in (self.roll_inertia, self.yaw_inertia))
-        return roll, self.inertia, yaw
-
-
-class Link(Component):
-    """Rigid link between two joints, or of the foot.
-
-    Parameters
-    ----------
-    length
-        From its upper joint to the next one, or to the foot's point [m]; 0 if the axes of both joints intersect.
-    mass, inertia
-        Mass [kg], and inertia about the two axes across the link through its centre of mass [kg*m^2]. Both may be 0
-        in a link above another one.
-    centre
-        Distance of the centre of mass from the upper joint, along the link [m].
-    axial_inertia
-        Inertia about the link's own line [kg*m^2]. Default: that of a slender rod.
-    """
-
-    length: Distance
+    name: str = eqx.field(static=True)
     mass: Mass
-    centre: Distance
-    inertia: Inertia
-    axial_inertia: Inertia = 0.0
+    centre: Place = Place()
+    inertia: tuple[Product, ...] = (0.0, 0.0)
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if all(isinstance(one, Real) for one in (self.mass, self.centre, self.inertia)) and self.mass > 0:
-            check_positive("Link", "kg*m^2", inertia_about_joint=self.inertia_about_joint)
-        _check_inertias("Link", "axial_inertia", self.inertias)
+        if len(self.inertia) not in (2, 3, 6):
+            remedy = "give two, across the z axis and about it, three, or six"
+            message = f"{self.name}: {len(self.inertia)} moments of inertia"
+            raise RangeError(message, field="inertia", value=self.inertia, remedy=remedy)
+        if not all(isinstance(number, Real) for number in self.inertia):
+            return
+        principal = self._principal()
+        *others, largest = principal
+        if principal[0] < -1e-12 * largest or largest > sum(others) * (1 + 1e-6):
+            raise RangeError(
+                f"{self.name}: no body has principal inertias of {', '.join(f'{one:.4g}' for one in principal)} kg*m^2",
+                field="inertia",
+                value=largest,
+                upper=sum(others),
+                unit="kg*m^2",
+                remedy="give positive ones about the centre of mass, none above the sum of the other two",
+            )
+
+    def _principal(self) -> list[float]:
+        import numpy as np
+
+        xx, xy, xz, yy, yz, zz = map(float, self.tensor)
+        return np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
 
     @property
-    def inertia_about_joint(self) -> Any:
-        """Inertia about an axis across the link through its upper joint [kg*m^2]."""
-        return self.inertia + self.mass * self.centre**2
+    def tensor(self) -> Tensor:
+        """Inertia about the centre of mass [kg*m^2]."""
+        if len(self.inertia) == 2:
+            across, along = self.inertia
+            return Tensor(across, 0.0, 0.0, across, 0.0, along)
+        xx, yy, zz, xy, xz, yz = (*self.inertia, 0.0, 0.0, 0.0)[:6]
+        return Tensor(xx, xy, xz, yy, yz, zz)
+
+    def inertia_about(self, axis: Vector, point: Vector) -> Any:
+        """Return the inertia [kg*m^2] about an axis through a point of the body."""
+        moved = axis.cross(self.centre.vector - point)
+        return total(axis.dot(self.tensor.apply(axis)), product(self.mass, moved.dot(moved)))
+
+
+class Joint(Component):
+    """Hinge between a body and the one that carries it.
+
+    Parameters
+    ----------
+    name
+        Name in results and errors.
+    axis
+        Direction about which the body turns as the angle increases (right-hand rule), in the axes of the body above.
+    lower, upper
+        Range of the angle [rad]; beyond it stops act.
+    body
+        Name of the body on it. Default: none, as in a universal joint, whose next joint has this one as `parent`.
+    parent
+        Name of the body that carries it, or of a joint without a body. Default: what the joint before it carries, for
+        the first one the base.
+    place
+        Point of the body above. Default: its origin.
+    offset
+        Angle [rad] of the body from the axes of the one above where the angle of the joint is 0.
+    damping
+        Viscous damping [N*m*s/rad].
+    stop_stiffness, stop_damping
+        Stops: k [N*m/rad] and c [s/rad] in the torque k d (1 + c d') at a depth d [rad], never pulling.
+    locked
+        Angle [rad] at which the joint is locked. Default: movable.
+    rotor_inertia
+        Inertia that turns with the joint alone [kg*m^2]. Default: none.
+    friction
+        Friction of the joint itself. Default: none.
+    disturbance
+        External torque on the joint over time.
+    """
+
+    name: str = eqx.field(static=True)
+    axis: tuple[Direction, ...] = eqx.field(static=True)
+    lower: Angle
+    upper: Angle
+    body: str | None = eqx.field(static=True, default=None)
+    parent: str | None = eqx.field(static=True, default=None)
+    place: Place = Place()
+    offset: Angle = 0.0
+    damping: Damping = 0.0
+    stop_stiffness: StiffnessScale = 1000.0
+    stop_damping: StopDamping = 0.2
+    locked: Angle | None = None
+    rotor_inertia: Inertia | None = None
+    friction: JointFriction | None = None
+    disturbance: Disturbance = NoDisturbance()
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if len(self.axis) != 3 or not any(self.axis):
+            remedy = "give a direction in space, such as [0, 1, 0]"
+            message = f"{self.name}: the axis is {', '.join(f'{number:g}' for number in self.axis)}"
+            raise RangeError(message, field="axis", value=self.axis, remedy=remedy)
+        if not all(isinstance(one, Real) for one in (self.lower, self.upper)):
+            return
+        if not self.lower < self.upper:
+            raise RangeError(
+                f"{self.name}: the range of the angle is {self.lower / deg:g}..{self.upper / deg:g} deg",
+                field="upper",
+                value=self.upper,
+                lower=self.lower,
+                unit="rad",
+                remedy="give the lower angle first",
+            )
+        if isinstance(self.locked, Real) and not self.lower <= self.locked <= self.upper:
+            raise RangeError(
+                f"{self.name}: it is locked at {self.locked / deg:g} deg, beyond its range",
+                field="locked",
+                value=self.locked,
+                lower=self.lower,
+                upper=self.upper,
+                unit="rad",
+                remedy="lock it within its range",
+            )
 
     @property
-    def inertias(self) -> tuple[Any, Any, Any]:
-        """Principal inertias about the centre of mass [kg*m^2], the axial one last."""
-        return self.inertia, self.inertia, self.axial_inertia
+    def direction(self) -> Vector:
+        """The axis as a unit vector."""
+        return unit_vector(self.axis)
 
 
-def _check_inertias(owner: str, field: str, inertias: tuple[Any, Any, Any]) -> None:
-    """Raise `RangeError` if a principal inertia is above the sum of the others, as in no body."""
-    if not all(isinstance(one, Real) for one in inertias):
-        return
-    *others, largest = sorted(float(one) for one in inertias)
-    if largest > sum(others) * (1 + 1e-9):
-        raise RangeError(
-            f"{owner}: a principal inertia of {largest:g} kg*m^2 is above the sum of the others",
-            field=field,
-            value=largest,
-            upper=sum(others),
-            unit="kg*m^2",
-            remedy="give inertias about the centre of mass of which none is above the sum of the other two",
-        )
+class BodyPoint(Component):
+    """Point of a body.
+
+    Parameters
+    ----------
+    body
+        Name of a body, or of a joint without one.
+    place
+        From the hinge that carries the body.
+    """
+
+    body: str = eqx.field(static=True)
+    place: Place = Place()
+
+
+class Foot(Component):
+    """Sphere that touches the ground.
+
+    Parameters
+    ----------
+    body, place
+        Its centre, as of a `Point`.
+    radius
+        Radius [m].
+    """
+
+    body: str = eqx.field(static=True)
+    place: Place = Place()
+    radius: Distance = 0.0
+
+
+def check_base(base: Body, freedom: Freedom) -> None:
+    """Raise `RangeError` for a base that turns without inertia, or moves without mass."""
+    motions = MOTIONS[freedom]
+    if motions:
+        check_positive(base.name, "kg", mass=base.mass)
+    turns = {"pitch": base.tensor.yy, "roll": base.tensor.xx, "yaw": base.tensor.zz}
+    check_positive(base.name, "kg*m^2", **{f"{name}_inertia": turns[name] for name in motions if name in turns})

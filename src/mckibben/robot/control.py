@@ -6,7 +6,7 @@ import abc
 import dataclasses
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,16 +14,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.checks import check_count
-from mckibben.component.columns import Label
 from mckibben.control import Controller, DecouplingControl, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import GeneralLoad, Measurement
-from mckibben.numerics.elementary import exp
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.plant import RobotMeasurement
-from mckibben.units import Gravity, Instant, PositiveTime, Pressure, ShortTime, Tension, ms
+from mckibben.units import Gravity, Instant, Pressure
 
 Scalar = Float[Array, ""]
 
@@ -125,110 +123,8 @@ class TimedReference(RobotReference):
         return (), tuple(reference(time) for reference in self.references)
 
 
-FLIGHT, TOUCHDOWN, STANCE, PUSH_OFF = range(4)
-"""Phases: foot in the air; a set time from its touch on; until the leg lengthens; until the foot leaves the ground."""
-
-
-class PhaseState(NamedTuple):
-    """Phase and its time [s], setpoints, angle of the extensor [rad], and duration of the last flight [s]."""
-
-    phase: Array
-    since: Scalar
-    setpoints: tuple[Setpoint, ...]
-    extension: Scalar
-    flight: Scalar
-
-
-class PhasedReference(RobotReference):
-    """Setpoints by phase of a hop, with detection of touchdown, of the deepest point, and of take-off.
-
-    Phases are flight; touchdown, from the first force on the foot for a set time; stance, until the angle of the
-    `extensor` joint reverses; push-off, until the force on the foot is zero. Setpoints follow those of the phase
-    with a first-order lag. A push-off that is the same in each hop leads to hops of equal height, at which it
-    adds the energy that a hop loses: M. H. Raibert, Legged Robots That Balance, MIT Press 1986, ch. 2.
-
-    Parameters
-    ----------
-    flight, touchdown, stance, push_off
-        Setpoint of each joint in each phase: angle [rad] and stiffness [N*m/rad].
-    threshold
-        Force [N] on the foot that counts as contact.
-    touchdown_time, blanking, lag
-        Duration of the touchdown [s], time [s] after an event in which the foot may bounce without another one, and
-        time constant [s] of the setpoints.
-    extensor
-        Index of the joint whose angle grows as the robot gets longer.
-    """
-
-    telemetry_labels: ClassVar = {
-        "phase": Label("1", "phase of the hop: 0 flight, 1 touchdown, 2 stance, 3 push-off"),
-        "flight_time": Label("s", "duration of the last flight"),
-    }
-
-    flight: tuple[Setpoint, ...]
-    touchdown: tuple[Setpoint, ...]
-    stance: tuple[Setpoint, ...]
-    push_off: tuple[Setpoint, ...]
-    threshold: Tension = 5.0
-    touchdown_time: ShortTime = 20 * ms
-    blanking: ShortTime = 30 * ms
-    lag: PositiveTime = 5 * ms
-    extensor: int = eqx.field(static=True, default=-1)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        for name in ("touchdown", "stance", "push_off"):
-            check_count(name, len(getattr(self, name)), len(self.flight), "joint, as for the flight")
-
-    def init(self, measurement: RobotMeasurement) -> PhaseState:
-        zero = jnp.zeros(())
-        setpoints = tuple(Setpoint(*map(jnp.asarray, one)) for one in self.flight)
-        begun = jnp.where(measurement.ground_force > self.threshold, STANCE, FLIGHT)
-        return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero)
-
-    def step(
-        self, state: PhaseState, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[PhaseState, tuple[Setpoint, ...]]:
-        touching = measurement.ground_force > self.threshold
-        extension = measurement.angles[self.extensor]
-        phase = state.phase
-        settled = state.since >= self.blanking
-        landed = (phase == FLIGHT) & touching & settled
-        ended = (
-            landed
-            | ((phase == TOUCHDOWN) & (state.since >= self.touchdown_time))
-            | ((phase == STANCE) & (extension > state.extension) & settled)
-            | ((phase == PUSH_OFF) & ~touching & settled)
-        )
-        flight = jnp.where(landed, state.since, state.flight)
-        phase = jnp.where(ended, (phase + 1) % 4, phase)
-        since = jnp.where(ended, 0.0, state.since + period)
-        part = 1 - exp(-jnp.asarray(period) / self.lag)
-        setpoints = []
-        for index, held in enumerate(state.setpoints):
-            each = [getattr(self, name)[index] for name in ("flight", "touchdown", "stance", "push_off")]
-            angle = _select(phase, [one.angle for one in each])
-            stiffness = _select(phase, [one.stiffness for one in each])
-            setpoints.append(
-                Setpoint(held.angle + part * (angle - held.angle), held.stiffness + part * (stiffness - held.stiffness))
-            )
-        following = PhaseState(phase, since, tuple(setpoints), extension, flight)
-        return following, tuple(setpoints)
-
-    def telemetry(self, state: PhaseState) -> dict[str, Array]:
-        return {"phase": state.phase, "flight_time": state.flight}
-
-
-def _select(phase: Array, values: Sequence[ArrayLike]) -> Array:
-    """Value of a phase."""
-    chosen = jnp.asarray(values[0])
-    for number, value in enumerate(values[1:], 1):
-        chosen = jnp.where(phase == number, value, chosen)
-    return chosen
-
-
 class JointwiseControl(RobotController):
-    """A controller of position and stiffness for each joint, and constant pressures of the biarticular muscles.
+    """A controller of position and stiffness for each joint with a pair, and constant pressures of other muscles.
 
     Parameters
     ----------
@@ -236,16 +132,16 @@ class JointwiseControl(RobotController):
         One controller of a joint for each joint of the robot; each has its own model.
     reference
         Setpoints of the joints.
-    biarticular
-        Gauge pressures [Pa] of the biarticular muscles.
+    others
+        Gauge pressures [Pa] of the muscles that are in no pair.
     """
 
     controllers: tuple[Controller, ...]
     reference: RobotReference
-    biarticular: tuple[Pressure, ...] = ()
+    others: tuple[Pressure, ...] = ()
 
     def init(self, measurement: RobotMeasurement) -> Any:
-        check_count("controllers", len(self.controllers), len(measurement.angles), "joint, from the trunk down")
+        check_count("controllers", len(self.controllers), len(measurement.angles), "joint, in their order")
         states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
         return self.reference.init(measurement), tuple(states)
 
@@ -258,7 +154,7 @@ class JointwiseControl(RobotController):
             held, pair = one.step(held, setpoint, _of_joint(measurement, index), period)
             states.append(held)
             commands += pair
-        return (reference, tuple(states)), (*commands, *map(jnp.asarray, self.biarticular))
+        return (reference, tuple(states)), (*commands, *map(jnp.asarray, self.others))
 
     def telemetry(self, state: Any) -> dict[str, Array]:
         found = dict(self.reference.telemetry(state[0]))
@@ -270,7 +166,10 @@ class JointwiseControl(RobotController):
 def check_pairs(robot: Robot, controller: RobotController) -> None:
     """Raise `RangeError` if a controller commands pairs of muscles, and joints of a robot have none."""
     if isinstance(controller, JointwiseControl):
-        check_count("controllers", len(controller.controllers), robot.pair_count, "joint with a pair of muscles")
+        check_count("controllers", len(controller.controllers), len(robot.pairs), "joint with a pair of muscles")
+        if list(robot.pairs.items()) != [(index, 2 * index) for index in range(len(robot.joints))]:
+            remedy = "give all joints a pair, in their order and before the other muscles"
+            raise RangeError("a controller of pairs, of a robot with others", field="controllers", remedy=remedy)
 
 
 def _of_joint(measurement: RobotMeasurement, index: int) -> Measurement:
@@ -281,20 +180,20 @@ class CoupledControl(JointwiseControl):
     r"""Jointwise control that compensates the torques between the joints by a model of the robot.
 
     In each period the load in the model of each joint's controller is that of the robot at the measured angles and the
-    estimated velocities, with its trunk at rest and its foot in the air:
+    estimated velocities, with its base at rest and its foot in the air:
 
     .. math:: \tau_i = M_{ii}\,\ddot q_i + c_i\,\dot q_i
               + \Big[ \sum_{k \ne i} M_{ik}\,\ddot q_{r,k} + h_i(q, \dot q) - \tau_{b,i} \Big]
 
     with the mass matrix M and the torques h of velocities and gravity, the accelerations of the other joints'
-    references after the lag of their feedback, and the torques of the biarticular muscles at their measured pressures.
+    references after the lag of their feedback, and the torques of the other muscles at their measured pressures.
     The observers of the joints see what is left. Stiffness setpoints are those of a joint's own pair.
 
     For controllers with a `command_delay` the load is that of the motion to be expected when their commands arrive.
 
     Parameters
     ----------
-    controllers, reference, biarticular
+    controllers, reference, others
         As for `JointwiseControl`; the loads of the controllers are replaced.
     robot
         Model of the robot: masses, lengths, axes and damping; no joint is locked.
@@ -312,7 +211,7 @@ class CoupledControl(JointwiseControl):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        check_count("controllers", len(self.controllers), len(self.robot.joints), "joint, from the trunk down")
+        check_count("controllers", len(self.controllers), len(self.robot.joints), "joint, in their order")
         for joint, one in zip(self.robot.joints, self.controllers, strict=True):
             if not isinstance(one, DecouplingControl):
                 raise RangeError(
@@ -354,7 +253,7 @@ class CoupledControl(JointwiseControl):
         others = list(made.bias)
         units = self.robot.routed_muscles(angles)
         for unit, pressure in list(zip(units, at.pressures, strict=True))[2 * len(angles) :]:
-            tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
+            tension = unit.tension(pressure)
             for joint, slope in unit.slopes.items():
                 others[joint] = others[joint] + tension * slope
         loads = []

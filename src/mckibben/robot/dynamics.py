@@ -1,4 +1,4 @@
-"""Motion of a robot: its trunk and links as a tree of bodies (`mckibben.robot.tree`)."""
+"""Motion of a robot: its bodies as a tree (`mckibben.robot.tree`)."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector, X, Y, Z, product, total
+from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
+from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.tree import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
+from mckibben.robot.tree import MASSLESS, BodyInertia, Equations, Frame, Hinge, ancestors, equations, frames_of
 
 Scalar = Float[Array, ""]
 
 SLIDES = {"x": X, "y": Y, "z": Z}
-"""Directions of the trunk's translations."""
+"""Directions of the base's translations."""
 TURNS = {"yaw": Z, "pitch": -Y, "roll": X}
-"""Axes of the trunk's rotations, each in the axes after those before it."""
+"""Axes of the base's rotations, each in the axes after those before it."""
 
 
 class Posture(NamedTuple):
-    """Position of a robot: hip [m], pitch of the trunk [rad], and angles of the joints [rad].
+    """Position of a robot: base [m], pitch of the base [rad], and angles of the joints [rad].
 
-    `y`, `yaw` and `roll` are those of a trunk that leaves the plane of walking, and None for others.
+    `y`, `yaw` and `roll` are those of a base that leaves the plane, and None for others.
     """
 
     x: Scalar
@@ -52,7 +53,7 @@ class Velocity(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Point of the foot nearest to the ground: position [m], velocity [m/s], and arm from the last joint [m]."""
+    """Point of the foot nearest to the ground: position [m], velocity [m/s], and arm from the hinge of its body [m]."""
 
     position: Vector
     velocity: Vector
@@ -60,10 +61,10 @@ class Contact(NamedTuple):
 
 
 def posture_of(robot: Robot, angles: Sequence[ArrayLike], *, z: ArrayLike = 0.0) -> Posture:
-    """Return the posture of an upright trunk with the hip at a height [m], and locked joints at their place."""
+    """Return the posture of an upright base at a height [m], and locked joints at their place."""
     held = robot.held(angles)
     zero = jnp.zeros_like(held[0])
-    others = {name: zero for name in ("y", "yaw", "roll") if name in robot.trunk.motions}
+    others = {name: zero for name in ("y", "yaw", "roll") if name in robot.motions}
     return Posture(zero, jnp.asarray(z), zero, held, **others)
 
 
@@ -73,49 +74,45 @@ def at_rest(posture: Posture) -> Velocity:
 
 
 class _Tree(NamedTuple):
-    """Bodies of a robot in a posture and at a velocity, and the numbers of its trunk and its last link."""
+    """Bodies of a robot in a posture and at a velocity, and the number of its base."""
 
-    base: Frame  # slides with the hip
-    hinges: list[Hinge]  # of trunk and joints
-    bodies: list[Body]  # on the base and on each hinge
-    trunk: int
-    foot: int
+    slider: Frame
+    hinges: list[Hinge]  # of base and joints
+    bodies: list[BodyInertia]  # on the slider and on each hinge
+    base: int
 
     def frames(self) -> list[Frame]:
         """Return the frames of all bodies."""
-        return frames_of(self.base, self.hinges)
+        return frames_of(self.slider, self.hinges)
 
 
 def _tree(robot: Robot, posture: Posture, velocity: Velocity) -> _Tree:
-    turns = [name for name in robot.trunk.motions if name in TURNS]
+    turns = [name for name in robot.motions if name in TURNS]
     hinges = [
         Hinge(TURNS[name], ZERO, getattr(posture, name), getattr(velocity, name), number)
         for number, name in enumerate(turns)
     ]
     hinges += robot.hinges(posture.angles, velocity.angles, len(turns))
-    trunk = Body(robot.trunk.mass, Vector(0.0, 0.0, robot.trunk.centre), _principal(robot.trunk.inertias))
-    links = (Body(link.mass, Vector(0.0, 0.0, -link.centre), _principal(link.inertias)) for link in robot.links)
+    carried = robot.frame_bodies
+    bodies = [MASSLESS if one is None else BodyInertia(one.mass, one.centre.vector, one.tensor) for one in carried]
     position, speed = (Vector(of.x, 0.0 if of.y is None else of.y, of.z) for of in (posture, velocity))
-    base = Frame(IDENTITY, ZERO, position, speed)
-    return _Tree(base, hinges, [*([MASSLESS] * len(turns)), trunk, *links], len(turns), len(hinges))
-
-
-def _principal(inertias: tuple[Any, Any, Any]) -> Tensor:
-    x, y, z = inertias
-    return Tensor(x, 0.0, 0.0, y, 0.0, z)
+    slider = Frame(IDENTITY, ZERO, position, speed)
+    return _Tree(slider, hinges, [*([MASSLESS] * len(turns)), *bodies], len(turns))
 
 
 def frames(robot: Robot, posture: Posture, velocity: Velocity) -> list[Frame]:
-    """Return the frames of trunk and links; the trunk's is at the hip."""
+    """Return the frames of the base and of what each joint carries."""
     tree = _tree(robot, posture, velocity)
-    return tree.frames()[tree.trunk :]
+    return tree.frames()[tree.base :]
 
 
-def contact(robot: Robot, found: Sequence[Frame], normal: Vector = Z) -> Contact:
-    """Return the point of the foot that is nearest to a ground with a normal."""
-    last = found[-1]
-    arm = last.axes.z.scaled(-robot.links[-1].length) - normal.scaled(robot.foot_radius)
-    return Contact(last.position + arm, last.velocity + last.rate.cross(arm), arm)
+def contact(robot: Robot, found: Sequence[Frame], normal: Vector = Z) -> Contact | None:
+    """Return the point of the foot that is nearest to a ground with a normal; None without a foot."""
+    if robot.foot is None:
+        return None
+    frame = found[robot.frame_names.index(robot.foot.body)]
+    arm = frame.axes.apply(robot.foot.place.vector) - normal.scaled(robot.foot.radius)
+    return Contact(frame.position + arm, frame.velocity + frame.rate.cross(arm), arm)
 
 
 class BodyMotion(NamedTuple):
@@ -154,14 +151,18 @@ def motion(robot: Robot, posture: Posture, velocity: Velocity, gravity: ArrayLik
 
 
 def _slides(robot: Robot) -> list[Vector]:
-    """Directions in which the trunk moves without turning."""
-    return [SLIDES[name] for name in robot.trunk.motions if name in SLIDES]
+    """Directions in which the base moves without turning."""
+    return [SLIDES[name] for name in robot.motions if name in SLIDES]
 
 
-def _foot_velocities(robot: Robot, tree: _Tree, found: Sequence[Frame], point: Contact) -> list[Vector]:
-    """Velocity of the foot's point of contact per rate of each motion."""
-    pairs = zip(found[1:], tree.hinges, strict=True)
-    return [*_slides(robot), *(at.axis.cross(point.position - at.position) for at, hinge in pairs if hinge.free)]
+def _velocities(robot: Robot, tree: _Tree, found: Sequence[Frame], body: int, place: Vector) -> list[Vector]:
+    """Velocity of a point of a body, at a place in the world, per rate of each motion."""
+    line = set(ancestors(tree.hinges, body))
+    moved: list[Vector] = _slides(robot)
+    for number, (at, hinge) in enumerate(zip(found[1:], tree.hinges, strict=True), 1):
+        if hinge.free:
+            moved.append(at.axis.cross(place - at.position) if number in line else ZERO)
+    return moved
 
 
 def _equations(
@@ -174,12 +175,15 @@ def _equations(
     slip_mass: ArrayLike | None = None,
 ) -> Equations:
     tree = _tree(robot, posture, velocity)
-    found = tree.frames()
-    point = contact(robot, found, normal)
-    made = equations(_slides(robot), tree.hinges, tree.bodies, found, gravity, {tree.foot: (force, point.arm)})
+    found, slides = tree.frames(), _slides(robot)
+    point = contact(robot, found[tree.base :], normal)
+    if robot.foot is None or point is None:
+        return equations(slides, tree.hinges, tree.bodies, found, gravity, {})
+    foot = tree.base + robot.frame_names.index(robot.foot.body)
+    made = equations(slides, tree.hinges, tree.bodies, found, gravity, {foot: (force, point.arm)})
     if slip_mass is None:
         return made
-    moved = _foot_velocities(robot, tree, found, point)
+    moved = _velocities(robot, tree, found, foot, point.position)
     slips = [one - normal.scaled(one.dot(normal)) for one in moved]
     rows = [
         [total(entry, product(slip_mass, slips[i].dot(slips[j]))) for j, entry in enumerate(row)]
@@ -200,46 +204,45 @@ def acceleration(
 ) -> Velocity:
     """Return the accelerations under torques [N*m] of the joints and a force [N] at the foot's point of contact.
 
-    `slip_mass` [kg] is added to the inertia of that point along the ground. Locked joints, and motions that the trunk
+    `slip_mass` [kg] is added to the inertia of that point along the ground. Locked joints, and motions that the base
     lacks, have an acceleration of 0.
     """
     made = _equations(robot, posture, velocity, gravity, force, normal, slip_mass)
-    driven = [joint.sign * torque for joint, torque in zip(robot.joints, torques, strict=True) if joint.locked is None]
-    rates = iter(made.accelerations([*[0.0] * len(robot.trunk.motions), *driven]))
-    of_trunk = {name: next(rates) for name in robot.trunk.motions}
+    driven = [torque for joint, torque in zip(robot.joints, torques, strict=True) if joint.locked is None]
+    rates = iter(made.accelerations([*[0.0] * len(robot.motions), *driven]))
+    of_base = {name: next(rates) for name in robot.motions}
     zero = jnp.zeros_like(posture.x)
-    of_joints = tuple(zero if joint.locked is not None else joint.sign * next(rates) for joint in robot.joints)
-    x, z, pitch = (of_trunk.pop(name, zero) for name in ("x", "z", "pitch"))
-    return Velocity(x, z, pitch, of_joints, **of_trunk)
+    of_joints = tuple(zero if joint.locked is not None else next(rates) for joint in robot.joints)
+    x, z, pitch = (of_base.pop(name, zero) for name in ("x", "z", "pitch"))
+    return Velocity(x, z, pitch, of_joints, **of_base)
 
 
 def joint_equations(
     robot: Robot, angles: Sequence[ArrayLike], rates: Sequence[ArrayLike], gravity: ArrayLike
 ) -> Equations:
-    """Return the equations of motion of the joints that can move, with the trunk held; the matrix has full rows.
+    """Return the equations of motion of the joints that can move, with the base held; the matrix has full rows.
 
     `bias` are the torques [N*m] of velocities and gravity.
     """
-    held = dataclasses.replace(robot, trunk=dataclasses.replace(robot.trunk, freedom="fixed"))
+    held = dataclasses.replace(robot, base="fixed")
     posture = posture_of(held, angles)
     velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
     made = _equations(held, posture, velocity, gravity)
-    signs = [joint.sign for joint in robot.joints if joint.locked is None]
-    order = range(len(signs))
-    rows = [[made.matrix[max(i, j)][min(i, j)] * (signs[i] * signs[j]) for j in order] for i in order]
-    return Equations(rows, [sign * bias for sign, bias in zip(signs, made.bias, strict=True)])
+    order = range(len(made.bias))
+    return Equations([[made.matrix[max(i, j)][min(i, j)] for j in order] for i in order], made.bias)
 
 
-def mobilities(robot: Robot, posture: Posture) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the acceleration of the foot per force on it [1/kg] and those of the joints per torque [1/(kg*m^2)].
+def mobilities(
+    robot: Robot, posture: Posture, point: BodyPoint | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the acceleration of a point per force on it [1/kg] and those of the joints per torque [1/(kg*m^2)].
 
     Shapes (3, 3), forwards, to the left and up, and (joints, joints), 0 for locked joints; NaN where a joint turns
-    bodies without inertia.
+    bodies without inertia. The point is the foot's of contact by default, and has no mobility without a foot.
     """
     still = at_rest(posture)
     tree = _tree(robot, posture, still)
     found = tree.frames()
-    moved = np.array([tuple(map(float, one)) for one in _foot_velocities(robot, tree, found, contact(robot, found))])
     rows = [list(map(float, row)) for row in _equations(robot, posture, still, 0.0).matrix]
     size = len(rows)
     lower = np.array([row + [0.0] * (size - len(row)) for row in rows]).reshape(size, size)
@@ -247,8 +250,13 @@ def mobilities(robot: Robot, posture: Posture) -> tuple[NDArray[np.float64], NDA
     singular = np.linalg.matrix_rank(matrix) < size
     inverse = np.full((size, size), np.nan) if singular else np.linalg.inv(matrix)
     free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
-    signs = np.array([robot.joints[index].sign for index in free])
     joints, first = np.zeros((len(robot.joints),) * 2), size - len(free)
-    joints[np.ix_(free, free)] = inverse[first:, first:] * np.outer(signs, signs)
-    foot = moved.reshape(size, 3)
-    return foot.T @ inverse @ foot, joints
+    joints[np.ix_(free, free)] = inverse[first:, first:]
+    touched, moved = point or robot.foot, np.zeros((size, 3))
+    if touched is not None:
+        body = tree.base + robot.frame_names.index(touched.body)
+        place = found[body].point(touched.place.vector)[0]
+        if point is None and robot.foot is not None:
+            place = place - Z.scaled(robot.foot.radius)
+        moved[:] = [tuple(map(float, one)) for one in _velocities(robot, tree, found, body, place)]
+    return moved.T @ inverse @ moved, joints

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import jit
-from mckibben.numerics.spatial import Vector
 from mckibben.robot.dynamics import at_rest, frames, posture_of
 from mckibben.robot.mechanism import Robot
 
@@ -21,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class FootStiffness(NamedTuple):
-    """Stiffness of the foot with the trunk held.
+    """Stiffness of the foot with the base held.
 
     Attributes
     ----------
@@ -81,8 +80,8 @@ def foot_stiffness(
     angles
         Angles [rad] of the joints.
     stiffness
-        Stiffness [N*m/rad] of the joints, or their stiffness matrix, with the coupling by biarticular muscles; locked
-        joints do not yield.
+        Stiffness [N*m/rad] of the joints, or their stiffness matrix, with the coupling by muscles over several joints;
+        locked joints do not yield.
     force
         Force of the ground [N], forwards and up, or in space forwards, to the left and up. Default: none.
 
@@ -114,7 +113,7 @@ def foot_stiffness(
             f"{len(angles)} angles and {given.shape[0]} values of stiffness for {count} joints",
             field="stiffness",
             value=len(given),
-            remedy="give one of each for each joint, from the trunk down, or the stiffness matrix",
+            remedy="give one of each for each joint, in their order, or the stiffness matrix",
         )
     joints = np.diag(given) if given.ndim == 1 else given
     return stiffness_through(*foot_jacobian(robot, angles, force), movable(robot), joints)
@@ -163,11 +162,14 @@ def _jacobian(
     robot: Robot, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
 ) -> tuple[Float[Array, "d n"], Float[Array, "n n"]]:
     """Jacobian of the foot, and the derivative of the torques that balance a force."""
+    point = robot.foot
+    assert point is not None
 
     def foot(q: Array) -> Array:
         posture = posture_of(robot, tuple(q))
-        place, _ = frames(robot, posture, at_rest(posture))[-1].point(Vector(0.0, 0.0, -robot.links[-1].length))
-        return jnp.stack([place.x, place.z] if robot.is_planar else list(map(jnp.asarray, place)))
+        frame = frames(robot, posture, at_rest(posture))[robot.frame_names.index(point.body)]
+        place, _ = frame.point(point.place.vector)
+        return jnp.stack([jnp.asarray(one) for one in ((place.x, place.z) if robot.is_planar else place)])
 
     q = jnp.stack([jnp.asarray(one) for one in angles])
     pushed = jnp.stack([jnp.asarray(one) for one in force])

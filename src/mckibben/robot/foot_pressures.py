@@ -20,7 +20,8 @@ from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, U
 from mckibben.muscle import Domain
 from mckibben.result import Column, Listing
 from mckibben.robot.foot import FootStiffness, foot_jacobian, movable, stiffness_of, stiffness_through
-from mckibben.robot.mechanism import Robot, check_contractions
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.muscles import check_contractions
 from mckibben.robot.stiffness_map import StiffnessMap, check_affine, map_at
 from mckibben.units import bar, deg
 
@@ -139,7 +140,7 @@ def pressures_for_foot_stiffness(
     supply: float = np.inf,
     minimum_tension: float = 1.0,
 ) -> FootPressures:
-    """Return the pressures with which the stiffness of the foot is nearest to a wanted one, the trunk held.
+    """Return the pressures with which the stiffness of the foot is nearest to a wanted one, the base held.
 
     Muscles stay taut, within their rated pressures and forces. Of pressures with equal errors, those nearest to the
     middle of their ranges are taken.
@@ -182,7 +183,7 @@ def pressures_for_foot_stiffness(
     """
     check_affine(robot)
     _check_angles(robot, angles)
-    limits = [muscle.domain for muscle in robot.muscles], supply, minimum_tension
+    limits = [muscle.domain for muscle in robot.all_muscles], supply, minimum_tension
     return _nearest(robot, angles, wanted, force, torques, limits)
 
 
@@ -341,7 +342,7 @@ def pressure_ranges(
 ) -> tuple[Floats, Floats, list[tuple[str, str]]]:
     """Lowest and highest pressure [Pa] of each taut muscle, and what limits it below and above."""
     lows, highs, names = [], [], []
-    muscles = zip(robot.muscle_names, robot.muscles, domains, *affine.tension, strict=True)
+    muscles = zip(robot.muscle_names, robot.all_muscles, domains, *affine.tension, strict=True)
     for name, muscle, domain, offset, slope in muscles:
         below = {"lowest pressure": float(domain.pressure_min)}
         above = {"highest pressure": min(float(domain.pressure_max), supply)}
@@ -395,7 +396,7 @@ def check_torques(robot: Robot, equal: Floats, held: Floats, low: Floats, high: 
     raise UnreachableError(
         "no pressures hold the torques of all joints at once",
         unit="N*m",
-        remedy="choose another posture, less force or weaker biarticular muscles",
+        remedy="choose another posture, less force or weaker muscles over several joints",
     )
 
 

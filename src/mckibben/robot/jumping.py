@@ -333,7 +333,9 @@ def _standing_heights(plant: RobotPlant, drawn: RobotPlant) -> tuple[Floats, flo
         """Heights of the centre of mass and of the hip above the foot."""
         posture = posture_of(of.robot, angles)
         still = at_rest(posture)
-        depth = contact(of.robot, frames(of.robot, posture, still)).position.z
+        touched = contact(of.robot, frames(of.robot, posture, still))
+        assert touched is not None  # else the file is refused
+        depth = touched.position.z
         return motion(of.robot, posture, still, of.gravity).height - depth, -depth
 
     ranges = [np.linspace(joint.lower, joint.upper, _POSTURES) for joint in plant.robot.joints]
@@ -341,4 +343,4 @@ def _standing_heights(plant: RobotPlant, drawn: RobotPlant) -> tuple[Floats, flo
     best = int(np.argmax(heights(plant, grid)[0]))
     angles = [axis[best] for axis in grid]
     found = np.asarray(heights(drawn, angles)[0])
-    return np.broadcast_to(found, (np.size(drawn.robot.trunk.mass),)), float(heights(plant, angles)[1])
+    return np.broadcast_to(found, (np.size(drawn.robot.bodies[0].mass),)), float(heights(plant, angles)[1])

@@ -264,7 +264,7 @@ class Landings(Study):
         assert landing is not None
         robot, angles = plant.robot, plant.robot.posture_angles(landing.touchdown)
         index = robot.index(landing.joint)
-        low, high = (float(edge) for edge in robot.joints[index].pair.attainable_stiffness(angles[index], 0.0))
+        low, high = (float(edge) for edge in robot.pair(index).attainable_stiffness(angles[index], 0.0))
         wanted = landing.stiffness
         stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if wanted is None else np.sort(wanted)
         others: list[float | None] = [None] * len(robot.joints)
@@ -329,7 +329,8 @@ class Landings(Study):
             name: (_AXES, columns[name].reshape(self._shape), attributes(name)) for name in _COLUMNS
         }
         gravity = float(self.drawn.gravity)
-        for name, mass in {"weight": self.drawn.robot.total_mass, "trunk_weight": self.drawn.robot.trunk.mass}.items():
+        robot = self.drawn.robot
+        for name, mass in {"weight": robot.total_mass, "trunk_weight": robot.bodies[0].mass}.items():
             found[name] = ("draw", np.broadcast_to(np.asarray(mass), self._shape[-1:]) * gravity, {"units": "N"})
         return xr.Dataset(found, coords=coords, attrs={"engine": self.software["engine"], "gravity": gravity})
 
@@ -377,7 +378,7 @@ def valve_with(valve: AirActuator, plant: RobotPlant, time_constant: float) -> A
     RangeError
         If the time constant is not above the valve's own lag.
     """
-    muscle = plant.robot.muscles[0]
+    muscle = plant.robot.all_muscles[0]
     domain = muscle.domain
     volume = float(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
     pressure = (domain.pressure_min + domain.pressure_max) / 2

@@ -40,10 +40,10 @@ class RobotMetrics(NamedTuple):
             "N",
             "largest upward force on the trunk",
             of="trunk_force",
-            note="its mass times the acceleration of the hip, gravity included",
+            note="its mass times the acceleration of the base, gravity included",
         ),
     ]
-    deflection: Annotated[Scalar, Largest("m", "depth of the hip below its height at the first touch", of="depth")]
+    deflection: Annotated[Scalar, Largest("m", "depth of the base below its height at the first touch", of="depth")]
     stop_torque: Annotated[
         tuple[Scalar, ...],
         LargestError(
@@ -136,7 +136,7 @@ class RobotMetricSample(NamedTuple):
     ground_up: Scalar  # [N]
     force_after_impact: Scalar  # [N], 0 before
     trunk_force: Scalar  # [N]
-    depth: Scalar  # of the hip below its height at the first touch [m], 0 before
+    depth: Scalar  # of the base below its height at the first touch [m], 0 before
     stop_torque: tuple[Scalar, ...]  # [N*m]
     outside: Scalar
 
@@ -145,8 +145,8 @@ class Flight(NamedTuple):
     """Contact with the ground and the highest flight so far, tracked from sample to sample."""
 
     touched: Scalar  # time since the first touch [s], below 0 before
-    height: Scalar  # of the hip at the first touch [m]
-    speed: Scalar  # of the hip, upwards [m/s]
+    height: Scalar  # of the base at the first touch [m]
+    speed: Scalar  # of the base, upwards [m/s]
     work: Scalar  # of the muscles so far [J]
     absorbed: Scalar  # by the stops so far [J]
     drawn: Scalar  # air so far [kg]
@@ -196,7 +196,7 @@ class Flight(NamedTuple):
         return following, RobotMetricSample(
             ground_up=force,
             force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
-            trunk_force=plant.robot.trunk.mass * ((sample.speed - self.speed) / period + gravity),
+            trunk_force=plant.robot.bodies[0].mass * ((sample.speed - self.speed) / period + gravity),
             depth=jnp.where(touched >= 0, height - sample.z, 0.0),
             stop_torque=sample.stop_torque,
             outside=sample.outside.astype(sample.z.dtype),

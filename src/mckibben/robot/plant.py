@@ -42,7 +42,8 @@ from mckibben.robot.dynamics import (
     posture_of,
 )
 from mckibben.robot.ground import Ground, compliant_force
-from mckibben.robot.mechanism import Robot, RoutedMuscle
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.muscles import Routed
 from mckibben.units import Gravity, show
 
 Scalar = Float[Array, ""]
@@ -90,13 +91,13 @@ class RobotMeasurement(NamedTuple):
 class RobotSample(NamedTuple):
     """Sample of a run at the start of a control period; tuples are over joints or muscles."""
 
-    x: Annotated[Scalar, Label("m", "position of the hip, forwards")]
-    y: Annotated[Scalar, Label("m", "position of the hip, to the left")]
-    z: Annotated[Scalar, Label("m", "height of the hip")]
-    speed: Annotated[Scalar, Label("m/s", "upward speed of the hip")]
-    pitch: Annotated[Scalar, Label("rad", "pitch of the trunk")]
-    yaw: Annotated[Scalar, Label("rad", "yaw of the trunk")]
-    roll: Annotated[Scalar, Label("rad", "roll of the trunk")]
+    x: Annotated[Scalar, Label("m", "position of the base, forwards")]
+    y: Annotated[Scalar, Label("m", "position of the base, to the left")]
+    z: Annotated[Scalar, Label("m", "height of the base")]
+    speed: Annotated[Scalar, Label("m/s", "upward speed of the base")]
+    pitch: Annotated[Scalar, Label("rad", "pitch of the base")]
+    yaw: Annotated[Scalar, Label("rad", "yaw of the base")]
+    roll: Annotated[Scalar, Label("rad", "roll of the base")]
     angle: Annotated[tuple[Scalar, ...], Label("rad", "joint angle", along="joint")]
     velocity: Annotated[tuple[Scalar, ...], Label("rad/s", "angular velocity", along="joint")]
     pressure: Annotated[tuple[Scalar, ...], Label("Pa", "gauge pressure", along="muscle")]
@@ -165,7 +166,7 @@ class RobotPlant(Plant[RobotState]):
 
     @property
     def muscles(self) -> tuple[Muscle, ...]:
-        return self.robot.muscles
+        return self.robot.all_muscles
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
@@ -189,11 +190,11 @@ class RobotPlant(Plant[RobotState]):
         rates = state.velocity.angles
         by_muscles = -_power(forces.tensions, forces.path_rates)
         by_stops, by_all = _power(forces.stops, rates), _power(forces.torques, rates)
-        touched = contact(self.robot, frames(self.robot, state.posture, state.velocity), self.ground.normal)
+        touched = self._contact(state.posture, state.velocity)
         contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
-            for muscle, one in zip(self.robot.muscles, forces.contractions, strict=True)
+            for muscle, one in zip(self.robot.all_muscles, forces.contractions, strict=True)
         ]
         zero = jnp.zeros_like(state.posture.x)
         return RobotSample(
@@ -219,7 +220,7 @@ class RobotPlant(Plant[RobotState]):
             muscle_power=by_muscles,
             stop_power=by_stops,
             resisting_power=by_all - by_stops - by_muscles,
-            ground_power=jnp.asarray(forces.ground.dot(touched.velocity)),
+            ground_power=jnp.asarray(0.0 if touched is None else forces.ground.dot(touched.velocity)),
             air_mass=tuple(
                 at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
                 for i, (pressure, one) in contents
@@ -233,11 +234,11 @@ class RobotPlant(Plant[RobotState]):
         mobility, of_joints = mobilities(robot, posture_of(robot, angles))
         if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
             raise SimulationError(
-                "a joint turns links without inertia about its axis",
-                field="axial_inertia",
-                remedy="give the links an axial_inertia, or the joint another axis",
+                "a joint turns bodies without inertia about its axis",
+                field="inertia",
+                remedy="give the bodies an inertia about it, or the joint another axis",
             )
-        inertias = [robot.inertia_beyond(index) for index in range(len(robot.links))]
+        inertias = [robot.inertia_beyond(index) for index in range(len(robot.joints))]
         bodies = [pair for pair in zip(robot.joints, inertias, strict=True) if pair[0].locked is None]
         stiffnesses = {
             "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],
@@ -251,7 +252,7 @@ class RobotPlant(Plant[RobotState]):
         if not ground.implicit_friction:
             rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
-            muscles = (muscle for muscle in robot.muscles if not isinstance(muscle.law, SpringLaw))
+            muscles = (muscle for muscle in robot.all_muscles if not isinstance(muscle.law, SpringLaw))
             volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
             limit = SEMI_IMPLICIT_LIMIT if ground.implicit_friction else STABILITY_LIMIT
             rates["the air"] = self.valve.fastest_rate_in(min(volumes)) * STABILITY_LIMIT / limit
@@ -287,22 +288,22 @@ class RobotPlant(Plant[RobotState]):
         robot = self.robot
         joints, muscles = (", ".join(names) for names in ((joint.name for joint in robot.joints), robot.muscle_names))
         check_count("angles", len(start.angles), len(robot.joints), f"of {joints}")
-        check_count("pressures", len(start.pressures), len(robot.muscles), f"of {muscles}")
+        check_count("pressures", len(start.pressures), len(robot.all_muscles), f"of {muscles}")
         for joint, angle in zip(robot.joints, start.angles, strict=True):
             remedy = "start within the range of the joint"
             _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
         supply = getattr(self.valve, "supply", None)
-        for name, muscle, pressure in zip(robot.muscle_names, robot.muscles, start.pressures, strict=True):
+        for name, muscle, pressure in zip(robot.muscle_names, robot.all_muscles, start.pressures, strict=True):
             rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure permitted by muscle and supply"
             for what, highest in ((name, rated), (f"{name} (supply)", rated if supply is None else supply)):
                 _check_inside(what, "pressures", pressure, 0.0, highest, "Pa", remedy)
         check_positive("RobotPlant", "m", zero=True, clearance=start.clearance)
-        if robot.trunk.freedom == "fixed" and np.any(known_numbers("RobotPlant", "upward_speed", start.upward_speed)):
+        if robot.base == "fixed" and np.any(known_numbers("RobotPlant", "upward_speed", start.upward_speed)):
             raise RangeError(
-                "a fixed trunk has no speed",
+                "a fixed base has no speed",
                 field="upward_speed",
                 value=start.upward_speed,
-                remedy="give the trunk a freedom such as vertical",
+                remedy="give the robot another `base`, such as vertical",
             )
 
     def begin(self, start: RobotStart) -> RobotState:
@@ -311,7 +312,8 @@ class RobotPlant(Plant[RobotState]):
         held = tuple(map(floating, robot.held(start.angles)))
         posture, normal = posture_of(robot, held), self.ground.normal
         velocity = at_rest(posture)._replace(z=floating(start.upward_speed))
-        depth = contact(robot, frames(robot, posture, velocity), normal).position.dot(normal)
+        touching = self._contact(posture, velocity)
+        depth = 0.0 if touching is None else touching.position.dot(normal)
         posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
         inside = tuple(map(floating, start.pressures))
         muscles = (MuscleState((), ()),) * len(inside)
@@ -367,12 +369,16 @@ class RobotPlant(Plant[RobotState]):
 
     def ground_force(self, state: RobotState) -> Vector:
         """Return the force [N] of the ground on the foot: forwards, to the left, and up."""
-        found = frames(self.robot, state.posture, state.velocity)
-        return self.ground.force(contact(self.robot, found, self.ground.normal))
+        touched, zero = self._contact(state.posture, state.velocity), jnp.zeros_like(state.posture.x)
+        return Vector(zero, zero, zero) if touched is None else self.ground.force(touched)
+
+    def _contact(self, posture: Posture, velocity: Velocity) -> Contact | None:
+        """Point of the foot that is nearest to the ground."""
+        return contact(self.robot, frames(self.robot, posture, velocity), self.ground.normal)
 
     @property
     def integrator(self) -> Callable[..., Motion]:
-        return semi_implicit if self.ground.implicit_friction else rk4
+        return semi_implicit if self.ground.implicit_friction and self.robot.foot is not None else rk4
 
     def rate(self, state: RobotState, ahead: tuple[Motion, ArrayLike] | None = None) -> Motion:
         """Return the time derivative of the motion; with implicit friction where `ahead` is that of `semi_implicit`."""
@@ -386,7 +392,7 @@ class RobotPlant(Plant[RobotState]):
         creep = tuple(
             muscle.state_rate(held, rate, pressure).creep
             for muscle, held, rate, pressure in zip(
-                self.robot.muscles, state.muscles, forces.path_rates, state.pressures, strict=True
+                self.robot.all_muscles, state.muscles, forces.path_rates, state.pressures, strict=True
             )
         )
         return Motion(Posture(*velocity), moved, creep)
@@ -398,7 +404,9 @@ class RobotPlant(Plant[RobotState]):
         robot, ground = self.robot, self.ground
 
         def foot(velocity: Velocity) -> Contact:
-            return contact(robot, frames(robot, state.posture, velocity), ground.normal)
+            touched = self._contact(state.posture, velocity)
+            assert touched is not None  # else `integrator` is explicit
+            return touched
 
         pressed, at_begun = ground.normal_force(foot(state.velocity)), foot(begun).velocity
 
@@ -421,7 +429,7 @@ class RobotPlant(Plant[RobotState]):
         units = self.robot.routed_muscles(state.posture.angles)
         for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
 
-            def volume(path: Array, pressure: Array, unit: RoutedMuscle = unit, held: MuscleState = held) -> Array:
+            def volume(path: Array, pressure: Array, unit: Routed = unit, held: MuscleState = held) -> Array:
                 contraction = unit.tendon.contraction(unit.muscle, path, pressure, held)
                 return unit.muscle.specimen.volume(contraction) + dead
 
@@ -452,7 +460,7 @@ class RobotPlant(Plant[RobotState]):
         return found.kinetic + found.potential
 
 
-def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
+def _path_rate(unit: Routed, rates: Sequence[Array]) -> Array:
     """Rate of the length of a muscle's path [m/s]."""
     return jnp.asarray(sum(slope * rates[joint] for joint, slope in unit.slopes.items()))
 

@@ -215,14 +215,17 @@ class RobotScenario(RunSettings):
         robot = info.data.get("robot")
         if value is None or robot is None:
             return value
-        if robot.trunk.freedom == "fixed" and not isinstance(value, StiffnessSettings):
-            fail_validation("needs a trunk that can move", "give the trunk a freedom such as vertical")
+        if not isinstance(value, StiffnessSettings):
+            if robot.base == "fixed":
+                fail_validation("needs a base that can move", "give the robot a `base` such as vertical")
+            if robot.foot is None:
+                fail_validation("needs a foot", "give the robot a `foot`: body, place and radius")
         postures: dict[str, Angles] = {}
         if isinstance(value, LandingSettings):
             postures["touchdown"] = value.touchdown
             if value.joint not in [joint.name for joint in robot.joints]:
                 fail_validation(*_unknown_joint(robot, value.joint), field="joint")
-            if robot.joints[robot.index(value.joint)].muscles is None:
+            if robot.index(value.joint) not in robot.pairs:
                 fail_validation(f"{value.joint} has no pair of muscles", "name a joint that has one", field="joint")
             if robot.joints[robot.index(value.joint)].locked is not None:
                 fail_validation(
@@ -242,7 +245,7 @@ class RobotScenario(RunSettings):
         robot, supply = info.data.get("robot"), getattr(info.data.get("valve"), "supply", None)
         if value is None or robot is None:
             return value
-        muscles = [one for one in robot.muscles if not isinstance(one.law, SpringLaw)]
+        muscles = [one for one in robot.all_muscles if not isinstance(one.law, SpringLaw)]
         rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
         for what, highest in (("rating of a muscle", rated), ("supply", supply)):
             if highest is not None and value.high > highest:

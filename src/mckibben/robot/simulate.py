@@ -144,7 +144,7 @@ def simulate_robot(
     duration, control_period
         [s]; the first is a multiple of the second.
     accuracy
-        Accuracy of the angles [rad], and of the position of the trunk [m].
+        Accuracy of the angles [rad], and of the position of the base [m].
     substeps
         Integration steps per control period. Default: as many as the accuracy needs.
     engine
@@ -228,7 +228,7 @@ def simulate_robots(
     plant, controller, start
         With arrays of shape (runs,) in place of numbers that differ between runs.
     over
-        Arrays by the dotted name of a leaf, such as ``{"robot.trunk.mass": [0.9, 1.1]}``: parts of the plant,
+        Arrays by the dotted name of a leaf, such as ``{"robot.bodies.0.mass": [0.9, 1.1]}``: parts of the plant,
         ``controller`` or ``start``.
     duration, control_period
         As for `simulate_robot`; forces are sampled once per control period.

@@ -68,7 +68,7 @@ def is_affine(robot: Robot) -> bool:
 
 def _not_affine(robot: Robot) -> Iterator[tuple[str, str]]:
     """Muscles, and the class of what is not affine in them."""
-    for name, muscle, tendon in zip(robot.muscle_names, robot.muscles, robot.tendons, strict=True):
+    for name, muscle, tendon in zip(robot.muscle_names, robot.all_muscles, robot.tendons, strict=True):
         for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
             if not isinstance(part, kind):
                 yield name, type(part).__name__

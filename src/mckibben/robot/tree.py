@@ -30,7 +30,7 @@ class Hinge(NamedTuple):
     rotor: Number = 0.0  # inertia that turns with the hinge alone [kg*m^2]
 
 
-class Body(NamedTuple):
+class BodyInertia(NamedTuple):
     """Rigid body."""
 
     mass: Number  # [kg]
@@ -60,7 +60,7 @@ class Body(NamedTuple):
         return _in_axes(Tensor(x, xy, xz, y, yz, z), axes)
 
 
-MASSLESS = Body(0.0, ZERO, Tensor.diagonal(0.0))
+MASSLESS = BodyInertia(0.0, ZERO, Tensor.diagonal(0.0))
 
 
 def _in_axes(inertia: Tensor, axes: Rotation) -> Tensor:
@@ -187,7 +187,7 @@ class _Composite(NamedTuple):
 def equations(
     slides: Sequence[Vector],  # directions in which the base moves without turning
     hinges: Sequence[Hinge],
-    bodies: Sequence[Body],  # of the base and on each hinge
+    bodies: Sequence[BodyInertia],  # of the base and on each hinge
     frames: Sequence[Frame],  # their frames
     gravity: Any,  # downwards [m/s^2]
     forces: Mapping[int, tuple[Vector, Vector]],  # on bodies [N], each with its arm from the hinge [m]

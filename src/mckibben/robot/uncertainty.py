@@ -15,6 +15,7 @@ from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.identification import Fit
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
+from mckibben.robot.bodies import Body
 from mckibben.robot.plant import RobotPlant
 from mckibben.robot.scenario import DrawSettings, RobotScenario
 
@@ -49,19 +50,15 @@ def drawn_plant(scenario: RobotScenario) -> RobotPlant:
         strength = factors(spec.strength) * (1.0 if muscle.strength is None else muscle.strength)
         return dataclasses.replace(muscle, strength=strength)  # pyrefly: ignore[bad-argument-type]
 
-    trunk = with_mass(robot.trunk, factors(spec.mass))
-    links = tuple(with_mass(link, factors(spec.mass)) for link in robot.links)
-    joints = []
-    for joint in robot.joints:
-        if joint.muscles is not None:
-            muscles = drawn(joint.muscles.muscle1), drawn(joint.muscles.muscle2)
-            joint = eqx.tree_at(lambda x: (x.muscles.muscle1, x.muscles.muscle2), joint, muscles)
-        joints.append(joint)
-    robot = eqx.tree_at(lambda x: (x.trunk, x.links, x.joints), robot, (trunk, links, tuple(joints)))
-    for name in ("biarticular", "spanning"):
-        if units := getattr(robot, name):
-            units = tuple(eqx.tree_at(lambda x: x.muscle, unit, drawn(unit.muscle)) for unit in units)
-            robot = eqx.tree_at(lambda x, name=name: getattr(x, name), robot, units)
+    varied = {}
+    for body in robot.frame_bodies:
+        by = factors(spec.mass)  # also of a joint without a body, so that draws do not depend on how one is written
+        if body is not None:
+            varied[body.name] = with_mass(body, by)
+    bodies = tuple(varied[body.name] for body in robot.bodies)
+    known = lambda part: isinstance(part, Muscle)  # noqa: E731
+    muscles = jax.tree.map(lambda part: drawn(part) if known(part) else part, robot.muscles, is_leaf=known)
+    robot = eqx.tree_at(lambda x: (x.bodies, x.muscles), robot, (bodies, muscles))
     return eqx.tree_at(lambda x: (x.robot, x.valve), plant, (robot, drawn_air(plant.valve, spec)))
 
 
@@ -83,12 +80,10 @@ def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
     return eqx.tree_at(lambda x: [getattr(x, name) for name in drawn], valve, list(drawn.values()))
 
 
-def with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
+def with_mass(body: Body, factors: NDArray[np.float64]) -> Body:
     """A body with mass and inertias times factors."""
-    names = ("mass", "inertia", "roll_inertia", "yaw_inertia", "axial_inertia")
-    known = [name for name in names if getattr(body, name, None) is not None]
-    scaled = [getattr(body, name) * factors for name in known]
-    return eqx.tree_at(lambda x: [getattr(x, name) for name in known], body, scaled)
+    inertia = tuple(number * factors for number in body.inertia)
+    return eqx.tree_at(lambda x: (x.mass, x.inertia), body, (body.mass * factors, inertia))
 
 
 def take(tree: Any, index: NDArray[np.int64]) -> Any:

@@ -1,0 +1,294 @@
+"""Muscles of a robot and their paths: a pair over a joint, or one over joints and through points of bodies."""
+
+from __future__ import annotations
+
+import abc
+import itertools
+from collections.abc import Callable, Sequence
+from numbers import Real
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from mckibben.component.base import Component
+from mckibben.errors import RangeError
+from mckibben.joint import AntagonisticJoint, Geometry, MusclePath, RigidTendon, Tendon
+from mckibben.muscle import Muscle
+from mckibben.numerics.calculus import value_and_derivative
+from mckibben.robot.bodies import BodyPoint, Joint
+from mckibben.robot.tree import Frame, Hinge, path_through
+from mckibben.units import Coordinate, deg
+
+Action = Literal["lengthens", "shortens"]
+"""Change of a muscle's path as the angle of a joint increases."""
+
+
+class Routed(NamedTuple):
+    """A muscle in a posture: its path length [m], and the derivative [m/rad] of that over the angles of its joints."""
+
+    muscle: Muscle
+    tendon: Tendon
+    path: Array
+    slopes: dict[int, Array]
+
+    def tension(self, pressure: ArrayLike) -> Array:
+        """Return the tension [N] at a gauge pressure [Pa]."""
+        return self.tendon.tension(self.muscle, self.path, pressure)
+
+
+class Skeleton(NamedTuple):
+    """Joints and frames by name, and how to find hinges and frames in the posture in which muscles are routed."""
+
+    joints: Sequence[Joint]
+    frame_names: Sequence[str]
+    angles: Sequence[ArrayLike]
+    posed: Callable[[], tuple[list[Hinge], list[Frame]]]
+
+    def number(self, name: str) -> int:
+        """Return the number of a joint."""
+        return [joint.name for joint in self.joints].index(name)
+
+
+class MuscleUnit(Component):
+    """A muscle with its path, or a pair of muscles over a joint."""
+
+    @classmethod
+    def from_file(cls, value: object) -> object:
+        """Return a section with its class: a pair has a geometry."""
+        if not isinstance(value, dict) or "class" in value:
+            return value
+        return {"class": "pair" if "geometry" in value else "path", **value}
+
+    @classmethod
+    def to_file(cls, section: dict[str, object]) -> dict[str, object]:
+        """Return a section without its class."""
+        return {name: field for name, field in section.items() if name != "class"}
+
+    @property
+    @abc.abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Names of the muscles."""
+
+    @property
+    @abc.abstractmethod
+    def muscles(self) -> tuple[Muscle, ...]:
+        """The muscles."""
+
+    @property
+    @abc.abstractmethod
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints that `over` gives."""
+
+    @property
+    def points(self) -> tuple[BodyPoint, ...]:
+        """Points that its path goes through."""
+        return ()
+
+    @abc.abstractmethod
+    def routed(self, skeleton: Skeleton) -> list[Routed]:
+        """Return the muscles in a posture."""
+
+    def check_range(self, joints: Sequence[Joint]) -> None:
+        """Raise `RangeError` if a path is unknown within the ranges of its joints."""
+
+
+class MusclePair(MuscleUnit):
+    """Antagonistic muscles over a joint: its name with 1, which lengthens as the angle increases, and with 2.
+
+    Parameters
+    ----------
+    over
+        Name of the joint.
+    geometry
+        Path lengths of both muscles over the angle.
+    muscle1, muscle2, tendon
+        The muscles; in files also `muscle`, for both.
+    """
+
+    short_name = "pair"
+    aliases: ClassVar = {"muscle": ("muscle1", "muscle2")}
+
+    over: str = eqx.field(static=True)
+    geometry: Geometry
+    muscle1: Muscle
+    muscle2: Muscle
+    tendon: Tendon = RigidTendon()
+
+    @property
+    def joint(self) -> AntagonisticJoint:
+        """The muscles and their geometry as a joint."""
+        return AntagonisticJoint(self.geometry, self.muscle1, self.muscle2, self.tendon)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return f"{self.over}1", f"{self.over}2"
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return self.muscle1, self.muscle2
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return (self.over,)
+
+    def routed(self, skeleton: Skeleton) -> list[Routed]:
+        index = skeleton.number(self.over)
+        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(skeleton.angles[index])
+        return [
+            Routed(self.muscle1, self.tendon, path1, {index: arm1}),
+            Routed(self.muscle2, self.tendon, path2, {index: -arm2}),
+        ]
+
+    def check_range(self, joints: Sequence[Joint]) -> None:
+        (joint,) = joints
+        _check_known(joint, *self.geometry.angle_range)
+
+
+class OverJoint(Component):
+    """Path over a joint.
+
+    Parameters
+    ----------
+    joint
+        Name of the joint.
+    action
+        Whether it "lengthens" or "shortens" as the angle of the joint increases.
+    path
+        Length over the angle of the joint.
+    """
+
+    joint: str = eqx.field(static=True)
+    action: Action = eqx.field(static=True)
+    path: MusclePath
+
+    @property
+    def side(self) -> int:
+        """1 where it lengthens as the angle increases, else -1."""
+        return 1 if self.action == "lengthens" else -1
+
+    def length(self, angle: ArrayLike) -> tuple[Array, Array]:
+        """Return its length [m], and the derivative of that [m/rad]."""
+        return value_and_derivative(lambda x: self.path.length(x, self.side), angle)
+
+
+class PathMuscle(MuscleUnit):
+    """Muscle over joints and through points of bodies: its path is the sum of the paths over each joint and of the
+    straight lines from point to point.
+
+    Parameters
+    ----------
+    name
+        Name in results and errors.
+    muscle
+        The muscle.
+    over
+        Paths over joints.
+    through
+        Points from one end to the other; successive ones are on different bodies.
+    connector_length
+        Length of the connectors in series with the muscle [m]; below 0 for a muscle that is longer than its path.
+    tendon
+        Element in series. Default: rigid.
+    """
+
+    short_name = "path"
+
+    name: str = eqx.field(static=True)
+    muscle: Muscle
+    over: tuple[OverJoint, ...] = ()
+    through: tuple[BodyPoint, ...] = ()
+    connector_length: Coordinate = 0.0
+    tendon: Tendon = RigidTendon()
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        self.muscle.check_pressure_limit()
+        bodies = [point.body for point in self.through]
+        if len(bodies) == 1 or any(first == second for first, second in itertools.pairwise(bodies)):
+            raise RangeError(
+                f"{self.name}: it passes through {', '.join(bodies)}",
+                field="through",
+                value=bodies,
+                remedy="give two points or more, successive ones on different bodies",
+            )
+        if not bodies and not self.over:
+            remedy = "give points that it goes `through`, or paths `over` joints"
+            raise RangeError(f"{self.name}: it has no path", field="through", remedy=remedy)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return (self.muscle,)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(part.joint for part in self.over)
+
+    @property
+    def points(self) -> tuple[BodyPoint, ...]:
+        return self.through
+
+    def routed(self, skeleton: Skeleton) -> list[Routed]:
+        slopes: dict[int, Any] = {}
+        length: Any = None
+        for part in self.over:
+            index = skeleton.number(part.joint)
+            own, slopes[index] = part.length(skeleton.angles[index])
+            length = own if length is None else length + own
+        if self.through:
+            points = [(skeleton.frame_names.index(point.body), point.place.vector) for point in self.through]
+            straight, by_body = path_through(points, *skeleton.posed())
+            length = straight if length is None else length + straight
+            for body, slope in by_body.items():
+                slopes[body - 1] = slopes[body - 1] + slope if body - 1 in slopes else slope
+        return [Routed(self.muscle, self.tendon, length - self.connector_length, slopes)]
+
+    def check_range(self, joints: Sequence[Joint]) -> None:
+        for joint, part in zip(joints, self.over, strict=True):
+            _check_known(joint, *part.path.angle_range)
+
+
+def _check_known(joint: Joint, low: float, high: float) -> None:
+    """Raise unless a path over a joint is known for its whole range."""
+    for field, angle in (("lower", joint.lower), ("upper", joint.upper)):
+        if isinstance(angle, Real) and not low - 1e-9 <= angle <= high + 1e-9:
+            raise RangeError(
+                f"{joint.name}: the geometry of its muscles is known for {low / deg:.4g}..{high / deg:.4g} deg",
+                field=field,
+                value=float(angle),
+                lower=low,
+                upper=high,
+                unit="rad",
+                remedy="give a smaller range, or a geometry for all of it",
+            )
+
+
+def check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequence[str], field: str = "muscle") -> None:
+    """Raise where a path of a muscle is longer or shorter than its domain permits."""
+    numbers = muscle.specimen.initial_length, muscle.domain.contraction_min, muscle.domain.contraction_max
+    if not all(isinstance(one, Real) for one in numbers):
+        return
+    try:
+        contractions = np.asarray(muscle.specimen.contraction_at(paths), float)
+    except (TypeError, ValueError):  # of a geometry with many values
+        return
+    lower, upper = muscle.domain.contraction_min, muscle.domain.contraction_max
+    for place, contraction in zip(places, contractions, strict=True):
+        if not lower - 1e-9 <= contraction <= upper + 1e-9:
+            long = contraction < lower
+            raise RangeError(
+                f"{owner}: at {place} its contraction is {contraction * 100:.3g} %: the muscle is too "
+                f"{'short' if long else 'long'} for its path",
+                field=field,
+                value=float(contraction),
+                lower=float(lower),
+                upper=float(upper),
+                unit="1",
+                remedy="reduce the range of the joint, or "
+                + ("lengthen the connectors or the muscle" if long else "shorten the connectors or the muscle"),
+            )
