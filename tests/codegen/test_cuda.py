@@ -1,5 +1,8 @@
 """CUDA kernels: compiled by NVRTC without a GPU, and run on this processor as C++; what is missing is named."""
 
+from pathlib import Path
+from runpy import run_path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,17 +21,12 @@ X = np.random.default_rng(2).normal(size=RUNS)
 ARCHITECTURE = 90
 
 
+EMITTED = run_path(str(Path(__file__).with_name("test_emitted.py")))
+
+
 def operations(shared, x):
-    y, small = jnp.abs(x) + 0.1, jnp.tanh(x)
-    whole = (x * 4).astype(int)
-    return (
-        jnp.sin(x) * jnp.cos(x) - jnp.tan(small) + jnp.exp(-y) + jnp.expm1(small) + jnp.log(y) + jnp.log1p(y),
-        jnp.arcsin(small) + jnp.arccos(small) + jnp.arctan(x) + jnp.arctan2(x, y) + jnp.sinh(small) + jnp.cosh(small),
-        jnp.cbrt(x) + jnp.sqrt(y) + y**1.3 + jnp.floor(x) + jnp.ceil(x) + jnp.round(3 * x) + jnp.sign(x) + y**-2,
-        jnp.where((x > 0) & ~(y < 1) | (x == y), x, -y) + jnp.clip(x, -0.5, 0.5) + shared * x,
-        (x > 0) ^ (y > 1),
-        jnp.maximum(whole, 2) + jnp.abs(whole) + lax.rem(whole, 3) + jnp.minimum(whole, 20_000_001),
-    )
+    *found, whole, reduced = EMITTED["elementwise"](x)
+    return *found, whole, reduced + shared * x
 
 
 def loops(shared, x):
@@ -48,9 +46,8 @@ def loops(shared, x):
     return last, back, halved, count, clock + x, stored
 
 
-def draws(shared, x):
-    key = jax.random.fold_in(jax.random.key((x * 100).astype(int)), jnp.asarray(7, jnp.uint32))
-    return jax.random.uniform(key, (2,)), jax.random.normal(key, (3,), jnp.float32)
+def draws(_, x):
+    return EMITTED["random"](x)
 
 
 def with_columns(shared, lane):

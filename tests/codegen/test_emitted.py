@@ -21,7 +21,7 @@ PLAIN = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-c")
 def elementwise(x):
     """Every operation that has a counterpart in C."""
     y = jnp.abs(x) + 0.1
-    small = jnp.tanh(x)
+    small, whole = jnp.tanh(x), (x * 4).astype(int)
     return (
         jnp.sin(x) * jnp.cos(x) - jnp.tan(small),
         jnp.exp(-y) + jnp.expm1(small) + jnp.log(y) + jnp.log1p(y),
@@ -30,7 +30,7 @@ def elementwise(x):
         jnp.floor(x) + jnp.ceil(x) + jnp.round(3 * x) + jnp.sign(x) + x**3 + y**-2 + lax.rem(x, y),
         jnp.where((x > 0) & ~(y < 1) | (x == y), x, -y) + jnp.clip(x, -0.5, 0.5) + jax.nn.sigmoid(x),
         (x > 0) ^ (y > 1),
-        (x * 4).astype(int) + jnp.where(x > 0, 2, 3),
+        jnp.where(x > 0, 2, 3) + jnp.maximum(whole, 2) + jnp.abs(whole) // 3 + jnp.minimum(whole, 20_000_001),
         lax.reduce_precision(x, 8, 23) + lax.reduce_precision(y, 11, 52),
     )
 

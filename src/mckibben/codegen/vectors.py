@@ -27,6 +27,8 @@ _PATTERNS = {
     ("max", Kind.INTEGER): "pick_integer({0} > {1}, {0}, {1})",
     ("min", Kind.INTEGER): "pick_integer({0} < {1}, {0}, {1})",
     ("rem", Kind.INTEGER): "({0} % {1})",
+    ("abs", Kind.INTEGER): "pick_integer({0} < 0, -{0}, {0})",
+    ("sign", Kind.INTEGER): "(({0} < 0) - ({0} > 0))",
     ("bits", Kind.REAL): "((I){0})",
 }
 """Operations on vectors by their name and the kind of their first argument; the others are operators or functions."""
