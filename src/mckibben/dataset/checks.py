@@ -164,10 +164,11 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
     if not (force[at] > 0 and pressure[at] > 0):
         yield points.ask("range", "no point has a force and a pressure above 0", field="force")
         return
-    diameter, known = air.implied_diameter(force[at] / pressure[at]), specimen.initial_diameter if specimen else None
+    diameter = air.implied_diameter(force[at] / pressure[at], contraction[at])
+    known = specimen.initial_diameter if specimen else None
     smallest, largest = (known * ratio for ratio in air.USUAL_DIAMETERS) if known else (1.7 * mm, 80 * mm)
     if not smallest <= diameter <= largest:
-        whose = f", but {specimen.name} has {known / mm:.3g} mm" if known and specimen else ""
+        whose = f", but {specimen.name} has {known / mm:.3g} mm: is it in kgf or lbf?" if known and specimen else ""
         text = f"the largest force is that of a muscle of about {diameter / mm:.2g} mm diameter{whose},"
         yield points.ask("range", text, at, "force")
 
@@ -339,9 +340,13 @@ def _offsets(points: Points) -> Iterator[Question]:
 def _labels(dataset: IsobaricDataset) -> Iterator[Question]:
     """Set pressures far from the measured ones, and directions that are the reverse of the motion."""
     table, level = dataset.table, dataset.levels
-    if np.any(apart := np.abs(level - dataset.pressure) > 0.2 * dataset.pressure.max(initial=0.0)):
-        text = f"{np.count_nonzero(apart)} set pressures are far from the measured ones"
-        yield question(text, "order", field="set_pressure", remedy="check its unit, or ignore the column")
+    for name in ("pressure", "force"):
+        measured = table[name].to_numpy()
+        nominal = level if name == "pressure" else table.get("set_force", table["force"]).to_numpy()
+        if np.any(apart := np.abs(nominal - measured) > 0.2 * measured.max(initial=0.0)):
+            text = f"{np.count_nonzero(apart)} set {name}s are far from the measured ones"
+            remedy = "check the units of both, or ignore the column"
+            yield question(text, "order", field=f"set_{name}", remedy=remedy)
     if "direction" in table:
         label = table["direction"].to_numpy()
         steps = np.where(np.diff(level) == 0, np.diff(dataset.contraction), 0.0)

@@ -10,6 +10,7 @@ import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
@@ -24,12 +25,16 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
+_LEVEL = 10 * kPa  # pressures closer than this are of one level
+_MOST = 100  # points of a stroke
 _FEWEST = 3  # points of a level, and of a pass on average
 _NOISE = 4.0  # standard deviations of the noise that count as slack
 
 
-def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = None) -> xr.Dataset:
+def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints) -> tuple[xr.Dataset, Ints]:
     """Table with unknown levels, directions, repeats and slack force estimated; `preprocessing` lists the estimates.
+
+    Samples over time are left out where the pressure changes between levels, and averaged along long strokes.
 
     Parameters
     ----------
@@ -37,17 +42,24 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
         Whether the table's slack force holds; otherwise it and the offset of the load cell are estimated.
     files
         Shape (points,): number of the file of each point; no stroke extends across two.
+
+    Returns
+    -------
+    Table, and the (first) row of each of its points in the table given, shape (points,).
     """
-    table, notes = _with_set_pressures(table)
-    table, more = _with_passes(table, files)
+    table, rows, notes = _at_held_pressures(table)
+    table, more = _with_set_pressures(table)
+    notes += more
+    table, more = _with_passes(table, files[rows])
     notes += more + _rests(table)
     if not slack_known:
         table, more = without_offset(table)
         notes += more
-    return with_notes(table, notes)
+    table, first = _averaged(table, files[rows])
+    return with_notes(table, notes), rows[first]
 
 
-def pressure_levels(pressure: Floats, tolerance: float = 10 * kPa) -> Floats:
+def pressure_levels(pressure: Floats, tolerance: float = _LEVEL) -> Floats:
     """Level of each measured pressure [Pa]: mean [whole kPa] of the pressures that follow each other closely.
 
     Parameters
@@ -74,6 +86,60 @@ def pressure_levels(pressure: Floats, tolerance: float = 10 * kPa) -> Floats:
     return levels
 
 
+def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
+    """Samples over time at pressures that are held, their rows and a note, if most are; else the table unchanged.
+
+    In between the pressure changes, and belongs to no level.
+    """
+    rate, pressure = sample_rate(table), table["pressure"].to_numpy()
+    rows = np.arange(len(pressure))
+    if not rate or "set_pressure" in table or np.isfinite(pressure_levels(pressure)).all():
+        return table, rows, []
+    held = np.zeros(len(pressure), bool)
+    segments = steady_segments([(pressure, _LEVEL)], _restarts(table), int(rate))
+    for first, last in zip(segments.first, segments.last, strict=True):
+        held[first:last] = True
+    held[held] = np.isfinite(pressure_levels(pressure[held]))  # no slow sweep
+    if 2 * np.count_nonzero(held) <= len(held):
+        return table, rows, []
+    note = f"{np.count_nonzero(~held)} samples between pressures that are held are left out"
+    return table.isel(point=held), rows[held], [note]
+
+
+def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
+    """Means of successive samples over time such that no stroke has more than `_MOST` points, and the first of each.
+
+    A fit of more points takes longer, and rates from the differences of single samples are noise.
+    """
+    first = np.arange(table.sizes["point"])
+    if not sample_rate(table) or "direction" not in table:
+        return table, first
+    names = [name for name in ("set_pressure", "set_force", "direction", "repeat") if name in table]
+    strokes = pd.DataFrame({name: table[name].to_numpy() for name in names} | {"file": files}).fillna(-1.0)
+    begins = np.flatnonzero((strokes != strokes.shift()).any(axis=1))
+    sizes = np.diff(np.append(begins, len(first)))
+    run = -(-np.repeat(sizes, sizes) // _MOST)  # samples of a mean
+    first = first[(first - np.repeat(begins, sizes)) % run == 0]
+    counts = np.diff(np.append(first, len(strokes)))
+    means = {
+        name: ("point", np.add.reduceat(table[name].to_numpy(), first) / counts)
+        for name in ("time", "pressure", "contraction", "force")
+    }
+    return table.isel(point=first).assign(means), first
+
+
+def sample_rate(table: xr.Dataset) -> float:
+    """Rate of samples over time [Hz]; 0 for points that were taken one by one, or without times."""
+    steps = np.diff(table["time"].to_numpy()) if "time" in table else np.empty(0)
+    interval = float(np.median(steps)) if len(steps) else 0.0
+    return 1 / interval if 0 < interval <= 1 / _FEWEST else 0.0
+
+
+def _restarts(table: xr.Dataset) -> NDArray[np.bool_]:
+    time = table["time"].to_numpy()
+    return np.diff(time, prepend=time[:1]) < 0
+
+
 def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with set pressures of levels of three or more points, and a note; unchanged if few points have one."""
     pressure = table["pressure"].to_numpy()
@@ -91,7 +157,7 @@ def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     return table.assign(set_pressure=("point", levels)), [note]
 
 
-def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, list[str]]:
+def _with_passes(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, list[str]]:
     """Table with directions and repeats, and a note; unchanged if it has directions or shows no reversals."""
     if "direction" in table:
         return table, []
@@ -113,12 +179,11 @@ def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, lis
 
 def _rests(table: xr.Dataset) -> list[str]:
     """Note on samples over time most of which rest, and on the command for them."""
-    time = table["time"].to_numpy() if "time" in table else np.empty(0)
-    if not 0 < (interval := float(np.median(np.diff(time))) if len(time) > 1 else 0.0) <= 1 / _FEWEST:
+    if not (rate := sample_rate(table)):
         return []
     signals = [(table["pressure"].to_numpy(), 2 * kPa), (table["contraction"].to_numpy(), 1e-3)]
-    segments = steady_segments(signals, np.diff(time, prepend=time[0]) < 0, int(1 / interval))
-    share = float(np.sum(segments.last - segments.first)) / len(time)
+    segments = steady_segments(signals, _restarts(table), int(rate))
+    share = float(np.sum(segments.last - segments.first)) / table.sizes["point"]
     text = f"{share:.0%} of the samples rest, in {len(segments.first)} plateaus: 'mckibben points' gives their means"
     return [text] if share > 0.5 else []
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -91,7 +91,8 @@ def read_dataset(
         return dataset
     known = recipe.slack_force is not None or bool(dataset.table.attrs["slack_force"])
     files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
-    dataset = replace(dataset, table=preprocess(dataset.table, slack_known=known, files=files))
+    table, rows = preprocess(dataset.table, slack_known=known, files=files)
+    dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, rows)))
     if not own:
         check_points(dataset, source, recipe.accept)
     return dataset
@@ -123,6 +124,13 @@ def read_columns(
     Parameters as for `read_dataset`. Raises a `DatasetError` if the file cannot be read, but not for questions.
     """
     return _understood(Path(path), (recipe or Recipe()).with_options(options), _POINTS, geometry)[0]
+
+
+def _lines_of(parts: Sequence[Table], rows: np.ndarray) -> Iterator[Table]:
+    """Tables of files with the lines of some of their rows, counted through all files."""
+    for part in parts:
+        yield replace(part, lines=part.lines[rows[(rows >= 0) & (rows < len(part.lines))]])
+        rows = rows - len(part.lines)
 
 
 def check_points(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import printable
 from mckibben.identification.estimator import Floats
 from mckibben.muscle import Domain
@@ -114,12 +115,42 @@ KEEP_OUTLIERS = "to keep such points, give robust=False (command line: --keep-ou
 
 
 def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
-    """Remarks on points that an identification leaves out: the first, and the places of the others."""
+    """Remarks on points that an identification leaves out: the first, and the places of the others; and on slack ones.
+
+    Where the surface through the other points is below 0, the muscle is slack.
+    """
+    slack = [outlier for outlier in outliers if outlier.expected <= 0]
+    outliers = [outlier for outlier in outliers if outlier.expected > 0]
     text = "left out: off the smooth surface through the other points; check it"
     remarks = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in outliers[:1]]
-    if others := [outlier.place or f"row {outlier.row}" for outlier in outliers[1:]]:
-        remarks.append(Remark.warning("force", f"left out, off that surface too: {', '.join(others)}"))
+    if others := _places(outliers[1:]):
+        remarks.append(Remark.warning("force", f"left out, off that surface too: {others}"))
+    if slack:
+        force = show(float(np.mean([outlier.force for outlier in slack])), "N", 3)
+        text = f"left out: slack, by the surface through the other points ({_places(slack)}); the load cell shows {force}"
+        remarks.append(Remark.warning("force", text, ZERO_REMEDY))
     return remarks
+
+
+def _places(outliers: Sequence[Outlier]) -> str:
+    return ", ".join(outlier.place or f"row {outlier.row}" for outlier in outliers)
+
+
+ZERO_REMEDY = (
+    "record five or more points of the slack muscle, vented or shortened, from which the zero is estimated; a known zero "
+    "error E is subtracted by a column '1*x-E force_N'"
+)
+
+
+def zero_remarks(means: IsobaricDataset, rmse: float) -> Iterator[Remark]:
+    """Remarks on the zero of the load cell, of points that a law fits with an RMSE [N]: a muscle never pushes."""
+    lowest = float(means.force.min())
+    if lowest < -max(means.table.attrs["slack_force"], 4 * rmse):
+        text = f"forces are down to {show(lowest, 'N', 3)}, but a muscle never pushes: the zero of the load cell is off"
+        yield Remark.warning("force", text, ZERO_REMEDY)
+    elif not means.slack.any() and held_loads(means.table) is None:
+        text = "no point of a slack muscle shows the zero of the load cell, whose error would shift all forces"
+        yield Remark.note("force", text, ZERO_REMEDY)
 
 
 def domain_of(points: IsobaricDataset, measured: IsobaricDataset | None = None) -> Domain:

@@ -14,7 +14,7 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.numerics.calculus import derivative
-from mckibben.units import Quantity, bar, mm
+from mckibben.units import Quantity, bar, factor, mm
 
 CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
 
@@ -42,8 +42,8 @@ BLOCKED_FORCE = 8.2
 C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-102.
 """
 
-USUAL_DIAMETERS = (0.4, 2.0)
-"""Usual ratios of the diameter that the force of a muscle implies to its own."""
+USUAL_DIAMETERS = (factor("lbf") ** -0.25, factor("lbf") ** 0.25)
+"""Usual ratios of the diameter that the force of a muscle implies to its own: else lbf is nearer than N, or kgf."""
 
 HEAT_CAPACITY_RATIO = 1.4
 """Ratio kappa of the specific heat capacities of air."""
@@ -55,9 +55,17 @@ FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 """Arithmetic of Python floats for `mass_flow`, a hundred times faster than `jax.numpy` outside of compiled code."""
 
 
-def implied_diameter(force_per_pressure: float) -> float:
-    """Diameter [m] of a muscle with a force per pressure [m^2] at its initial length."""
-    return math.sqrt(4 * force_per_pressure / (math.pi * BLOCKED_FORCE))
+def implied_diameter(force_per_pressure: float, contraction: float = 0.0) -> float:
+    """Diameter [m] of a muscle with a force per pressure [m^2] at a contraction, up to 20 %, as of an ideal braid.
+
+    Examples
+    --------
+    >>> round(implied_diameter(8.2 * math.pi / 4 * 0.01**2), 6), round(implied_diameter(2.5e-4, 0.2), 4)
+    (0.01, 0.0099)
+    """
+    steepness = 1.5 * (BLOCKED_FORCE + 1)  # 3 / tan^2 of the braid angle
+    ideal = steepness * (1 - min(max(contraction, 0.0), 0.2)) ** 2 - (1 + steepness / 3)
+    return math.sqrt(4 * force_per_pressure / (math.pi * ideal))
 
 
 def inner_volume(length: float, diameter: float) -> float:
@@ -116,7 +124,7 @@ def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: in
         text = (
             f"the volume is that of a diameter of {diameter / mm:.3g} mm, the force that of about {implied / mm:.2g} mm"
         )
-        warnings.warn(f"{text}: check the unit of the diameter, or of the volume", McKibbenWarning, stacklevel=2)
+        warnings.warn(f"{text}: check the units of diameter or volume, and of the force", McKibbenWarning, stacklevel=2)
     work = np.polynomial.Polynomial.fit(contraction, gain, degree - 1).convert().integ()
     return tuple(float(number) for number in (work * initial_length + volume).coef)
 

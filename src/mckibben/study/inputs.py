@@ -66,8 +66,9 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
             message = f"there is no file {name!r}, and no dataset of that name"
             raise NotInCatalogError(message, value=name, remedy=suggest(name, known))
     dataset = read_dataset(names, recipe, geometry=geometry_named(recipe.joint))
-    if (kind := dataset.table.attrs["specimen"]) in catalog.names("specimens"):
-        check_points(dataset, names[0], recipe.accept, catalog.specimen(kind))
+    kind = dataset.table.attrs["specimen"]
+    if kind in catalog.names("specimens") or Path(kind).suffix in (".yaml", ".yml"):
+        check_points(dataset, names[0], recipe.accept, specimen_named(kind))
     return dataset
 
 
@@ -231,8 +232,9 @@ def geometry_named(name: str | None) -> Geometry | None:
     """Return the geometry of a joint: that of a file of a geometry, or of `joint_named`; None without a name."""
     if not name:
         return None
-    if Path(name).is_file() and "class" in read_document(read_text(name, "a joint", "docs/scenarios.md")).data:
-        return read_component(Geometry, Path(name))
+    keys = {*read_document(read_text(name, "a joint", "docs/scenarios.md")).data} if Path(name).is_file() else set()
+    if "joint" not in keys and keys & {"class", "geometry"}:
+        return read_component(Geometry, Path(name), key="geometry")
     return joint_named(name).geometry
 
 
