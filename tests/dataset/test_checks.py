@@ -2,6 +2,7 @@
 """Sound points raise no question; each kind of mistake raises one, of its topic."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,16 @@ def test_a_force_that_is_steep_at_full_length_raises_no_question():
     )
     force = forces(law, contraction, pressure)
     assert not topics(pressure, contraction, np.maximum(force, 0.0).round(1), slack_force=5.0)
+
+
+@pytest.mark.parametrize("factor", [4.448, 9.807, 1 / 4.448])
+def test_a_force_of_another_unit_than_the_specimen_allows_is_asked_about(factor):
+    data = catalog.dataset("dmsp-10-250-martens2017")
+    points = Points(data.pressure, data.contraction, data.force / factor, np.arange(len(data)))
+    specimen = catalog.specimen("DMSP-10-250")
+    assert not questions_of_points(replace(points, force=data.force), specimen)
+    (asked,) = questions_of_points(points, specimen)
+    assert asked.topic == "range" and asked.problem.field == "force" and "force_UNIT" in asked.problem.remedy
 
 
 @pytest.mark.parametrize("name", catalog.names("datasets"))

@@ -1,94 +1,112 @@
-"""Raw recordings of the usual tests: what `points` reads, `identify` survives, and the law is right."""
-
-import itertools
+"""Raw recordings of the usual tests on the simulated rig: what `points` reads, `identify` survives, and it is right."""
 
 import numpy as np
 import pytest
 
-from mckibben import ExponentialLaw
-from mckibben.dataset import read_dataset, read_recording
-from mckibben.errors import McKibbenError, RangeError
+from mckibben import ExponentialLaw, catalog
+from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.dataset.preprocessing import preprocess, sample_rate
+from mckibben.errors import IdentificationError
 from mckibben.identification import identify_with_friction
+from mckibben.rig.document import RigTest
+from mckibben.rig.running import check, gather_recording, run_test
+from mckibben.units import bar, percent
 
-LENGTH, RATE, FRICTION, NOISE = 0.25, 20.0, 5.0, 0.3  # m, Hz, N
-PRESSURES = (2e5, 3e5, 4e5)
-STROKE = (0.0, 0.04, 0.08, 0.12, 0.08, 0.04, 0.0)
-
-
-def force(pressure: np.ndarray, contraction: np.ndarray) -> np.ndarray:
-    """Force of a muscle of 24 mm without friction [N]."""
-    return 1.3e-3 * pressure * (1 - contraction / 0.28) ** 2
-
-
-def path(*parts: tuple[float, float, float]) -> np.ndarray:
-    """Samples along straight parts of a duration [s] from one value to another."""
-    return np.concatenate([np.linspace(a, b, int(RATE * t), endpoint=False) for t, a, b in parts])
-
-
-def stop_and_go() -> tuple[np.ndarray, np.ndarray]:
-    moves = path(*(part for a, b in itertools.pairwise(STROKE) for part in ((1, a, b), (2, b, b))))
-    return np.repeat(PRESSURES, len(moves)), np.tile(moves, 3)
-
-
-def slow_loops() -> tuple[np.ndarray, np.ndarray]:
-    loop = path((15, 0, 0.12), (15, 0.12, 0))
-    return np.repeat(PRESSURES, len(loop)), np.tile(loop, 3)
-
-
-def strokes_at_speeds() -> tuple[np.ndarray, np.ndarray]:
-    loop = path(*(part for t in (20, 8, 3) for part in ((t, 0, 0.12), (t, 0.12, 0))))
-    return np.repeat(PRESSURES, len(loop)), np.tile(loop, 3)
+LAW, FRICTION = catalog.law("lei-mas-10-180n"), 12.0
+HEAD = """name: a test
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+rig: {simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
+limits: {pressure: 6.5 bar, force: 630 N, stretch: 8 mm, shorten: 50 mm}
+recording: {cycle: 20 ms, between: 50 Hz}
+protocol:
+"""
+POINT = "acquisition: 200 ms, samples: 20"
+PRESSURES = "pressures: [2 bar, 3 bar, 4 bar, 5 bar]"
+STOP_AND_GO = f"""  isobaric: {{{PRESSURES}, contraction_min: 0 %, contraction_max: 12 %, repeats: 1, step: 2 mm,
+    speed: 4 mm/s, dwell: 1200 ms, {POINT}}}
+"""
+STEPS_OF_PRESSURE = f"""  isometric: {{{PRESSURES}, contractions: [0 %, 4 %, 8 %, 12 %, 6 %, 2 %], speed: 4 mm/s,
+    dwell: 1200 ms, {POINT}}}
+"""
+WEIGHTS = f"""  isotonic: {{forces: [50 N, 120 N, 200 N], speed: 4 mm/s, dwell: 500 ms, rate: 0.3 bar/s, {POINT},
+    pressures: [2.5 bar, 3 bar, 3.5 bar, 4 bar, 4.5 bar, 5 bar, 5.5 bar, 6 bar]}}
+"""
 
 
-def steps_of_pressure() -> tuple[np.ndarray, np.ndarray]:
-    levels = path(
-        *(
-            part
-            for a, b in zip((1, 2, 3, 4, 3, 2), (2, 3, 4, 3, 2, 1), strict=True)
-            for part in ((0.3, a, b), (3, b, b))
-        )
-    )
-    lengths = np.repeat((0.0, 0.04, 0.08, 0.12), len(levels))
-    return 1e5 * np.tile(levels, 4), lengths
+def moves(*steps: str) -> str:
+    return "\n    - ".join(["  steps:", *steps, "acquire: {samples: 20, duration: 200 ms}\n"])
 
 
-def sweeps_of_pressure() -> tuple[np.ndarray, np.ndarray]:
-    sweep = path((15, 1, 4), (15, 4, 1))
-    return 1e5 * np.tile(sweep, 4), np.repeat((0.0, 0.04, 0.08, 0.12), len(sweep))
+def strokes(*speeds: float) -> str:
+    """Strokes at four pressures."""
+    once = [f"move: {{to: {end} %, speed: {speed} mm/s}}" for speed in speeds for end in (12, 0)]
+    return moves(*(step for level in (2, 3, 4, 5) for step in (f"pressurise: {level} bar", "move: 0 %", *once)))
 
 
-TESTS = (stop_and_go, slow_loops, strokes_at_speeds, steps_of_pressure, sweeps_of_pressure)
+def sweeps() -> str:
+    """Pressures up and down at four lengths."""
+    once = [f"pressurise: {{pressure: {level} bar, rate: 0.4 bar/s}}" for level in (1.5, 5, 1.5)]
+    return moves(*(step for end in (0, 4, 8, 12) for step in ("vent: {}", f"move: {end} %", *once)))
+
+
+def recorded(protocol: str, folder) -> tuple[IsobaricDataset, Recording]:
+    dataset = run_test(check(RigTest.parse(HEAD + protocol)), folder)
+    return dataset, gather_recording(folder)
+
+
+def assert_right(points: IsobaricDataset, *, friction: bool, tolerance: float) -> None:
+    """A law within a tolerance [N], and the friction within four standard errors and a tenth."""
+    fit = identify_with_friction(ExponentialLaw, points)
+    contraction, pressure = np.array([2, 6, 10]) * percent, np.array([3, 4, 4.5]) * bar
+    np.testing.assert_allclose(fit.predict(contraction, pressure), LAW.force(contraction, pressure), atol=tolerance)
+    assert (fit.hysteresis is not None) == friction
+    if fit.hysteresis:
+        error = 4 * fit.hysteresis.standard_errors["half_width"]
+        assert fit.hysteresis.friction.half_width == pytest.approx(FRICTION, abs=min(max(error, 0.1), 1.2))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gap", [False, True])
-@pytest.mark.parametrize("test", TESTS)
-def test_what_points_reads_identify_survives(test, gap, tmp_path):
-    pressure, contraction = test()
-    rng, moved = np.random.default_rng(1), np.diff(contraction, prepend=contraction[:1])
-    side = np.sign(moved)
-    for at in range(1, len(side)):
-        side[at] = side[at] or side[at - 1]
-    time = np.arange(len(pressure)) / RATE + (np.arange(len(pressure)) > 600) * (7.0 if gap else 0.0)
-    measured = force(pressure, contraction) - FRICTION * side + rng.normal(0, NOISE, len(time))
-    columns = [time, (pressure + rng.normal(0, 200, len(time))) / 1e5, 100 * contraction, measured]
-    file = tmp_path / "rig.csv"
-    np.savetxt(
-        file, np.transpose(columns), "%.5f", ",", header="time_s,pressure_bar,contraction_percent,force_N", comments=""
-    )
-    try:
-        plateaus = read_recording(file, initial_length=LENGTH).plateaus().dataset
-    except RangeError as error:
-        assert "mckibben identify FILE" in error.remedy and test in (slow_loops, strokes_at_speeds, sweeps_of_pressure)
-        plateaus = None
-    data = read_dataset(file, initial_length=LENGTH)
-    assert ("mckibben points" in data.table.attrs["preprocessing"]) == (test in (stop_and_go, steps_of_pressure))
-    for points in (data, plateaus):
-        if points is None:
-            continue
-        try:
-            fit = identify_with_friction(ExponentialLaw, points)
-        except McKibbenError as error:
-            pytest.fail(f"{test.__name__}: {error}")
-        where = np.array([2.5e5, 3.5e5]), np.array([0.03, 0.1])
-        np.testing.assert_allclose(fit.predict(where[1], where[0]), force(*where), atol=FRICTION + 1)
+@pytest.mark.parametrize(
+    ("protocol", "friction"),
+    [(STOP_AND_GO, True), (STEPS_OF_PRESSURE, False), (strokes(2, 4), True), (sweeps(), False)],
+)
+def test_what_the_rig_records_is_identified(protocol, friction, tmp_path):
+    """As the plateaus of the recording and as its samples, of which some are lost."""
+    _, recording = recorded(protocol, tmp_path)
+    rests = protocol in (STOP_AND_GO, STEPS_OF_PRESSURE)
+    if rests:
+        assert_right(recording.plateaus().dataset, friction=friction, tolerance=0.1 if friction else 1.0)
+    else:
+        with pytest.raises(IdentificationError):
+            identify_with_friction(ExponentialLaw, recording.plateaus().dataset)
+    lost = np.abs(recording.time - recording.time[-1] / 3) < 2
+    Recording(recording.table.isel(sample=~lost)).to_netcdf(tmp_path / "lost.nc")
+    points = read_dataset(tmp_path / "lost.nc")
+    assert len(points) < 4000 and ("mckibben points" in points.table.attrs.get("preprocessing", "")) == rests
+    if not rests:  # of others, the plateaus are the points
+        assert_right(points, friction=friction, tolerance=1.0)
+    else:
+        identify_with_friction(ExponentialLaw, points)
+
+
+@pytest.mark.slow
+def test_the_isotonic_test_of_the_rig_agrees_with_the_law(tmp_path):
+    dataset, recording = recorded(WEIGHTS, tmp_path)
+    assert_right(dataset, friction=True, tolerance=1.0)
+    identify_with_friction(ExponentialLaw, recording.plateaus().dataset)
+
+
+def test_samples_between_held_pressures_are_left_out_and_long_strokes_averaged():
+    """Of four pressures with ramps in between, sampled faster at the end."""
+    time = np.concatenate([np.arange(0, 76, 0.02), np.arange(76, 80, 0.001)])
+    level = np.interp(time % 20, [0, 1], [0, 1]) + time // 20
+    eps = np.interp(time % 20, [0, 1, 10, 20], [0, 0, 0.1, 0])
+    pressure = (1 + level) * bar + np.random.default_rng(0).normal(0, 300, len(time))
+    data = IsobaricDataset.of(time=time, pressure=pressure, contraction=eps, force=1e-3 * pressure * (1 - 3 * eps))
+    assert sample_rate(data.table) == pytest.approx(50)
+    table, rows = preprocess(data.table, slack_known=True, files=np.zeros(len(data), int))
+    assert np.unique(table["set_pressure"]).tolist() == [2 * bar, 3 * bar, 4 * bar, 5 * bar]
+    np.testing.assert_allclose(table["time"], time[rows], atol=0.5)
+    strokes = np.column_stack([table["set_pressure"], table["direction"] == "loading"])
+    counts = np.unique(strokes, axis=0, return_counts=True)[1]
+    assert 50 < counts.max() <= 100 and len(counts) >= 8

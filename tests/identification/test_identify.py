@@ -243,6 +243,34 @@ def test_slack_points_do_not_matter():
     assert taut.points_slack == 0
 
 
+@pytest.mark.parametrize(("offset", "severity"), [(0.0, Severity.NOTE), (-20.0, Severity.WARNING)])
+def test_what_the_forces_say_of_the_zero_of_the_load_cell(offset, severity):
+    """Strokes that end where the muscle is just slack, and no more points of a slack muscle."""
+    data = grid(EQ_3, np.arange(3, 7) * bar, np.linspace(0, 5, 9) * percent)
+    ends = grid(EQ_3, np.arange(3, 7) * bar, [0.3]) if offset else data.select(np.zeros(len(data), bool))
+    columns = [np.append(getattr(data, name), getattr(ends, name)) for name in ("pressure", "contraction", "force")]
+    force = columns[2] + offset + 0.3 * np.random.default_rng(0).normal(size=len(columns[2]))
+    points = IsobaricDataset.of(pressure=columns[0], contraction=columns[1], force=force)
+    (note,) = [note for note in fit_law(ExponentialLaw, points).notes if "zero" in note.text]
+    assert (note.field, note.severity) == ("force", severity) and "slack" in note.remedy
+
+
+def test_lone_points_of_a_slack_muscle_show_the_zero_and_are_no_errors():
+    law = catalog.law("lei-mas-10-180n")
+    points = grid(law, np.arange(2, 6) * bar, np.linspace(0, 16, 17) * percent)
+    points = points.select(points.force > 10)
+    columns = [
+        np.append(getattr(points, name), value)
+        for name, value in (("pressure", 2 * bar), ("contraction", 0.16), ("force", 0.0))
+    ]
+    force = columns[2] + 6 + 0.2 * np.random.default_rng(0).normal(size=len(columns[2]))
+    fit = fit_law(ExponentialLaw, IsobaricDataset.of(pressure=columns[0], contraction=columns[1], force=force))
+    (outlier,) = fit.outliers
+    assert outlier.row == len(force) and outlier.expected < 0
+    (note,) = [note for note in fit.notes if note.severity is Severity.WARNING]
+    assert f"row {len(force)}" in note.text and "slack" in note.text and "zero" in note.remedy
+
+
 def narrow(contraction, pressure_max, diameter=20e-3):
     """Noisy points of an ideal braid within a narrow window of contractions."""
     contraction, pressure = np.meshgrid(np.linspace(*contraction, 12), np.linspace(pressure_max / 6, pressure_max, 6))

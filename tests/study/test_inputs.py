@@ -6,7 +6,7 @@ from mckibben import catalog
 from mckibben.errors import FileError, NotInCatalogError
 from mckibben.identification import fit_law
 from mckibben.muscle import ChouLaw, ExponentialLaw, ThresholdLaw
-from mckibben.study.inputs import data_named, law_named, law_type_named
+from mckibben.study.inputs import data_named, geometry_named, law_named, law_type_named
 
 
 def test_data_of_the_catalog_by_name_and_of_a_file_by_path(tmp_path):
@@ -74,3 +74,11 @@ def test_no_other_kind_is_guessed(name):
     with pytest.raises(NotInCatalogError, match=r"chou|exponential") as caught:
         law_type_named(name)
     assert caught.value.value == name
+
+
+@pytest.mark.parametrize("lead", ["", "geometry: "])
+def test_a_geometry_is_read_with_and_without_its_key(tmp_path, lead):
+    path = tmp_path / "geometry.yaml"
+    pulley = "{class: Pulley, radius: 30 mm, rest_length: 160 mm}"
+    path.write_text(f"{lead}{{class: PairedPaths, path1: {pulley}, path2: {pulley}}}\n")
+    assert geometry_named(str(path)).path1.radius == pytest.approx(0.03)

@@ -13,6 +13,7 @@ from mckibben.dataset.checks import questions_of
 from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import OF_FILE
+from mckibben.dataset.segmentation import usual_interval
 from mckibben.errors import DatasetError, RangeError
 from mckibben.result import Remark, Result, column
 from mckibben.units import show
@@ -75,9 +76,6 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
             share = uniform_filter1d(at_end.astype(np.float64), 2 * _LEAST + 1, mode="constant")
             masks[end] = at_end | (share >= _SHARE)
     return masks
-
-
-_GAP = 10  # usual intervals
 
 
 class ExtractedPoints(Result):
@@ -224,12 +222,11 @@ class SampleAccount:
         time = self.table["time"].to_numpy()
         steps = np.diff(time)
         broken = np.zeros(len(time), bool)
-        forward = steps[steps > 0]
-        if not len(forward):
+        self.interval, gaps = usual_interval(steps)
+        if not self.interval:
             remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
             raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
-        self.interval = float(np.median(forward))
-        for what, where in (("gap", steps > _GAP * self.interval), ("clock went back", steps < 0)):
+        for what, where in (("gap", gaps), ("clock went back", steps < 0)):
             places = np.flatnonzero(where)
             if len(places):
                 shown = format_list(np.array([f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places]), most=5)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.schema import format_range
-from mckibben.dataset.segmentation import steady_segments
+from mckibben.dataset.segmentation import steady_segments, usual_interval
 from mckibben.errors import McKibbenWarning
 from mckibben.units import bar, kPa
 
@@ -87,7 +87,7 @@ def pressure_levels(pressure: Floats, tolerance: float = _LEVEL) -> Floats:
 
 
 def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
-    """Samples over time at pressures that are held, their rows and a note, if most are; else the table unchanged.
+    """Samples over time at pressures that are held, their rows and a note, if most under pressure are; else all.
 
     In between the pressure changes, and belongs to no level.
     """
@@ -100,25 +100,27 @@ def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     for first, last in zip(segments.first, segments.last, strict=True):
         held[first:last] = True
     held[held] = np.isfinite(pressure_levels(pressure[held]))  # no slow sweep
-    if 2 * np.count_nonzero(held) <= len(held):
+    under = pressure > _LEVEL
+    if 2 * np.count_nonzero(held & under) <= np.count_nonzero(under):
         return table, rows, []
     note = f"{np.count_nonzero(~held)} samples between pressures that are held are left out"
     return table.isel(point=held), rows[held], [note]
 
 
 def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
-    """Means of successive samples over time such that no stroke has more than `_MOST` points, and the first of each.
+    """Means of successive samples over time, at most `_MOST` of a stroke or 20 times as many, and the first of each.
 
     A fit of more points takes longer, and rates from the differences of single samples are noise.
     """
     first = np.arange(table.sizes["point"])
-    if not sample_rate(table) or "direction" not in table:
+    if not sample_rate(table):
         return table, first
     names = [name for name in ("set_pressure", "set_force", "direction", "repeat") if name in table]
     strokes = pd.DataFrame({name: table[name].to_numpy() for name in names} | {"file": files}).fillna(-1.0)
+    most = _MOST if "direction" in table else 20 * _MOST
     begins = np.flatnonzero((strokes != strokes.shift()).any(axis=1))
     sizes = np.diff(np.append(begins, len(first)))
-    run = -(-np.repeat(sizes, sizes) // _MOST)  # samples of a mean
+    run = -(-np.repeat(sizes, sizes) // most)  # samples of a mean
     first = first[(first - np.repeat(begins, sizes)) % run == 0]
     counts = np.diff(np.append(first, len(strokes)))
     means = {
@@ -130,8 +132,7 @@ def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
 
 def sample_rate(table: xr.Dataset) -> float:
     """Rate of samples over time [Hz]; 0 for points that were taken one by one, or without times."""
-    steps = np.diff(table["time"].to_numpy()) if "time" in table else np.empty(0)
-    interval = float(np.median(steps)) if len(steps) else 0.0
+    interval = usual_interval(np.diff(table["time"].to_numpy()))[0] if "time" in table else 0.0
     return 1 / interval if 0 < interval <= 1 / _FEWEST else 0.0
 
 

@@ -11,7 +11,28 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import xarray as xr
 
+_GAP = 10  # usual intervals
 _PARTS = 20  # of a dwell: length of the compared means
+
+
+def usual_interval(steps: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
+    """Sampling interval [s] during most of the time, 0 if the time does not advance, and the steps that are gaps.
+
+    A gap is ten times as long as the steps around it: rates may change in a recording, as while a point is acquired.
+
+    >>> steps = np.append(np.repeat([0.02, 0.001, 0.02], 40), 5.0)
+    >>> interval, gaps = usual_interval(steps)
+    >>> interval, np.flatnonzero(gaps).tolist()
+    (0.02, [120])
+    """
+    from scipy.ndimage import median_filter  # saves 50 ms when reading points
+
+    if not (forward := steps > 0).any():
+        return 0.0, np.zeros(len(steps), bool)
+    gaps = np.zeros(len(steps), bool)
+    gaps[forward] = steps[forward] > _GAP * median_filter(steps[forward], 2 * _PARTS + 1, mode="nearest")
+    ranked = np.sort(steps[forward & ~gaps])
+    return float(ranked[np.searchsorted(np.cumsum(ranked), ranked.sum() / 2)]), gaps
 
 
 class Segments(NamedTuple):
@@ -109,8 +130,9 @@ def approaches(
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """Direction and phase of each plateau, never across a gap.
 
-    The direction is that of the last motion. The phase follows from the step from the level before, or from the start
-    of the recording, which exceeds any overshoot; without a step, from the last motion.
+    The direction is that of the last motion, unless the pressure was stepped after it. The phase follows from the step
+    from the level before, or from the start of the recording, which exceeds any overshoot; without a step, from the
+    last motion.
 
     Parameters
     ----------
@@ -133,22 +155,24 @@ def approaches(
     parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # start of the part that contains a plateau
     anew = parted >= before
     before = np.maximum(before, parted)
-    sides = []
+    sides, changes = [], []
     for name, (level, tolerance) in levels.items():  # of contraction, then of pressure
         values = table[name].to_numpy()
-        side, beyond = np.zeros(len(first), int), np.zeros(len(first))
+        side, beyond, change = np.zeros(len(first), int), np.zeros(len(first)), np.zeros(len(first), int)
         for i, (a, b) in enumerate(zip(before, first, strict=True)):
             away = values[a:b] - level[i]
             out = np.flatnonzero(np.abs(away) > 2 * tolerance)
             if len(out):
-                side[i] = 1 if away[out[-1]] > 0 else -1
+                change[i], side[i] = a + out[-1], 1 if away[out[-1]] > 0 else -1
                 beyond[i] = np.max(side[i] * away)
         start = np.where(before < first, values[before], level)
         jump = np.where(anew, level - start, np.diff(level, prepend=level[0]))
         stepped = np.abs(jump) > 2 * tolerance
         by_step = stepped & ((side == 0) | ((name == "pressure") & (beyond < _OVERSHOOT * np.abs(jump))))
         sides.append(np.where(by_step, -np.sign(jump), side).astype(int))
+        changes.append(np.where(stepped, change, 0) if name == "pressure" else change)
     moved, pressed = sides
+    moved = np.where(changes[1] > changes[0], 0, moved)
     direction = np.array(["", "loading", "unloading"], dtype="<U9")[moved]  # from above: it was stretched
     phase = np.where(moved != 0, "", np.array(["", "venting", "filling"], dtype="<U9")[pressed])
     for i in range(1, len(first)):

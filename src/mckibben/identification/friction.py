@@ -65,8 +65,8 @@ class HysteresisFit(Result):
         Shape (points,), in dataset order: force of the law, of friction, offset of the sensor, and measured minus
         modelled force [N].
     used
-        Mask of the points that count, shape (points,): without outliers, rows at a reversal if the rate counts, and,
-        unless there is drift, slack points.
+        Mask of the points that count, shape (points,): without outliers, points without a direction, rows at a reversal
+        if the rate counts, and, unless there is drift, slack points.
     points_slack, dataset
         Number of slack points; summary of the data.
     outliers
@@ -233,6 +233,7 @@ def identify_hysteresis(
     outliers = find_outliers(means) if robust and rate is None else ()
     used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
     used &= (rate is None) | ~paths.at_reversal(means)
+    used &= means.table["direction"].to_numpy() != ""  # of others the friction is not known
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
     reference = float(np.unique(means.levels[taut]).mean()), float(means.force[taut].mean())
     template = fit_law(law, means, robust=robust).law

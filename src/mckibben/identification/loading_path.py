@@ -147,7 +147,7 @@ class LoadingPaths:
         order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
         ends = np.flatnonzero(np.diff(held_values(means)[order])) + 1
         paths = np.split(order, ends)
-        if np.median([len(path) for path in paths]) < fewest:
+        if np.median(np.concatenate([np.full(len(path), len(path)) for path in paths])) < fewest:
             raise IdentificationError(
                 f"{len(means)} points make {len(paths)} paths at constant pressure or load: too short to show friction",
                 remedy=f"{_HELD_REMEDY}, and rows in the order of the test",

@@ -127,7 +127,9 @@ def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
         remarks.append(Remark.warning("force", f"left out, off that surface too: {others}"))
     if slack:
         force = show(float(np.mean([outlier.force for outlier in slack])), "N", 3)
-        text = f"left out: slack, by the surface through the other points ({_places(slack)}); the load cell shows {force}"
+        text = (
+            f"left out: slack, by the surface through the other points ({_places(slack)}); the load cell shows {force}"
+        )
         remarks.append(Remark.warning("force", text, ZERO_REMEDY))
     return remarks
 
@@ -137,8 +139,8 @@ def _places(outliers: Sequence[Outlier]) -> str:
 
 
 ZERO_REMEDY = (
-    "record five or more points of the slack muscle, vented or shortened, from which the zero is estimated; a known zero "
-    "error E is subtracted by a column '1*x-E force_N'"
+    "record five or more points of the slack muscle, vented or shortened, from which the zero is estimated; a known "
+    "error E of the zero is subtracted by a column '1*x-E force_N'"
 )
 
 
