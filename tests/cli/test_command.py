@@ -50,9 +50,11 @@ def test_help_is_had_without_heavy_imports(arguments):
 @pytest.mark.parametrize("arguments", [["identify"], ["identify", "x", "--lw", "y"]])
 def test_bad_usage_ends_with_2(cli, arguments):
     found = cli(*arguments)
-    assert found.code == 2
-    assert found.out == ""
-    assert "Usage" in found.err
+    assert (found.code, found.out) == (2, "")
+    assert "error: mckibben identify: " in found.err and "see mckibben identify --help" in found.err
+
+
+ROOT = Path(__file__).parents[2]
 
 
 def options_of(command, path=()):
@@ -71,17 +73,55 @@ def test_commands_and_options_stay_few():
     assert sum(map(len, commands.values())) <= 148
 
 
+MISTAKES = [
+    ["identify", "nowhere.csv"],
+    ["identify", "festo-tool-10mm", "--lw", "x"],
+    ["identify", "festo-tool-10mm", "--law", "exponentiel"],
+    ["validate", "unknown", "festo-tool-10mm"],
+    ["simulat"],
+    ["plan", "festo-tool-10mm", "--for", "everything"],
+    ["catalog", "--extension"],
+]
+
+
 @pytest.mark.parametrize("width", [60, 80])
-def test_messages_keep_to_the_width_of_a_terminal_and_are_whole_in_a_pipe(monkeypatch, capsys, width):
-    text = "error: points.csv: 1 problem\n  force: " + 20 * "a long reason " + "--column 'F=force_N'"
+def test_help_and_errors_keep_to_the_width_of_a_terminal_and_are_whole_in_a_pipe(cli, monkeypatch, width):
     monkeypatch.setenv("COLUMNS", str(width))
-    options.echo(text, err=True)
-    assert capsys.readouterr().err == text + "\n"
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    options.echo(text, err=True)
-    shown = capsys.readouterr().err
-    assert max(map(len, shown.splitlines())) <= width
-    assert shown.split() == text.split()
+    for words in options_of(typer.main.get_command(app)):
+        common, whole = (cli(*words, option).out.splitlines() for option in ("--help", "--help-all"))
+        assert max(map(len, (*common, *whole))) <= width, words
+        assert len(common) <= (40 if width == 80 else 60), words
+        options = {flag for line in whole for flag in re.findall(r"^  (--[a-z-]+)", line)}
+        assert {flag for line in common for flag in re.findall(r"^  (--[a-z-]+)", line)} <= options
+    for mistake in MISTAKES:
+        piped = cli(*mistake)
+        with monkeypatch.context() as terminal:
+            terminal.setattr(sys.stderr, "isatty", lambda: True)
+            shown = cli(*mistake)
+        assert shown.code == piped.code == 2
+        assert shown.err.split() == piped.err.split()
+        assert max(map(len, shown.err.splitlines())) <= width
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("identify --la", "--law"),
+        ("identify --law expo", "exponential"),
+        ("identify --friction x --of cr", "creep"),
+        ("identify dmsp-10", "dmsp-10-250-martens2017"),
+        ("validate lei", "lei-mas-10-180n"),
+        ("identify x.csv --read specimen=MAS", "specimen=MAS-10-180N-AA-MC-O"),
+        ("sweep own-joint.yaml --over load.ma", "load.mass1"),
+        ("simul", "simulate"),
+    ],
+)
+def test_words_and_values_are_completed(cli, monkeypatch, tmp_path, typed, completed):
+    (tmp_path / "own-joint.yaml").write_text((ROOT / "examples" / "own-joint.yaml").read_text())
+    monkeypatch.setenv("_MCKIBBEN_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", f"mckibben {typed}")
+    monkeypatch.setenv("COMP_CWORD", str(len(typed.split())))
+    assert completed in cli().out.splitlines()
 
 
 def test_a_fault_of_ours_ends_with_1_and_says_what_to_do(cli, monkeypatch):

@@ -21,10 +21,11 @@ from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.command import plain_command
 from mckibben.cli.export import export
+from mckibben.cli.help import Command, Commands
 from mckibben.cli.identify import catalog, identify, validate
 from mckibben.cli.joint import envelope, margins, simulate, size, stiffness
 from mckibben.cli.new import new
-from mckibben.cli.options import INTERRUPTED, Commands, echo, job_progress, on_command_line, text_width
+from mckibben.cli.options import INTERRUPTED, echo, job_progress, on_command_line, text_width
 from mckibben.cli.points import plan, points
 from mckibben.cli.rig import rig
 from mckibben.cli.robot import robot
@@ -40,9 +41,9 @@ app = typer.Typer(
     help="Pneumatic artificial muscles, from the test rig to a controlled joint.",
     epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
 
@@ -108,7 +109,7 @@ for _panel, _commands in _PANELS.items():
         if isinstance(_command, typer.Typer):
             app.add_typer(_command, rich_help_panel=_panel)
         else:
-            app.command(rich_help_panel=_panel)(_command)
+            app.command(cls=Command, rich_help_panel=_panel)(_command)
 
 
 @app.callback(invoke_without_command=True)
@@ -147,7 +148,7 @@ def _run() -> int:
 
         use_program_cache()
         try:
-            app()
+            app(prog_name="mckibben")
         except SystemExit as end:
             if sys.stdout is not stdout:  # as typer does after EPIPE
                 raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None

@@ -12,10 +12,7 @@ if TYPE_CHECKING:
 
 
 @command
-def check(
-    module: str,
-    with_: list[str] | None = None,
-) -> ContractReport:
+def check(module: str, with_: list[str] | None = None) -> ContractReport:
     """Check user-defined classes: units, files, batches, derivatives, emitted C, and the promises of their bases.
 
     Instances at the top level of the module are checked; a class without one is made from the defaults of its fields

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from mckibben.cli.help import MORE, completion
 from mckibben.cli.options import echo, keeping, long_job, on_command_line, results_folder, text_width
 from mckibben.cli.reading import read_options
 from mckibben.errors import ParameterError
@@ -20,11 +21,11 @@ from mckibben.result import Result
 from mckibben.storage.files import to_json
 from mckibben.storage.store import STUDY
 
-_HEADING = "\nParameters\n----------\n"
+_HEADING, _OTHER = "\nParameters\n----------\n", "\nOther Parameters\n----------------\n"
 _ENTRY = re.compile(r"^(\w+)(?: : (.+))?\n((?:    .+\n?)+)", re.MULTILINE)
 
 
-def options_of(function: Callable[..., object]) -> tuple[str, dict[str, inspect.Parameter]]:
+def options_of(function: Callable[..., object], panel: str = "") -> tuple[str, dict[str, inspect.Parameter]]:
     """Return help text and parameters of a function, with what its docstring says of them.
 
     Parameters
@@ -33,19 +34,25 @@ def options_of(function: Callable[..., object]) -> tuple[str, dict[str, inspect.
             Duration of all parts.
 
     is the option `--duration TIME` or, of a parameter without a default, an argument. An underscore at the end of a
-    name is left out.
+    name is left out. Options below "Other Parameters" are shown by `--help-all` only, others in a `panel`.
     """
     text, _, section = inspect.cleandoc(function.__doc__ or "").partition(_HEADING)
-    described = {name: (metavar or None, " ".join(words.split())) for name, metavar, words in _ENTRY.findall(section)}
+    common, _, other = section.partition(_OTHER)
+    described = {
+        name: (metavar or None, " ".join(words.split()), part)
+        for part, entries in ((panel, common), (MORE, other))
+        for name, metavar, words in _ENTRY.findall(entries)
+    }
     parameters = {}
     for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
         annotation = parameter.annotation
         if name in described:
-            metavar, words = described[name]
+            metavar, words, part = described[name]
+            shown: dict[str, Any] = {"metavar": metavar, "help": words, "rich_help_panel": part or None}
+            shown["autocompletion"] = completion(name, metavar or "")
             flag = f"--{name.strip('_').replace('_', '-')}"
             required = parameter.default is inspect.Parameter.empty
-            shown = Argument(metavar=metavar, help=words) if required else Option(flag, metavar=metavar, help=words)
-            annotation = Annotated[annotation, shown]
+            annotation = Annotated[annotation, Argument(**shown) if required else Option(flag, **shown)]
         parameters[name] = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=annotation)
     return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), parameters  # a paragraph is one line
 
@@ -80,12 +87,12 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
     text, parameters = options_of(function)
     names = parameters.keys()
     resumed, progresses = "resume" in names, "progress" in names
-    shared = options_of(present)[1]
+    shared = options_of(present, "Results")[1]
     for name in ("result",) if resumed else ("result", "resume"):
         del shared[name]
     if resumed:  # people try it
         shared["force"] = shared["force"].replace(annotation=Annotated[bool, Option("--force", hidden=True)])
-    reading = options_of(read_options)[1] if "reading" in names else {}
+    reading = options_of(read_options, "Reading files")[1] if "reading" in names else {}
     own = {name: option for name, option in parameters.items() if name not in (*shared, "reading", "progress")}
 
     @functools.wraps(function)
@@ -148,6 +155,7 @@ def present(
         text = on_command_line(result.to_text(width=text_width(), details=details))
         echo(to_json(result.to_dict()) if json else text)
     if out:
-        echo(f"wrote {', '.join(names)} to {out}", err=json)
+        figure = next((f"; figure: {out / name}" for name in names if name.endswith(".png")), "")
+        echo(f"wrote {', '.join(names)} to {out}{figure}", err=json)
     if not result.ok:
         raise typer.Exit(1)

@@ -36,9 +36,8 @@ def identify(
 ) -> Result:
     """Identify a muscle: a force law with standard errors and cross-validation errors, its creep, or its air.
 
-    With --law all, every law is fitted, and laws are ranked by cross-validation over pressures, inner contractions,
-    directions and repeats. Where loading and unloading differ, friction and drift of the force sensor are identified
-    with the law (--friction off: without).
+    With --law all, laws are ranked by cross-validation. Where loading and unloading differ, friction and drift of the
+    force sensor are identified with the law.
 
     Parameters
     ----------
@@ -56,6 +55,9 @@ def identify(
         Inner diameter or measured volume of air at contraction 0, for muscle.yaml.
     pool
         Each file is another specimen of one make; one law for all, and errors left out.
+
+    Other Parameters
+    ----------------
     for_length : LENGTH
         Initial length of a specimen that --pool predicts, for muscle.yaml.
     keep_outliers
@@ -125,12 +127,7 @@ def _air_volume(text: str, length: float | None) -> float | None:
 
 
 @command
-def validate(
-    law: str,
-    data: Data,
-    *,
-    reading: Reading,
-) -> Result:
+def validate(law: str, data: Data, *, reading: Reading) -> Result:
     """Validate a force law with measured points: errors by pressure and direction. Friction is not included.
 
     The law 'chou' takes braid angle and diameter of a specimen, such as --read specimen=DMSP-10-250.

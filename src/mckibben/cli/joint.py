@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 @command
-def simulate(
-    scenario: ScenarioFile,
-    animate: Path | None = None,
-    *,
-    force: bool,
-) -> SimulationResult:
+def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> SimulationResult:
     """Simulate a scenario: a controller on a joint.
 
     Parameters
@@ -56,10 +51,7 @@ def envelope(scenario: ScenarioFile) -> Envelope:
 
 @command
 def stiffness(
-    scenario: ScenarioFile,
-    motion: str = "0.01..10 deg, 0.1..10 Hz",
-    *,
-    progress: Progress = None,
+    scenario: ScenarioFile, motion: str = "0.01..10 deg, 0.1..10 Hz", *, progress: Progress = None
 ) -> StiffnessTests:
     """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller.
 
@@ -95,9 +87,7 @@ def margins(scenario: ScenarioFile) -> Margins:
 
 
 @command
-def size(
-    requirement: Path,
-) -> Selection:
+def size(requirement: Path) -> Selection:
     """Size a joint: muscles and pulleys, or lengths of a given joint, with valves and air supply; simulate it.
 
     Parameters

@@ -17,9 +17,8 @@ from typing import Annotated, Any
 
 import typer
 from typer import Argument
-from typer.core import TyperGroup
 
-from mckibben.errors import ON_COMMAND_LINE, FileError, ParameterError, Problem, UnitError, closest, printable, quoted
+from mckibben.errors import ON_COMMAND_LINE, FileError, ParameterError, Problem, UnitError, printable, quoted
 from mckibben.result import Result
 from mckibben.storage.files import check_free, make_folder
 from mckibben.storage.store import STUDY
@@ -28,29 +27,6 @@ from mckibben.units import parse_range, quantity
 Progress = Callable[[str, float], None] | None
 """Function that shows a step of a computation, and the part that is done; None without a progress bar."""
 ScenarioFile = Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")]
-_MEANT = {
-    "run": "simulate",
-    "fit": "identify",
-    "plot": "identify DATA --out DIR",
-    "laws": "catalog",
-    "specimens": "catalog",
-    "help": "-h",
-}
-
-
-class Commands(TyperGroup):
-    """Commands; an unknown one is an error that suggests the closest one, or lists all."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return name, command and other arguments."""
-        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            known = self.list_commands(ctx)
-            meant = (_MEANT.get(args[0]) if ctx.parent is None else "") or closest(args[0], known)
-            remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(known)}"
-            raise ParameterError(f"{ctx.command_path} has no command {quoted(args[0])}", value=args[0], remedy=remedy)
-        return super().resolve_command(ctx, args)
-
-
 _BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+)" + ON_COMMAND_LINE)
 
 

@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 @command
 def points(
-    recording: list[Path],
-    dwell: str = "1 s",
-    settle: str = "0 s",
-    tolerance: str = "0.1 %, 2 kPa",
-    *,
-    reading: Reading,
+    recording: list[Path], dwell: str = "1 s", settle: str = "0 s", tolerance: str = "0.1 %, 2 kPa", *, reading: Reading
 ) -> ExtractedPoints:
     """Extract points from a raw recording: means over the plateaus, where pressure and length are steady.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument
 
+from mckibben.cli.help import completion
 from mckibben.cli.options import echo, parse_pairs
 from mckibben.errors import ScenarioError
 from mckibben.units import show
@@ -16,9 +17,8 @@ from mckibben.units import show
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe, Recording
 
-Data = Annotated[
-    list[str], Argument(metavar="DATA...", help="Data files of one test, or the name of a dataset in the catalog.")
-]
+_DATA = "Data files of one test, or the name of a dataset in the catalog."
+Data = Annotated[list[str], Argument(metavar="DATA...", help=_DATA, autocompletion=completion("data"))]
 Texts = list[str] | None
 
 
@@ -51,12 +51,7 @@ class Reading(NamedTuple):
         return recording
 
 
-def read_options(
-    *,
-    read: Texts = None,
-    column: Texts = None,
-    initial_length: str = "",
-) -> Reading:
+def read_options(*, read: Texts = None, column: Texts = None, initial_length: str = "") -> Reading:
     """Return the recipe of --read with the other options of the command line.
 
     Parameters

@@ -15,14 +15,8 @@ import typer
 from typer import Argument
 
 from mckibben.cli.command import plain_command, present
-from mckibben.cli.options import (
-    Commands,
-    ScenarioFile,
-    echo,
-    job_progress,
-    parse_optional,
-    required_folder,
-)
+from mckibben.cli.help import Command, Commands
+from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_optional, required_folder
 from mckibben.cli.report import Report
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 from mckibben.result import Column, Listing
@@ -206,14 +200,10 @@ rig = typer.Typer(
 )
 
 
-@rig.command()
+@rig.command(cls=Command)
 @plain_command
 def run(
-    protocol: Path,
-    out: Path | None = None,
-    resume: bool = False,
-    dry_run: bool = False,
-    standing_at: str = "",
+    protocol: Path, out: Path | None = None, resume: bool = False, dry_run: bool = False, standing_at: str = ""
 ) -> None:
     """Run a test and record it. Ctrl-C stops it and vents; --resume continues it.
 
@@ -268,7 +258,7 @@ def run(
     echo(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: {following}")
 
 
-@rig.command()
+@rig.command(cls=Command)
 @plain_command
 def data(folder: Path, recording: bool = False) -> None:
     """Make the dataset of a test from its record, complete or not.
@@ -291,7 +281,7 @@ def data(folder: Path, recording: bool = False) -> None:
         echo(repr(whole))
 
 
-@rig.command()
+@rig.command(cls=Command)
 def check(protocol: Annotated[Path, Argument(metavar="PROTOCOL.yaml", help="Protocol of the rig.")]) -> None:
     """Show the status of each channel, and all violations of a protocol."""
     from mckibben.rig.running import readings
@@ -309,7 +299,7 @@ def _show_status(lines: Iterable[tuple[str, bool]]) -> None:
         raise typer.Exit(1)
 
 
-rig.command()(control)
+rig.command(cls=Command)(control)
 
 
 @contextmanager

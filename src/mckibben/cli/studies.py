@@ -177,12 +177,7 @@ def tune(
 
 @command
 def compare(
-    suite: Path,
-    quick: bool = False,
-    *,
-    out: Path | None,
-    resume: bool,
-    progress: Progress = None,
+    suite: Path, quick: bool = False, *, out: Path | None, resume: bool, progress: Progress = None
 ) -> CompareResult | PooledResult:
     """Tune controllers with the same budget, and compare them on the same unseen runs.
 
