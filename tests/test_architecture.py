@@ -94,7 +94,7 @@ BUDGET = {
     "actuator": 1050,
     "calibration": 1970,
     "catalog": 230,
-    "cli": 1470,
+    "cli": 1500,
     "codegen": 2590,
     "component": 1050,
     "config": 550,
