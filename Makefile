@@ -86,7 +86,7 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -b html -W --keep-going -j $(WORKERS) -d build/doctrees docs build/docs
 	$(BIN)/python docs/check_site.py build/docs
 
-#   make course      notebooks of teachers and students and pages for the browser, in build/course
+#   make course      notebooks of teachers and students, in build/course
 course: $(VENV)/.installed-dev
 	rm -rf build/course
 	$(BIN)/python course/notebooks.py build/course

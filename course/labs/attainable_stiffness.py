@@ -168,7 +168,7 @@ for panel, (name, joint) in zip(axes, {"as printed": printed, "longer connectors
 # ## Task 5: design
 #
 # A walking leg needs a knee with 14 N·m/rad at every angle from -10 to 10 deg. Choose the length of the connectors. The
-# check also tries angles that are not shown here. Try the slider of the browser page first, or `with_connectors`.
+# check also tries angles that are not shown here. Try `with_connectors` first, or the page that `mckibben web` serves.
 
 # %% task design
 ### BEGIN SOLUTION

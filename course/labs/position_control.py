@@ -24,8 +24,8 @@
 # an error of 0.1 rad gives 0.2 bar. In code, gains are in Pa per rad: `kp=2 * bar`.
 #
 # The supply limits the pressures to 0 to 6 bar, and the valve follows a command with a time constant of 20 ms. Both
-# limit what feedback can do. The two loops are those of Fig. 7 of the paper. The browser page of this lab simulates
-# them.
+# limit what feedback can do. The two loops are those of Fig. 7 of the paper. The page that
+# `mckibben web` serves simulates them, too.
 
 # %%
 import dataclasses

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import mckibben
-from mckibben import robot
 
 COURSE = Path(__file__).parents[2] / "course"
 
@@ -45,24 +44,6 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "validate": [("data.select(~out)", "data"), ("np.unique(pressure)", "pressure[:3]")],
         "compare": [("fit.rmse", "1.0")],
     },
-    "uncertainty": {
-        "confidence": [("(1 + level) / 2", "level"), ("matrix.shape[1]", "0"), ("np.sqrt(variance)", "variance")],
-        "prediction": [("np.hypot(confidence(matrix, force, new, level)[1], ", "(")],
-        "coverage": [("- new_truth) <= half", "- new_truth) <= 2 * half"), ("- new_truth", "- 1.01 * new_truth")],
-        "jackknife": [("(count - 1) *", ""), ("kept = groups != group", "kept = groups == groups")],
-        "left_out": [("data.select(~out)", "data"), ("Grouping.POINT).confidence", "Grouping.POINT).prediction")],
-        "outlier": [("/ np.sqrt(variance * free)", "/ np.sqrt(variance)"), ("residuals / np", "force / np")],
-        "beyond": [("<= 4 * bar + 1", "<= 7 * bar"), ("np.sqrt(np.mean(errors**2))", "np.max(np.abs(errors))")],
-    },
-    "hysteresis": {
-        "width": [("np.median(up - down) / 2", "np.median(up - down)"), ("up - down", "down - up")],
-        "slip": [("length - force / stiffness", "anchor"), ("-limit, limit", "-limit / 2, limit / 2")],
-        "energy": [("/ 2 * np", "* np"), ("np.sum", "-np.sum")],
-        "secant": [("/ amplitude", ""), ("moved[1] * arm", "moved[1]")],
-        "ratio": [("> 2 * isobaric", "> 3 * isobaric"), ("0.01 * deg) / isobaric", "0.01) / isobaric")],
-        "rest": [("np.dot(widths, moment_arms(0.0))", "widths[0] * moment_arms(0.0)[0]")],
-        "identify": [("ExponentialLaw, loading)", "ExponentialLaw, means)"), (" - np.asarray(law.force(*grid))", "")],
-    },
     "attainable_stiffness": {
         "torque": [("return -sum", "return sum"), ("joint.tensions", "(lambda *_: (100.0, 100.0))")],
         "stiffness": [("return -(", "return ("), ("(2 * step)", "step")],
@@ -75,22 +56,6 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "error": [("np.sqrt(np.mean(", "np.sqrt(np.max(")],
         "tune": [("150 * bar", "60 * bar"), ("4 * bar", "4"), ("150 * bar", "5000 * bar")],
         "feasible": [("np.all", "np.any"), ("(lowest <= stiffness) & ", "")],
-    },
-    "model_based_control": {
-        "inverse": [("found[0] * bar", "found[0]"), ("both((6 * bar, 5 * bar))", "both((5 * bar, 5.5 * bar))")],
-        "torque": [("- np.asarray(load.gravity", "+ np.asarray(load.gravity"), ("load.total_inertia * ", "")],
-        "lead": [("pressures + time", "pressures - time"), (", times, axis", ", axis")],
-        "fair": [("50.0", "20.0"), ("50.0", "80.0"), ("50.0", "90.0")],
-        "coupling": [("5 * deg)[", "0 * deg)[")],
-        "hidden": [("(knee, weak)", "(weak, knee)"), ('["stiffness_rmse"] / right', '["stiffness_rmse"] - right')],
-        "robust": [("55.0", "30.0"), ("55.0", "75.0")],
-    },
-    "jumping_leg": {
-        "take_off": [("np.argmax(np.diff(touching))", "0"), ("(2 * GRAVITY)", "GRAVITY")],
-        "energy": [('"resisting_power", ', '"stop_power", '), ("mass * GRAVITY * ", "GRAVITY * ")],
-        "constant": [("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)")],
-        "timing": [(", max(rises)", ", rises[0]"), ("np.argmax(rises)", "0")],
-        "landing": [("np.argmin(", "np.argmax("), ("(plant, shut)", "(shut, plant)")],
     },
     "valves_and_delay": {
         "lag": [("-period", "-2 * period")],
@@ -158,9 +123,8 @@ def remembering(compute):
 @pytest.fixture
 def remembered(monkeypatch):
     """Checks and wrong answers repeat most runs and fits of a solution."""
-    names = "identify", "identify_hysteresis", "simulate", "simulate_many"
-    for module, name in (*((mckibben, name) for name in names), (robot, "simulate_robot")):
-        monkeypatch.setattr(module, name, remembering(getattr(module, name)))
+    for name in ("identify", "simulate", "simulate_many"):
+        monkeypatch.setattr(mckibben, name, remembering(getattr(mckibben, name)))
 
 
 @pytest.mark.slow
