@@ -32,28 +32,41 @@ PID, BACKPROP, PRINTED = (
     SCENARIOS[name] for name in ("pre-contracted-step-pid", "pre-contracted-step-backprop", "as-printed-constant-pid")
 )
 
-FULL = """\
-name: full
+BLOCK = """\
+# A comment at the top.
+name: >-
+  two lines
+  of a name
 joint:
-  geometry: {joint_length: 370 mm, joint_radius: 3 cm, connector_length: 0.208 m}
-  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+  geometry:
+    from: knee-table-2  # of the catalog
+    connector_length: '208 mm'
+  muscle:
+    specimen: MAS-10-180N-AA-MC-O
+    law: "lei-mas-10-180n"
   tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
-load: {from: knee-table-2, mass2: 0.8 kg}
+load:
+  from: knee-table-2
+  # a comment at the end of the load
+
 controller:
-  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}
-  stiffness: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
   model: {geometry: knee-table-2, muscle: {specimen: DMSP-10-250, law: chou}}
+  position: {kp: 2 bar/rad,   # proportional
+                   ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}
+  stiffness:
+    kp: 0.08 bar/(N*m/rad)
+    ki: 5 bar/(N*m*s/rad)
+    kd: 0 bar*s/(N*m/rad)   # none
 reference:
   angle: {class: multisine, amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz]}
   stiffness: {class: samples, times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}
 duration: 2 s
-control_period: 2 ms
-"""
+control_period: 2 ms   # the last line"""
 
 
 @pytest.fixture
 def full():
-    return Scenario.parse(FULL)
+    return Scenario.parse(BLOCK)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +89,7 @@ def test_a_number_has_its_unit_and_its_nominal_value(scenario, name, nominal, sh
     assert address.is_integer == name.endswith("seed")
 
 
-@pytest.mark.parametrize("scenario", [PID, BACKPROP, PRINTED, Scenario.parse(FULL)])
+@pytest.mark.parametrize("scenario", [PID, BACKPROP, PRINTED, Scenario.parse(BLOCK)])
 def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario):
     listed = list_parameters(scenario)
     assert len({address.name for address in listed}) == len({address.places for address in listed}) == len(listed) > 20
@@ -111,7 +124,7 @@ def test_an_item_of_a_list_of_sines_is_a_parameter(full):
     assert found.name == "reference.angle.amplitudes.1"
     assert found.nominal == 1 * deg
     assert with_values(full, {found.name: 0.1}).signals.angle.amplitudes == (3 * deg, 0.1)
-    edited = edit_scenario(FULL, {"reference.angle.amplitudes.1": 2.5 * deg})
+    edited = edit_scenario(BLOCK, {"reference.angle.amplitudes.1": 2.5 * deg})
     assert "amplitudes: [3 deg, 2.5 deg]" in edited
     with pytest.raises(ParameterError) as caught:
         find_parameter(full, "reference.angle.amplitudes.2")
@@ -298,35 +311,6 @@ def test_tables_that_are_none_are_refused(table, why):
 
 
 # The text of a scenario with other numbers ----------------------------------------------------------------------------
-
-BLOCK = """\
-# A comment at the top.
-name: >-
-  two lines
-  of a name
-joint:
-  geometry:
-    from: knee-table-2  # of the catalog
-    connector_length: '208 mm'
-  muscle:
-    specimen: MAS-10-180N-AA-MC-O
-    law: "lei-mas-10-180n"
-load:
-  from: knee-table-2
-  # a comment at the end of the load
-
-controller:
-  position: {kp: 2 bar/rad,   # proportional
-                   ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}
-  stiffness:
-    kp: 0.08 bar/(N*m/rad)
-    ki: 5 bar/(N*m*s/rad)
-    kd: 0 bar*s/(N*m/rad)   # none
-reference:
-  angle: 0 deg
-  stiffness: {class: samples, times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}
-duration: 2 s
-control_period: 2 ms   # the last line"""
 
 PID_TEXT = TEXTS["pre-contracted-step-pid"]
 TWICE = PID_TEXT.replace(
