@@ -1,9 +1,11 @@
 """A page of docs/results: the tables of a comparison as Markdown.
 
-    python benchmarks/results.py SUITE.yaml --out PAGE.md [--study DIR] [--runs N --generations N]
+    python benchmarks/results.py SUITE.yaml --out PAGE.md [--setup NAME] [--study DIR]
+        [--runs N] [--generations N] [--starts N] [--finalists N]
 
 With --study, the folder of `mckibben compare SUITE.yaml --out DIR` (without setups), whose searches are continued: a
-finished one takes the evaluation runs only. --runs and --generations make it small, as the tests do.
+finished one takes the evaluation runs only. --setup names one of a suite with several. The other options make it
+small: fewer unseen runs, shorter searches, fewer starts of the controllers that have more than one.
 """
 
 import argparse
@@ -22,14 +24,15 @@ def markdown(listing):
     return "\n".join([f"## {listing.title}\n", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def smaller(suite, runs, generations):
-    """The suite with fewer unseen runs and shorter searches."""
+def smaller(suite, runs, starts, **searches):
+    """The suite with fewer unseen runs, starts, and other numbers of its searches."""
     tuning, evaluation = suite.tuning, suite.evaluation
+    changes = {name: number for name, number in searches.items() if number is not None}
+    if starts:
+        changes |= {"starts": min(tuning.starts, starts), "starts_of": dict.fromkeys(tuning.starts_of, starts)}
     if runs:
         evaluation = evaluation.model_copy(update={"runs": runs})
-    if generations:
-        tuning = tuning.model_copy(update={"generations": generations, "starts": 1, "starts_of": {}})
-    return suite.model_copy(update={"tuning": tuning, "evaluation": evaluation})
+    return suite.model_copy(update={"tuning": tuning.model_copy(update=changes), "evaluation": evaluation})
 
 
 def main(arguments=None):
@@ -38,10 +41,14 @@ def main(arguments=None):
     parser.add_argument("suite", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--study", type=Path)
-    parser.add_argument("--runs", type=int)
-    parser.add_argument("--generations", type=int)
+    parser.add_argument("--setup")
+    for name in ("runs", "generations", "starts", "finalists"):
+        parser.add_argument(f"--{name}", type=int)
     options = parser.parse_args(arguments)
-    suite = smaller(Suite.read(options.suite), options.runs, options.generations)
+    suite = Suite.read(options.suite)
+    suite = suite.of_setup(options.setup) if options.setup else suite
+    searches = {"generations": options.generations, "finalists": options.finalists}
+    suite = smaller(suite, options.runs, options.starts, **searches)
     resume = options.study is not None and (options.study / STUDY).exists()
     result = compare(suite, out=options.study, resume=resume)
     command = shlex.join(["python", "benchmarks/results.py", *(arguments or sys.argv[1:])])

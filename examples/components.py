@@ -14,7 +14,7 @@ import numpy as np
 
 import mckibben as mk
 from mckibben.actuator import AirValve, Valve
-from mckibben.control import Controller, Loop, Observer, PolePlacement, Signal
+from mckibben.control import Controller, Loop, Observer, PolePlacement, Signal, StageCost
 from mckibben.joint import Measurement, MusclePath, PendulumLoad, Tendon
 from mckibben.muscle import NO_STATE, Domain, ForceLaw, Friction, MaxwellCreep, Parameter, pressure_for
 from mckibben.numerics.calculus import bracketed_root
@@ -27,6 +27,7 @@ from mckibben.units import (
     Frequency,
     IntegralGain,
     Length,
+    Pressure,
     Quantity,
     SignalValue,
     SpringRate,
@@ -268,6 +269,16 @@ class SuperTwisting(PolePlacement):
         return state, acceleration + self.k1 * error / jnp.sqrt(jnp.abs(error) + 1e-6)
 
 
+class Effort(StageCost):
+    """Pressures cost, as they take air: the predictive controller trades them for stiffness."""
+
+    pressure: Pressure = 20 * bar  # weighs as much as an angle error of `angle_scale`
+
+    def residuals(self, stage):
+        pressure1, pressure2 = stage.pressures
+        return pressure1 / self.pressure, pressure2 / self.pressure
+
+
 class AlphaBeta(Observer):
     """Constant gains of the angle and, per period, of the velocity."""
 
@@ -320,4 +331,5 @@ eased = Eased(
 )
 integral = Integral(60 * bar)
 twisting = SuperTwisting(k1=2.0)
+effort = Effort()
 observer = AlphaBeta()

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve, UnequalValves
+from mckibben.calibration.equations import PARAMETERS, JointPrior, JointSamples, corrected, problem_of
+from mckibben.calibration.estimation import JointCalibration
+from mckibben.calibration.experiment import calibrated_scenario
+from mckibben.calibration.fitting import JointEstimate
 from mckibben.calibration.loop import PLANTS, loop_margins, loop_remarks, with_estimates
 from mckibben.errors import McKibbenWarning
 from mckibben.result import Severity
@@ -13,6 +17,11 @@ from mckibben.scenario import Scenario
 
 OWN = "examples/calibration/knee.yaml"  # whose controller has a model and a load of its own
 INHERITED = "examples/pre-contracted-step-pid.yaml"
+
+
+def samples():
+    angle = np.linspace(-0.2, 0.2, 50)
+    return JointSamples(angle, 0 * angle, 0 * angle, (2e5 + 0 * angle,) * 2, (), 0.0, 0.0)
 
 
 @pytest.mark.parametrize("path", [OWN, INHERITED])
@@ -53,6 +62,35 @@ def test_deviations_of_parameters_become_the_uncertainty_that_tune_reads(tmp_pat
     pair = UnequalValves(FirstOrderValve(0.03), FirstOrderValve(0.05))
     apart = with_estimates(Scenario.read(OWN), {"valve2.time_constant": "0.003 s"}, valve=pair)
     assert apart.uncertainty == ("valve.muscle2.time_constant=normal 0.003 s",)
+
+
+@pytest.mark.parametrize(("deviation", "enters"), [(100.0, True), (900.0, False)])
+def test_determined_creep_is_that_of_plant_and_model(deviation, enters, tmp_path):
+    """Relaxation of two arms, against the three of the estimate with the same total."""
+    scenario = Scenario.read(OWN)
+    problem = problem_of(scenario.controller.model, scenario.load, [(samples(), samples())], JointPrior())
+    estimate = JointEstimate(1500.0, deviation, 1000.0, "N/m")
+    fit = JointCalibration(
+        {"muscle1.creep": estimate, "zero": JointEstimate(0.0, 0.001, 0.01, "rad")},
+        *corrected(problem, np.zeros(PARAMETERS))[:2],
+        (),
+        problem,
+        (),
+        0.0,
+        0.0,
+        0.0,
+    )
+    calibrated_scenario(scenario, fit).to_yaml(tmp_path / "scenario.yaml")
+    after = Scenario.read(tmp_path / "scenario.yaml")
+    for joint in (after.joint, after.control().model):
+        assert joint.muscle1.has_creep == enters and not joint.muscle2.has_creep
+    if enters:
+        times = np.geomspace(0.1, 10, 30)
+        force = after.joint.muscle1.creep.path_response(
+            np.array([0.2, 0.201]), 100.0, move_time=1e-4, hold_time=20.0, sample_times=times
+        )[1]
+        expected = 1.5 * np.mean([np.exp(-times / constant) for constant in (1, 3, 10)], axis=0)
+        np.testing.assert_allclose(force, expected, atol=0.2)  # N, of 1.5 N
 
 
 def test_a_scenario_that_cannot_run_has_no_margins():

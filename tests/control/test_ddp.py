@@ -1,5 +1,7 @@
 """The plan within limits against SciPy's, on the problem written anew in plain NumPy; without limits, closed forms."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,11 +9,12 @@ import pytest
 from scipy.optimize import minimize
 
 from mckibben.actuator.base import Attainable
-from mckibben.control.ddp import HorizonProblem, Quadratic, _pressures_x, constant, solve
+from mckibben.control.ddp import HorizonProblem, Quadratic, _pressures_x, constant, extrapolate, solve
 from mckibben.numerics.calculus import value_and_derivative
 
 STAGES = 6
 HIGHEST = 6.0  # command
+FREQUENCY_SQ = 0.1
 
 
 def joint_problem(
@@ -24,8 +27,12 @@ def joint_problem(
     highest=5.0,
     reference=(0.0, 0.0, 0.0, 0.0),
     sign=1,
+    steps=(0.0, 0.0),  # of angle and stiffness, known ahead
 ):
     """Near what the knee at 80 rad/s has; 0.1 deg and 0.5 N*m/rad weigh the same."""
+    signals = np.transpose([reference_at(reference, stage * k) for k in range(STAGES + 1)])
+    signals[0, 3:] += steps[0]
+    setpoints = steps[1] * (np.arange(STAGES + 1) >= 2)
     return HorizonProblem(
         stage=stage,
         hold_weights=hold_weights,
@@ -42,8 +49,8 @@ def joint_problem(
             Quadratic(5.2 * sign, -0.05 * bend),
         ),
         drag=0.005,
-        reference=reference,
-        reference_frequency_sq=0.1,
+        reference=tuple(signals),
+        setpoints=setpoints,
         pressure_lower=(Quadratic(lowest, 0.01 * bend), Quadratic(lowest + 0.1, -0.01 * bend)),
         pressure_upper=(Quadratic(highest, -0.01 * bend), Quadratic(highest + 0.2, 0.01 * bend)),
         attainable=(Attainable(1 - valve_fraction, 0.0, HIGHEST * valve_fraction),) * 2,
@@ -58,10 +65,10 @@ def given(parts, angle, pressures):
     return sum(value(part, angle) * p for part, p in zip(parts, (1.0, *pressures), strict=True))
 
 
-def reference_at(problem, time):
-    """Angle, velocity and acceleration of the reference, its acceleration a sine with an offset of none."""
-    angle, velocity, acceleration, jerk = problem.reference
-    w = np.sqrt(problem.reference_frequency_sq)
+def reference_at(reference, time):
+    """The reference and its derivatives, its acceleration a sine with an offset of none."""
+    angle, velocity, acceleration, jerk = reference
+    w = np.sqrt(FREQUENCY_SQ)
     return (
         angle
         + velocity * time
@@ -69,28 +76,32 @@ def reference_at(problem, time):
         + jerk * (time - np.sin(w * time) / w) / w**2,
         velocity + acceleration * np.sin(w * time) / w + jerk * (1 - np.cos(w * time)) / w**2,
         acceleration * np.cos(w * time) + jerk * np.sin(w * time) / w,
+        jerk * np.cos(w * time) - acceleration * w * np.sin(w * time),
     )
 
 
 def start_of(problem, error, rate, pressures):
-    angle = problem.reference[0] + error
-    acceleration = (
-        given(problem.acceleration, angle, pressures)
-        - problem.drag * (problem.reference[1] + rate)
-        - problem.reference[2]
-    )
+    angle, velocity, now, _ = (signal[0] for signal in problem.reference)
+    angle += error
+    acceleration = given(problem.acceleration, angle, pressures) - problem.drag * (velocity + rate) - now
     return error, rate, acceleration, given(problem.stiffness, angle, pressures)
 
 
-def cost_and_margins(problem, start, pressures, plan):
+def costs(state, pressures, reference, _):
+    """Residuals beside the errors: the angle beyond a limit, linear in state and pressures, and a product of both."""
+    return 3 * (reference[0] + state[0] - 1.0), 0.5 * pressures[0] * (1 + 0.1 * state[1]), 0.3 * state[3]
+
+
+def cost_and_margins(problem, start, pressures, plan, costly=False):
     """What a plan costs, and how far each pressure is from its limits (below zero: beyond)."""
     h, (mu1, mu2), d = problem.stage, problem.hold_weights, problem.damping
     c, x, before = d * (d - 2), np.array(start), pressures
     cost, margins = 0.0, []
     for k, chosen in enumerate(plan.reshape(-1, 2)):
-        r0, v0, a0 = reference_at(problem, k * h)
-        r1, v1, a1 = reference_at(problem, (k + 1) * h)
-        angle = r1 + x[0] + h * x[1] + h**2 / 2 * x[2]
+        (r0, v0, a0, _), (r1, v1, a1, _) = ([signal[i] for signal in problem.reference] for i in (k, k + 1))
+        turned = r0 + x[0] + h * (v0 + x[1])  # the joint itself, not its error
+        angle = turned + h**2 / 2 * (a0 + x[2] + mu2 * (a1 - a0))
+        turning = v0 + x[1] + h * (a0 + x[2] + mu1 * (a1 - a0))
         for i in range(2):
             slowest, fastest = problem.attainable[i](before[i])
             upper = max(min(value(problem.pressure_upper[i], angle), fastest), slowest)
@@ -98,27 +109,32 @@ def cost_and_margins(problem, start, pressures, plan):
                 chosen[i] - min(max(value(problem.pressure_lower[i], angle), slowest), upper),
                 upper - chosen[i],
             ]
-        acceleration = given(problem.acceleration, angle, chosen) - problem.drag * (v1 + x[1] + h * x[2])
-        # The joint itself, not its error: the acceleration goes from one to the next, by the hold weights.
-        mine, turned, speed = x[2] + a0, r0 + x[0], v0 + x[1]
-        turned += h * speed + h**2 / 2 * (mine + mu2 * (acceleration - mine))
-        speed += h * (mine + mu1 * (acceleration - mine))
-        new = np.array([turned - r1, speed - v1, acceleration - a1, given(problem.stiffness, angle, chosen)])
+        acceleration = given(problem.acceleration, angle, chosen) - problem.drag * turning
+        mine = x[2] + a0  # goes from one to the next, by the hold weights
+        turned += h**2 / 2 * (mine + mu2 * (acceleration - mine))
+        speed = v0 + x[1] + h * (mine + mu1 * (acceleration - mine))
+        stiffness = given(problem.stiffness, angle, chosen)
+        new = np.array([turned - r1, speed - v1, acceleration - a1, stiffness - problem.setpoints[k + 1]])
         rates = (new - x)[2:] / h
+        rates[1] = (stiffness - x[3] - problem.setpoints[k]) / h
         cost += h / 2 * (new**2 @ [1, c, c, 1] + rates**2 @ [1, problem.bandwidth_ratio_sq])
+        if costly:
+            cost += h / 2 * sum(residual**2 for residual in costs(new, chosen, (r1, v1, a1, 0.0), 0.0))
         x, before = new, chosen
     final = np.array([[d, d, 1], [d, d**2 - 1, d], [1, d, d]])
     return cost + x[:3] @ final @ x[:3] / 2 + np.sqrt(problem.bandwidth_ratio_sq) * x[3] ** 2 / 2, np.array(margins)
 
 
-@jax.jit
-def improved(problem, start, pressures, iterations):
+@functools.partial(jax.jit, static_argnums=4)
+def improved(problem, start, pressures, iterations, costly=False):
+    if costly:
+        problem = problem._replace(residuals=costs)
     return solve(problem, start, pressures, constant(pressures, STAGES), iterations)
 
 
-def first_command(iterations, problem, start, pressures):
+def first_command(iterations, problem, start, pressures, costly=False):
     """From a plan to stand still."""
-    return improved(*floats((problem, start, pressures)), iterations)[1]
+    return improved(*floats((problem, start, pressures)), iterations, costly)[1]
 
 
 def floats(tree):
@@ -136,7 +152,7 @@ def test_the_pressures_follow_from_the_state_by_the_implicit_function_theorem():
     steps = 1e-5 * np.eye(4)
     differences = np.stack([(state(at + step) - state(at - step)) / 2e-5 for step in steps], axis=1)
     expected = np.linalg.inv(differences)[2:]  # rows of the pressures
-    end, speed, pressures = problem.reference[0] + at[0], problem.reference[1] + at[1], tuple(at[2:])
+    end, speed, pressures = problem.reference[0][0] + at[0], problem.reference[1][0] + at[1], tuple(at[2:])
     _, by_angle = value_and_derivative(lambda angle: problem.outputs(angle, speed, pressures), jnp.asarray(end))
     by_pressure = tuple(tuple(one(end) for one in each[1:]) for each in (problem.acceleration, problem.stiffness))
     np.testing.assert_allclose(_pressures_x(problem, by_angle, by_pressure), expected, rtol=1e-6, atol=1e-9)
@@ -149,6 +165,7 @@ def test_the_pressures_follow_from_the_state_by_the_implicit_function_theorem():
         pytest.param(
             joint_problem(reference=(3.0, 2.0, -0.3, 0.1)), -3.0, -3.2, (2.3, 3.3), False, 1e-6, id="along a reference"
         ),
+        pytest.param(joint_problem(steps=(8.0, 4.0)), 0.1, 0.0, (3.0, 3.0), False, 1e-6, id="steps known ahead"),
         pytest.param(joint_problem(highest=2.5), 0.5, 0.2, (2.4, 2.4), True, 1e-6, id="stiffness above the attainable"),
         pytest.param(joint_problem(lowest=3.2), 4.0, 1.2, (3.3, 3.3), True, 1e-6, id="stiffness below the attainable"),
         pytest.param(joint_problem(highest=2.5, lowest=2.2), -6.0, 1.0, (2.4, 2.4), True, 1e-6, id="in a corner"),
@@ -175,6 +192,30 @@ def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, satura
     np.testing.assert_allclose(command.pressures, found.x[:2], atol=near)
     assert bool(command.limited[0] | command.limited[1]) == saturated
     assert (cost_and_margins(problem, start, pressures, found.x)[1][:4].min() < 1e-9) == saturated
+
+
+def test_the_extrapolated_reference_goes_on_with_its_frequency():
+    start = 3.0, 2.0, -0.3, 0.1
+    found = extrapolate(*floats((start, 0.4, FREQUENCY_SQ)), STAGES)
+    expected = np.transpose([reference_at(start, 0.4 * k) for k in range(STAGES + 1)])
+    np.testing.assert_allclose(np.stack(found), expected, atol=1e-6)
+
+
+def test_costs_of_a_user_enter_the_optimum():
+    """A nonlinear residual: Gauss-Newton leaves out its curvature, so that a step is small where it is small."""
+    problem, pressures = joint_problem(), (3.0, 3.0)
+    start = start_of(problem, 2.5, 1.2, pressures)
+    command = first_command(30, problem, start, pressures, True)
+    found = minimize(
+        lambda plan: cost_and_margins(problem, start, pressures, plan, True)[0],
+        np.tile(pressures, STAGES),
+        constraints={"type": "ineq", "fun": lambda plan: cost_and_margins(problem, start, pressures, plan)[1]},
+        method="SLSQP",
+        options={"ftol": 1e-13, "maxiter": 200},
+    )
+    np.testing.assert_allclose(command.pressures, found.x[:2], atol=1e-4)
+    without = first_command(8, problem, start, pressures)
+    assert abs(float(command.pressures[0] - without.pressures[0])) > 0.05
 
 
 def test_one_step_is_next_to_it():

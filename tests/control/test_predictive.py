@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve
-from mckibben.control import ExtendedStateObserver, PredictiveControl, Reference, Step
+from mckibben.control import (
+    AngleLimits,
+    DecouplingControl,
+    ExtendedStateObserver,
+    PolePlacement,
+    PredictiveControl,
+    Reference,
+    Step,
+)
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
@@ -91,3 +99,25 @@ def test_it_brakes_in_time_where_valves_are_slow(run, plant, knee, load):
     assert beyond[0.012] > 6.0
     assert beyond[0.06] < 0.4 * beyond[0.012]
     assert beyond[0.12] < 0.7 * beyond[0.06]
+
+
+@pytest.mark.slow
+def test_what_is_known_ahead_is_met_ahead(run, plant, knee, load):
+    """A step and a limit that the reference would cross: both start to move before, and end where they should."""
+    both = PredictiveControl(knee, load), DecouplingControl(knee, load, PolePlacement())
+    for control, known in zip(both, (True, 0.1), strict=True):
+        without = rmse(run(plant, control, Step(-5 * deg, 5 * deg, 0.7)))
+        control = dataclasses.replace(control, preview=known).with_period(PERIOD)
+        answer = run(plant, control, Step(-5 * deg, 5 * deg, 0.7))
+        assert rmse(answer) < 0.6 * without
+        assert abs(off(answer)[-1]) < 0.01
+        delayed = dataclasses.replace(plant, command_delay=8e-3).with_period(PERIOD)
+        late = dataclasses.replace(control, command_delay=8e-3).with_period(PERIOD)
+        assert rmse(run(delayed, late, Step(-5 * deg, 5 * deg, 0.7))) < 1.1 * rmse(answer)
+        assert rmse(run(plant, control)) < 0.01  # a sine, also at its end
+
+
+def test_a_cost_keeps_the_angle_within_soft_limits(run, plant, knee, load):
+    control = predictive(knee, load, cost=AngleLimits(-8 * deg, 8 * deg))
+    angle = np.asarray(run(plant, control)[0].state.angle)[100:] / deg  # a sine of 10 deg
+    assert 8.0 < angle.max() < 8.5 and -8.5 < angle.min() < -8.0

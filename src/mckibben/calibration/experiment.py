@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from mckibben.calibration.equations import JointPrior, JointRecording, Samples, sliding_from
+from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, Samples, sliding_from
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
@@ -25,6 +25,7 @@ from mckibben.control import Multisine, Reference, Sine
 from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
+from mckibben.muscle import MaxwellCreep
 from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.numerics.compiled import jit
 from mckibben.plant.sensors import PerfectSensors, SampledSensors
@@ -317,7 +318,11 @@ def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJo
     for name in ("muscle1", "muscle2"):
         before, after = getattr(model, name), getattr(joint, name)
         if isinstance(after.law, AdjustedLaw):
-            muscles[name] = replaced(before, {"correction": after.law.correction, "friction": after.friction})
+            parts = {"correction": after.law.correction, "friction": after.friction}
+            creep = fit.quantities.get(f"{name}.creep")
+            if creep and creep.determined and creep.value > 0 and not before.has_creep:
+                parts["creep"] = MaxwellCreep(creep.value, float(CREEP_TIMES[0]), arms=2)  # of 1 and 10 s
+            muscles[name] = replaced(before, parts)
     assert isinstance(joint.geometry, ScaledArms)
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
 

@@ -22,7 +22,7 @@ from jaxtyping import Array, PyTree
 from mckibben import catalog
 from mckibben.actuator import Actuator, FirstOrderValve, Valve
 from mckibben.actuator.base import AirState, AirVolume
-from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
+from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal, StageCost, StageEnd
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
@@ -394,6 +394,10 @@ def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num) -> Tree:
     return asked, loop.telemetry(state)
 
 
+def _residuals(cost: StageCost, angle: Num, turn: Num, stiffness: Num, pressure: Num) -> Tree:
+    return cost.residuals(StageEnd(angle, turn, turn, stiffness, (pressure, pressure), Setpoint(angle, stiffness)))
+
+
 def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num, jerk: Num) -> Tree:
     """Acceleration [rad/s^2] that is asked for, with a jerk [rad/s^3] that the actuators attain, and the lag."""
     state = feedback.track(feedback.init(error), shortfall, PERIOD)
@@ -483,6 +487,7 @@ _PROBES: dict[type, Probes] = {
     Controller: Probes((_commands,), limits=lambda _: _NARROW),
     Loop: Probes((_looped,)),
     Feedback: Probes((_fed_back,)),
+    StageCost: Probes((_residuals,), limits=lambda _: _NARROW),
     Observer: Probes((_observed,), limits=lambda _: _NARROW),
     RobotController: _ROBOT,
     RobotReference: _ROBOT,

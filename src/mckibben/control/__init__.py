@@ -4,6 +4,7 @@ from mckibben.control.actuator_adaptation import ActuatorAdaptation
 from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID
 from mckibben.control.base import Controller, JointModel, LoadModel, Loop, Measurement, Reference, Setpoint, ValveModel
+from mckibben.control.cost import AngleLimits, StageCost, StageEnd
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
 from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
@@ -29,6 +30,7 @@ from mckibben.control.reference import (
 __all__ = [
     "PID",
     "ActuatorAdaptation",
+    "AngleLimits",
     "BackpropPID",
     "Constant",
     "Controller",
@@ -58,6 +60,8 @@ __all__ = [
     "Signal",
     "Sine",
     "SlidingMode",
+    "StageCost",
+    "StageEnd",
     "Step",
     "Sum",
     "ValveModel",

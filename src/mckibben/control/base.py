@@ -9,12 +9,14 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator
 from mckibben.component.base import Component, Inherited, Units
 from mckibben.component.columns import Labelled
-from mckibben.control.reference import Signal, as_signal
+from mckibben.control.reference import ReferenceDerivatives, Signal, as_signal
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.units import Angle, Stiffness
@@ -141,6 +143,13 @@ class Controller(DiscreteTimeSystem[State]):
     minimum_tension = Delegated()
     """Lower limit of each muscle's tension [N]; None without one."""
 
+    samples_ahead = 0
+    """Control periods by which the setpoints of the steps come early."""
+
+    def foresee(self, state: State, setpoint: Setpoint, period: ArrayLike) -> State:
+        """Return the state before the first step after one of the setpoints that precede that of this step."""
+        return state
+
     @abc.abstractmethod
     def init(self, measurement: Measurement) -> State:
         """Return the state before the first step, for a bumpless start from the measured pressures."""
@@ -157,6 +166,27 @@ class Controller(DiscreteTimeSystem[State]):
 
         At least ``stiffness_estimate`` [N*m/rad]; ``saturated`` where the controller limits its own commands.
         """
+
+
+def extended(setpoints: Setpoint, count: int, period: ArrayLike) -> Setpoint:
+    """Setpoints [rad, N*m/rad], shape (periods, ...), and a number of further ones, extrapolated."""
+    angle, stiffness = map(jnp.asarray, setpoints)
+    last = ReferenceDerivatives.init(angle[0])
+    for sample in angle[-4:]:
+        last = last.update(sample, period)
+    times = jnp.arange(1, count + 1).reshape(-1, *[1] * (angle.ndim - 1)) * period
+    held = jnp.broadcast_to(stiffness[-1:], (count, *stiffness.shape[1:]))
+    return Setpoint(jnp.concatenate([angle, last.after(times).angle]), jnp.concatenate([stiffness, held]))
+
+
+def with_preview(controller: Any, state: PyTree, setpoints: Any, period: ArrayLike) -> tuple[PyTree, Any]:
+    """State before the first step that knows the first setpoints, and the setpoints of the steps, `samples_ahead`."""
+    if not (count := getattr(controller, "samples_ahead", 0)):
+        return state, setpoints
+    known = extended(setpoints, count, period)
+    first = Setpoint(known.angle[:count], known.stiffness[:count])
+    state = lax.scan(lambda held, setpoint: (controller.foresee(held, setpoint, period), None), state, first)[0]
+    return state, Setpoint(known.angle[count:], known.stiffness[count:])
 
 
 class Loop(Component, Generic[State]):

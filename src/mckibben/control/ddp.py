@@ -12,7 +12,7 @@ Y. Tassa, N. Mansard and E. Todorov, Control-limited differential dynamic progra
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -129,25 +129,13 @@ class HorizonProblem(NamedTuple):
     acceleration: tuple[Quadratic, Quadratic, Quadratic]  # coefficients (offset, p1, p2)
     stiffness: tuple[Quadratic, Quadratic, Quadratic]  # the same, for the stiffness minus the setpoint
     drag: ArrayLike  # deceleration per velocity
-    reference: State  # now; angles count from the measured one
-    reference_frequency_sq: ArrayLike  # of its acceleration; 0 for constant jerk
+    reference: State  # from now to the end of each stage, (stages + 1,); angles count from the measured one
+    setpoints: Array  # of the stiffness then, minus that of now
     pressure_lower: tuple[Quadratic, Quadratic]  # at the end of a stage
     pressure_upper: tuple[Quadratic, Quadratic]
     attainable: tuple[Attainable, Attainable]  # after a stage
-
-    def next_reference(self, reference: State) -> State:
-        """Reference one stage later."""
-        angle, velocity, acceleration, jerk = reference
-        h = jnp.asarray(self.stage)
-        q = self.reference_frequency_sq * h**2  # series of sine and cosine in the phase of a stage
-        sine, twice = 1 - q / 6 * (1 - q / 20), 1 / 2 - q / 24 * (1 - q / 30)
-        thrice = 1 / 6 - q / 120 * (1 - q / 42)
-        return (
-            angle + h * (velocity + h * (acceleration * twice + h * jerk * thrice)),
-            velocity + h * (acceleration * sine + h * jerk * twice),
-            acceleration * (1 - q * twice) + h * jerk * sine,
-            jerk * (1 - q * twice) - self.reference_frequency_sq * h * sine * acceleration,
-        )
+    residuals: Callable[[State, Pair, State, Scalar], tuple[Scalar, ...]] | None = None
+    # of y, the pressures, reference and setpoint at the end of a stage; h/2 times their squares add to the cost
 
     def outputs(self, angle: Scalar, velocity: Scalar, pressures: Pair) -> Pair:
         """Acceleration of the joint, and its stiffness minus the setpoint."""
@@ -174,7 +162,7 @@ class HorizonProblem(NamedTuple):
 
     def terminal_hessian(self) -> Matrix:
         """P, of a triple integrator and an integrator."""
-        unity = jnp.ones_like(self.reference[0])
+        unity = jnp.ones_like(self.reference[0][0])
         zero, d, root = 0 * unity, self.damping * unity, jnp.sqrt(self.bandwidth_ratio_sq * unity)
         return (d, d, unity, zero), (d, d**2 - 1, d, zero), (unity, d, d, zero), (zero, zero, zero, root)
 
@@ -206,6 +194,26 @@ def shift(policy: Policy, fraction: ArrayLike) -> Policy:
     return jax.tree.map(lambda leaf: leaf + fraction * (jnp.append(leaf[1:], leaf[-1:]) - leaf), policy)
 
 
+def extrapolate(reference: State, stage: Scalar, frequency_sq: Scalar, stages: int) -> State:
+    """Reference from now to the end of each stage, (stages + 1,), with a frequency of its acceleration; 0 for none."""
+    h, q = stage, frequency_sq * stage**2  # series of sine and cosine in the phase of a stage
+    sine, twice = 1 - q / 6 * (1 - q / 20), 1 / 2 - q / 24 * (1 - q / 30)
+    thrice = 1 / 6 - q / 120 * (1 - q / 42)
+
+    def after(reference: State, _: None) -> tuple[State, State]:
+        angle, velocity, acceleration, jerk = reference
+        following = (
+            angle + h * (velocity + h * (acceleration * twice + h * jerk * thrice)),
+            velocity + h * (acceleration * sine + h * jerk * twice),
+            acceleration * (1 - q * twice) + h * jerk * sine,
+            jerk * (1 - q * twice) - frequency_sq * h * sine * acceleration,
+        )
+        return following, following
+
+    later = lax.scan(after, reference, length=stages)[1]
+    return jax.tree.map(lambda first, rest: jnp.append(first, rest), reference, later)
+
+
 # Solution
 
 
@@ -224,6 +232,7 @@ class Stage(NamedTuple):
     upper_angle: Pair
     lower_previous: Pair  # with respect to the same pressure at the beginning
     upper_previous: Pair
+    residuals: tuple[tuple[Scalar, ...], Matrix, Matrix] = ((), (), ())  # with derivatives by y and u
 
 
 class StageExpansion(NamedTuple):
@@ -251,11 +260,15 @@ def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Poli
     """Nominal trajectory under a policy; leaves have shape (stages,)."""
     h, (mu1, mu2) = jnp.asarray(problem.stage), problem.hold_weights
 
-    def stage(carry: tuple[PyTree, ...], policy: Policy) -> tuple[tuple[PyTree, ...], Stage]:
-        x, previous, previous_x, reference = carry
-        following = problem.next_reference(reference)
+    def stage(carry: tuple[PyTree, ...], at: tuple[Policy, PyTree, PyTree]) -> tuple[tuple[PyTree, ...], Stage]:
+        (x, previous, previous_x), (policy, (*reference, setpoint), (*following, setpoint_after)) = carry, at
+        x = *x[:3], x[3] + (setpoint - setpoint_after)  # its rate is that of the stiffness
         angle, velocity = x[0] + h * (x[1] + h / 2 * x[2]), x[1] + h * x[2]  # at constant acceleration
-        end, speed = following[0] + angle, following[1] + velocity
+        # The acceleration of the joint changes by the hold weights, that of the reference as it does, or by a jump.
+        change = following[2] - reference[2]
+        drift = reference[0] + h * (reference[1] + h / 2 * (reference[2] + mu2 * change)) - following[0]
+        drift_rate = reference[1] + h * (reference[2] + mu1 * change) - following[1]
+        end, speed = following[0] + angle + drift, following[1] + velocity + drift_rate
 
         asked = add(policy.offset, matvec(policy.gain, x))
         limit, limit_angle = value_and_derivative(lambda at: problem.limits(at, previous), end)
@@ -264,19 +277,34 @@ def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Poli
 
         (acceleration, stiffness), outputs_angle = value_and_derivative(lambda at: problem.outputs(at, speed, u), end)
         outputs_u = tuple(tuple(c(end) for c in row[1:]) for row in (problem.acceleration, problem.stiffness))
-        acceleration = acceleration - following[2]
-        # The acceleration of the joint changes by the hold weights, that of the reference as it does.
-        jump, change = acceleration - x[2], following[2] - reference[2]
-        drift = reference[0] + h * (reference[1] + h / 2 * (reference[2] + mu2 * change)) - following[0]
-        drift_rate = reference[1] + h * (reference[2] + mu1 * change) - following[1]
+        acceleration, stiffness = acceleration - following[2], stiffness - setpoint_after
+        jump = acceleration - x[2]
         y = angle + h**2 / 2 * mu2 * jump + drift, velocity + h * mu1 * jump + drift_rate, acceleration, stiffness
 
-        at = Stage(x, u, y, previous_x, outputs_angle, outputs_u, *limit, *limit_angle, *limit_previous)
-        return (y, u, _pressures_x(problem, outputs_angle, outputs_u), following), at
+        expanded = Stage(x, u, y, previous_x, outputs_angle, outputs_u, *limit, *limit_angle, *limit_previous)
+        if (residuals := problem.residuals) is not None:
+            later: Any = tuple(following)
+            of_both = lambda y, u: residuals(y, u, later, setpoint_after)  # noqa: E731
+            expanded = expanded._replace(residuals=_with_slopes(of_both, y, u))
+        return (y, u, _pressures_x(problem, outputs_angle, outputs_u)), expanded
 
     zero = jnp.zeros_like(state[0])
-    fixed = (zero, zero, zero, zero)
-    return lax.scan(stage, (state, pressures, (fixed, fixed), problem.reference), policy)[1]
+    fixed, signals = (zero, zero, zero, zero), (*problem.reference, problem.setpoints)
+    here, later = (tuple(signal[part] for signal in signals) for part in (slice(-1), slice(1, None)))
+    return lax.scan(stage, (state, pressures, (fixed, fixed)), (policy, here, later))[1]
+
+
+def _with_slopes(
+    residuals: Callable[[State, Pair], tuple[Scalar, ...]], y: State, u: Pair
+) -> tuple[tuple[Scalar, ...], Matrix, Matrix]:
+    """Residuals, and their derivatives with respect to the state and the pressures, a row for each residual."""
+    directions = jax.tree.map(lambda entry: entry * jnp.ones_like(y[0]), diagonal(*[1.0] * 6))
+    values, columns = (), []
+    for direction in directions:
+        values, column = jax.jvp(residuals, (y, u), (direction[:4], direction[4:]))
+        columns.append(column)
+    rows = transpose(columns)
+    return values, tuple(row[:4] for row in rows), tuple(row[4:] for row in rows)
 
 
 def _pressures_x(problem: HorizonProblem, outputs_angle: Pair, outputs_u: Matrix) -> Matrix:
@@ -340,6 +368,13 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
         q_xx = symmetric(
             4, lambda i, j: l_xx[i][j] + dot(f_x_columns[i], v_yx_columns[j]) + dot(transpose(l_yx)[i], f_x_columns[j])
         )
+        for residual, by_y, by_u in zip(*at.residuals, strict=True):  # Gauss-Newton
+            r_x, r_u, h = matvec(f_x_columns, by_y), add(by_u, matvec(f_u_columns, by_y)), problem.stage
+            q_x, q_u = add(q_x, scale(h * residual, r_x)), add(q_u, scale(h * residual, r_u))
+            q_uu, q_ux, q_xx = (
+                add(q, tuple(scale(h * x, b) for x in a))
+                for q, a, b in ((q_uu, r_u, r_u), (q_ux, r_u, r_x), (q_xx, r_x, r_x))
+            )
 
         lower, upper = subtract(at.lower, at.u), subtract(at.upper, at.u)
         step, free = box_qp(q_uu, q_u, lower, upper)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+import dataclasses
+from typing import Annotated, NamedTuple, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator.base import Attainable
@@ -20,12 +23,39 @@ from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import exp
-from mckibben.units import Percent
+from mckibben.units import Percent, PositiveTime
 
 Scalar = Float[Array, ""]
 FrictionShare = Annotated[float, Percent("1", "%", 0, 100)]
 
+_SECOND_ZERO = 6.63  # of the weights of a smoothed reference
 _SHARE, _LEAST = 0.5, 0.05  # of the rate of the torque, for the feedback
+
+
+def smoothing_weights(half: int) -> np.ndarray:
+    r"""Weights of the samples of a reference, from `half` before to `half` after, that smooth it without a lag.
+
+    With the preview P the smoothed reference y follows r by the least
+    :math:`\int (y - r)^2 + \dddot y^2 / \omega^6 \, dt`, a Butterworth filter forwards and backwards in time,
+
+    .. math:: \frac{y}{r} = \frac{1}{1 + (\omega_r / \omega)^6}, \quad
+              w \propto e^{-x} + 2 e^{-x/2} \cos(\sqrt 3 x / 2 - \pi / 3), \quad x = \omega |t|
+
+    whose weights are cut at their second zero, :math:`\omega = 6.63 / P`, and corrected so that a parabola stays one.
+
+    >>> weights, times = smoothing_weights(50), np.arange(-50, 51)
+    >>> print(round(float(weights @ times**2), 9), round(float(weights @ np.cos(0.02 * times)), 4))
+    0.0 1.0
+
+    References
+    ----------
+    M. Tomizuka, Optimal continuous finite preview problem, IEEE Trans. Automatic Control 20, 1975.
+    """
+    times = np.arange(-half, half + 1) / half
+    x = _SECOND_ZERO * np.abs(times)
+    weights = np.exp(-x) + 2 * np.exp(-x / 2) * np.cos(np.sqrt(3) / 2 * x - np.pi / 3)
+    zeroth, second, fourth = (float(weights @ times**power) for power in (0, 2, 4))
+    return weights * (fourth - second * times**2) / (zeroth * fourth - second**2)
 
 
 class DecouplingState(NamedTuple):
@@ -87,6 +117,10 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
         the plant.
     actuator_adaptation
         On-line estimate of the delay and of the speed of the valves, used by the model. Default: none.
+    preview
+        Time [s] for which the reference is known beyond the delay, and over which it is smoothed: the joint begins to
+        move before a step (`smoothing_weights`). The setpoint of a step is that `samples_ahead` control periods later.
+        Default: none.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
         (`AntagonisticJoint.secant_stiffness`). Default: the isobaric stiffness.
@@ -103,6 +137,16 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
     friction_in_observer: FrictionShare | None = eqx.field(kw_only=True, default=None)
+    preview: PositiveTime | None = eqx.field(kw_only=True, static=True, default=None)
+    samples_ahead: int = eqx.field(kw_only=True, static=True, default=0)
+    lead: int = eqx.field(kw_only=True, static=True, default=0)  # control periods within the delay
+
+    def with_period(self, period: float) -> Self:
+        prepared = super().with_period(period)
+        if self.preview is None:
+            return prepared
+        lead, half = self.whole_periods(period), max(round(self.preview / period), 2)
+        return dataclasses.replace(prepared, lead=lead, samples_ahead=lead + half)
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -114,6 +158,35 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
                 value=self.friction_in_observer,
                 remedy="set friction_compensation too",
             )
+
+    def init_coming(self, angle: Scalar, stiffness: Scalar) -> PyTree:
+        if self.preview is None:
+            return ()
+        constant = jnp.zeros(2 * (self.samples_ahead - self.lead) + 1)
+        return Setpoint(constant + angle, constant + stiffness)
+
+    def _follow(self, last: Estimates, setpoint: Setpoint, period: ArrayLike) -> tuple[ReferenceDerivatives, PyTree]:
+        if self.preview is None:
+            return super()._follow(last, setpoint, period)
+        coming = jax.tree.map(lambda samples, value: jnp.append(samples[1:], value), last.coming, setpoint)
+        return last.reference.update(self._smoothed(coming).angle, period), coming
+
+    def _at_arrival(
+        self, reference: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
+    ) -> tuple[ReferenceDerivatives, Setpoint]:
+        if self.preview is None:
+            return super()._at_arrival(reference, coming, setpoint, period)
+        ahead = reference.after(self._delay - self.lead * jnp.asarray(period))
+        return ahead, Setpoint(ahead.angle, self._smoothed(coming).stiffness)
+
+    def _smoothed(self, coming: Setpoint) -> Setpoint:
+        """Setpoint at the last sample within the delay."""
+        weights = jnp.asarray(smoothing_weights(self.samples_ahead - self.lead))
+        middle = coming.angle[self.samples_ahead - self.lead]  # differences: a constant stays one to the last bit
+        stiffness = coming.stiffness[self.samples_ahead - self.lead]
+        return Setpoint(
+            middle + jnp.dot(weights, coming.angle - middle), stiffness + jnp.dot(weights, coming.stiffness - stiffness)
+        )
 
     def init(self, measurement: Measurement) -> DecouplingState:
         return DecouplingState(self.init_estimates(measurement), self.feedback.init(jnp.zeros_like(measurement.angle)))

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
@@ -81,7 +82,8 @@ class Estimates(NamedTuple):
 
     motion: MotionEstimate
     pressures: Pair
-    reference: ReferenceDerivatives
+    reference: ReferenceDerivatives  # at the newest setpoint
+    coming: PyTree  # what is known of the reference ahead
     muscles: MuscleStates  # of the model, along the reference
     moved: MuscleStates  # of the model, along the estimated motion
     adaptation: AdaptationState | tuple[()]
@@ -168,6 +170,10 @@ class StatePrediction(Controller[State]):
         steps = max(math.ceil(periods * period / _LONGEST_STEP - _ROUNDING), _LEAST_STEPS)
         return dataclasses.replace(prepared, periods=periods, steps=min(steps, periods))
 
+    def whole_periods(self, period: float) -> int:
+        """Control periods [s] within the delay, the shortest of several."""
+        return math.floor(float(np.min(self._delay)) / period + _ROUNDING)
+
     @property
     def _delay(self) -> ArrayLike:
         """Delay of the commands [s], 0 for none."""
@@ -194,6 +200,7 @@ class StatePrediction(Controller[State]):
             motion=self.observer.init(angle, self.load.acceleration(angle, zero, torque)),
             pressures=pressures,
             reference=ReferenceDerivatives.init(angle),
+            coming=self.init_coming(angle, stiffness),
             muscles=muscles,
             moved=NO_STATES if self.friction_in_observer is None else muscles,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
@@ -227,8 +234,8 @@ class StatePrediction(Controller[State]):
         pressures = self.pressure_observer.step(predicted, measurement.pressures, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
         torque, stiffness, added = self._torque_and_stiffness(model, angle, pressures)
-        reference = last.reference.update(setpoint.angle, period)
-        ahead = reference.after(self._delay) if self._periods else reference
+        reference, coming = self._follow(last, setpoint, period)
+        ahead, setpoint = self._at_arrival(reference, coming, setpoint, period)
         muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
         moved, resistance = last.moved, friction_torque
         if (share := self.friction_in_observer) is not None:
@@ -239,6 +246,7 @@ class StatePrediction(Controller[State]):
             motion=self.observer.step(last.motion, angle, known, period),
             pressures=pressures,
             reference=reference,
+            coming=coming,
             muscles=muscles,
             moved=moved,
             adaptation=adaptation,
@@ -252,10 +260,34 @@ class StatePrediction(Controller[State]):
         )
         expected = estimates
         if self._periods:
-            expected = self._predicted(model, estimates, period)._replace(reference=ahead)
-            angle, setpoint = expected.motion.angle, setpoint._replace(angle=ahead.angle)
+            expected = self._predicted(model, estimates, period)
+            angle = expected.motion.angle
+        expected = expected._replace(reference=ahead)
         now = self._valves(angle, expected.motion.velocity, expected.pressures, expected.actuators)
         return estimates, Expected(setpoint, angle, expected, model, now)
+
+    def foresee(self, state: State, setpoint: Setpoint, period: ArrayLike) -> State:
+        estimates: Estimates = state.estimates  # type: ignore[attr-defined]
+        reference, coming = self._follow(estimates, setpoint, period)
+        return state._replace(estimates=estimates._replace(reference=reference, coming=coming))  # type: ignore
+
+    def init_coming(self, angle: Scalar, stiffness: Scalar) -> PyTree:
+        """Return what is known of the reference ahead at the start, at a constant angle [rad] and stiffness [N*m/rad].
+
+        None of it without preview.
+        """
+        return ()
+
+    def _follow(self, last: Estimates, setpoint: Setpoint, period: ArrayLike) -> tuple[ReferenceDerivatives, PyTree]:
+        """Derivatives at a further setpoint, and what is known of the reference ahead."""
+        return last.reference.update(setpoint.angle, period), ()
+
+    def _at_arrival(
+        self, reference: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
+    ) -> tuple[ReferenceDerivatives, Setpoint]:
+        """Reference and setpoint at the arrival of the next commands."""
+        ahead = reference.after(self._delay) if self._periods else reference
+        return ahead, setpoint._replace(angle=ahead.angle)
 
     def _predicted(self, model: AntagonisticJoint, estimates: Estimates, period: ArrayLike) -> Estimates:
         """Estimates when the next commands arrive."""

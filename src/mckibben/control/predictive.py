@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, Self, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator.base import Attainable, lag_fraction
 from mckibben.control.allocation import keep_taut, linearise, pressure_range
 from mckibben.control.base import Measurement, Setpoint
-from mckibben.control.ddp import HorizonProblem, Policy, Quadratic, constant, shift, solve
+from mckibben.control.cost import StageCost, StageEnd
+from mckibben.control.ddp import HorizonProblem, Policy, Quadratic, State, constant, extrapolate, shift, solve
 from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.control.reference import ReferenceDerivatives
+from mckibben.errors import ParameterError
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine
 from mckibben.joint.geometry import Pair
@@ -35,6 +40,23 @@ _SERIES = 0.3  # stage over valve time constant: below it the hold weights are a
 _RAMP = 1e3  # stages: a lag with which pressures change linearly within a stage
 _AT_ONCE = 1e-3  # stages: a lag with which a pressure is at its target at the end of the stage
 _ANGLE_STEP = 0.02  # rad: of the finite differences of the local model
+
+
+class ComingReference(NamedTuple):
+    """Known samples of the reference and its derivatives, the next first; leaves of shape (samples_ahead + 1,)."""
+
+    angle: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    stiffness: Array
+
+    def at(self, samples: int | slice, delay: ArrayLike, period: ArrayLike) -> ReferenceDerivatives:
+        """Derivatives at some samples, of which the first is the last one within a delay [s], or a little later."""
+        first = samples.start if isinstance(samples, slice) else samples
+        angle, velocity, acceleration, jerk = (signal[samples] for signal in self[:4])
+        there = ReferenceDerivatives(angle, velocity, acceleration, jerk, jnp.full_like(angle, 3.0))
+        return there.after(delay - first * jnp.asarray(period))
 
 
 class PredictiveState(NamedTuple):
@@ -81,6 +103,11 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         Errors of equal weight: theta_s [rad] and K_s [N*m/rad]. Only their ratio counts.
     horizon
         Prediction horizon [s].
+    preview
+        Whether the reference is known over delay and horizon: the setpoint of a step is then that `samples_ahead`
+        control periods later. Default: the reference is extrapolated.
+    cost
+        Cost of the stages in addition to that of the errors. Default: none.
     stages
         Stages of the horizon; a stage is never shorter than the control period.
     iterations
@@ -105,12 +132,51 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
     horizon: PositiveTime = eqx.field(kw_only=True, default=0.06)
     stages: Count = eqx.field(kw_only=True, static=True, default=12)
     iterations: Iterations = eqx.field(kw_only=True, static=True, default=1)
+    preview: bool = eqx.field(kw_only=True, static=True, default=False)
+    cost: StageCost | None = eqx.field(kw_only=True, default=None)
+    samples_ahead: int = eqx.field(kw_only=True, static=True, default=0)
+    lead: int = eqx.field(kw_only=True, static=True, default=0)  # control periods within the delay
+
+    def with_period(self, period: float) -> Self:
+        prepared = super().with_period(period)
+        if not self.preview:
+            return prepared
+        shortest, longest = (float(reduce(self.horizon)) for reduce in (np.min, np.max))
+        if shortest < longest:
+            raise ParameterError(
+                "PredictiveControl: with preview all runs have one horizon",
+                field="horizon",
+                remedy="simulate runs of another horizon separately",
+            )
+        stride = max(round(longest / self.stages / period), 1)
+        lead = self.whole_periods(period)
+        return dataclasses.replace(prepared, lead=lead, samples_ahead=lead + stride * self.stages)
 
     def init(self, measurement: Measurement) -> PredictiveState:
         zero = jnp.zeros_like(measurement.angle)
         pressure1, pressure2 = measurement.pressures
         policy = constant((pressure1 / bar, pressure2 / bar), self.stages)
         return PredictiveState(self.init_estimates(measurement), (zero, zero), policy)
+
+    def init_coming(self, angle: Scalar, stiffness: Scalar) -> PyTree:
+        constant = jnp.zeros(self.samples_ahead + 1)
+        held = ComingReference(*(constant for _ in ComingReference._fields))
+        return held._replace(angle=constant + angle, stiffness=constant + stiffness) if self.preview else ()
+
+    def _follow(self, last: Estimates, setpoint: Setpoint, period: ArrayLike) -> tuple[ReferenceDerivatives, PyTree]:
+        reference, coming = super()._follow(last, setpoint, period)
+        if self.preview:
+            newest = ComingReference(*reference[:4], setpoint.stiffness)
+            coming = jax.tree.map(lambda samples, value: jnp.append(samples[1:], value), last.coming, newest)
+        return reference, coming
+
+    def _at_arrival(
+        self, reference: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
+    ) -> tuple[ReferenceDerivatives, Setpoint]:
+        if not self.preview:
+            return super()._at_arrival(reference, coming, setpoint, period)
+        now = coming.at(self.lead, self._delay, period)
+        return now, Setpoint(now.angle, coming.stiffness[self.lead])
 
     def step(
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
@@ -126,6 +192,8 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
 
         local = local_model(model, angle, ahead.pressures, minimum_tension=self.minimum_tension)
         stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
+        if self.preview:
+            stage = (self.samples_ahead - self.lead) // self.stages * jnp.asarray(period)
         problem = self._problem(
             local, ahead, valves, angle, frequency_sq, setpoint.stiffness - ahead.added_stiffness, stage, period
         )
@@ -149,7 +217,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
     ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """State of the problem now: errors of angle, velocity, acceleration and stiffness over their scales."""
         unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
-        motion, (_, velocity, acceleration, _) = estimates.motion, problem.reference
+        motion, (_, velocity, acceleration, _) = estimates.motion, (signal[0] for signal in problem.reference)
         known = self.load.acceleration(angle, motion.velocity, estimates.torque + estimates.friction)
         return (
             (angle - setpoint.angle) / unit,
@@ -173,7 +241,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
         per_stiffness = 1 / jnp.asarray(self.stiffness_scale)
         per_acceleration = 1 / (pole**2 * unit)
-        zero, reference = jnp.zeros_like(angle), estimates.reference
+        zero, stages = jnp.zeros_like(angle), self.stages
 
         # Eq. 6 is affine in torque and velocity.
         gravity, gravity_slope, gravity_curvature = _second_order(
@@ -217,9 +285,38 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
             Attainable(reach.keep, reach.lower / bar, reach.upper / bar) for reach in valves.attainable(stage)
         )
         ramp = _RAMP * stage if valves.model.lag is None else valves.model.lag
-        # Backward differences lag by one period, their velocity by half of one.
-        now = reference.acceleration_after(0.0, period)
-        velocity = reference.velocity + period / 2 * now
+
+        def scaled(reference: ReferenceDerivatives) -> State:
+            # Backward differences lag by one period, their velocity by half of one.
+            now = reference.acceleration_after(0.0, period)
+            return (
+                (reference.angle - angle) / unit,
+                (reference.velocity + period / 2 * now) / (pole * unit),
+                per_acceleration * now,
+                reference.jerk / (pole**3 * unit),
+            )
+
+        if self.preview:
+            each = slice(self.lead, None, (self.samples_ahead - self.lead) // stages)
+            reference = scaled(estimates.coming.at(each, self._delay, period))
+            setpoints = per_stiffness * (estimates.coming.stiffness[each] - estimates.coming.stiffness[self.lead])
+        else:
+            frequency_sq = jnp.clip(frequency_sq, 0.0, (jnp.pi / (stages * stage)) ** 2) / pole**2
+            reference = extrapolate(scaled(estimates.reference), pole * stage, frequency_sq, stages)
+            setpoints = jnp.zeros(stages + 1)
+
+        def residuals(y: State, pressures: Pair, reference: State, change: Scalar) -> tuple[Scalar, ...]:
+            isobaric = jnp.asarray(stiffness) + change / per_stiffness
+            there = StageEnd(
+                angle + unit * (reference[0] + y[0]),
+                pole * unit * (reference[1] + y[1]),
+                (reference[2] + y[2]) / per_acceleration,
+                isobaric + y[3] / per_stiffness,
+                (bar * pressures[0], bar * pressures[1]),
+                Setpoint(angle + unit * reference[0], isobaric),
+            )
+            return cast(StageCost, self.cost).residuals(there)
+
         return HorizonProblem(
             stage=pole * stage,
             hold_weights=_hold(floating(ramp), stage),
@@ -228,16 +325,12 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
             acceleration=(acceleration, by_pressure1, by_pressure2),
             stiffness=(stiffness_error, stiffness1, stiffness2),
             drag=drag,
-            reference=(
-                (reference.angle - angle) / unit,
-                velocity / (pole * unit),
-                per_acceleration * now,
-                reference.jerk / (pole**3 * unit),
-            ),
-            reference_frequency_sq=jnp.clip(frequency_sq, 0.0, (jnp.pi / (self.stages * stage)) ** 2) / pole**2,
+            reference=reference,
+            setpoints=setpoints,
             pressure_lower=limits(local.lowest, local.lowest_slope),
             pressure_upper=limits(local.highest, local.highest_slope),
             attainable=(reach1, reach2),
+            residuals=None if self.cost is None else residuals,
         )
 
 

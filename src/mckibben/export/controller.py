@@ -112,6 +112,8 @@ def stepping_module(name: str, source: ControllerFunctions) -> SourceModule:
     module.add("check", "used by step: 0 to use a sample, 1 to hold, 2 to begin again first", source.check, sample)
     module.add("hold", "one control period without a usable sample: the last commands, or the vent", source.hold, state)
     text = "one control period: new state, and commands from now on"
+    if early := getattr(source.of(source.parameters), "samples_ahead", 0):
+        text += f"; the setpoint is that of {early} periods later"
     module.add("step", text, source.step, sample, ("begin", "check", "hold"))
     return module
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
+from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
@@ -169,7 +169,11 @@ def prepare(
         plant = scenario.plant()
         hanging = vented_angle(plant)
     with _building(source or scenario.name, "controller"):
-        program = ControlProgram(scenario.control().with_period(scenario.control_period))
+        controller = scenario.control().with_period(scenario.control_period)
+        if controller.samples_ahead:
+            message, remedy = "a rig gives no setpoints ahead", "leave preview out"
+            raise RangeError(message, field="controller.preview", remedy=remedy)
+        program = ControlProgram(controller)
     period = scenario.control_period
     with _building(source or scenario.name, "start"):
         start = scenario.initial(plant)

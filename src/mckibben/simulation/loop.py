@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 
-from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
+from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint, with_preview
 from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, last_change, values_of
@@ -38,6 +38,15 @@ def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: PyTree) ->
     """The plant at its start, and the controller initialised from the first measurement."""
     state = plant.begin(start)
     return state, controller.init(plant.sample(state, 0.0)[1])
+
+
+def begun(
+    plant: Plant, controller: DiscreteTimeSystem, setpoints: PyTree, start: PyTree, period: ArrayLike
+) -> tuple[LoopState, PyTree]:
+    """`initial_loop` before the first of setpoints, and the setpoints that the controller gets in each period."""
+    state, held = initial_loop(plant, controller, start)
+    held, setpoints = with_preview(controller, held, setpoints, period)
+    return (state, held), setpoints
 
 
 def control_period(
@@ -65,7 +74,7 @@ def episode(
     def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
-    (final, _), record = lax.scan(next_period, initial_loop(plant, controller, initial), setpoints)
+    (final, _), record = lax.scan(next_period, *begun(plant, controller, setpoints, initial, period))
     return final, record
 
 
@@ -94,8 +103,9 @@ def positions_over_time(
     def next_kept(state: LoopState, setpoints: PyTree) -> tuple[LoopState, tuple[Array, ...]]:
         return lax.scan(next_period, state, setpoints)[0], tuple(jax.tree.leaves(state[0][0]))
 
+    loop, setpoints = begun(plant, controller, setpoints, initial, period)
     rows = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
-    return lax.scan(next_kept, initial_loop(plant, controller, initial), rows)[1]
+    return lax.scan(next_kept, loop, rows)[1]
 
 
 class Streamed(NamedTuple):
@@ -154,20 +164,20 @@ def streaming_episode(
         if not coupling:
             return following
         unchanged = setpoint._replace(stiffness=change.before)
-        changed = change.ends & (index >= change.at)
+        changed = change.ends & (index >= change.at - getattr(controller, "samples_ahead", 0))
         return lax.cond(changed, lambda: step(carry.without_change, unchanged)[0], lambda: following)
 
-    def next_period(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
-        index, setpoint = at
-        following, record = step(carry.loop, setpoint)
+    def next_period(carry: _Carry, at: tuple[Array, Setpoint, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
+        index, setpoint, seen = at
+        following, record = step(carry.loop, seen)
         now = trajectory(plant, setpoint, record, carry.without_change[0].angle, controller.stiffness_amplitude)
         so_far = carry.so_far.after(now, index, periods, change, plant.sensors.angle_resolution)
-        without = step_without_change(carry, following, setpoint, index)
+        without = step_without_change(carry, following, seen, index)
         return _Carry(following, without, so_far), {name: getattr(now, name) for name in keep}
 
-    loop = initial_loop(plant, controller, initial)
+    loop, seen = begun(plant, controller, setpoints, initial, period)
     start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
-    carry, columns = lax.scan(next_period, start, (jnp.arange(periods), setpoints))
+    carry, columns = lax.scan(next_period, start, (jnp.arange(periods), setpoints, seen))
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
     metrics = values_of(Metrics, totals, run)
     if not coupling:

@@ -17,7 +17,7 @@ from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
-from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.control.base import Controller, Reference, Setpoint, extended
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
@@ -25,7 +25,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
-from mckibben.simulation.loop import LoopState, initial_loop
+from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
     AtRest,
@@ -284,6 +284,8 @@ def _linearised(
     runs = jax.tree.leaves(start)[0].shape[-1]
     setpoints = jax.tree.map(lambda leaf: np.broadcast_to(leaf.reshape(len(leaf), -1), (len(leaf), runs)), setpoints)
     visited, oscillation = map(np.asarray, _visited("auto", constant, (own, start, setpoints))[0])
+    if early := shared.controller.samples_ahead:
+        setpoints = jax.tree.map(lambda leaf: np.asarray(leaf[early:]), extended(setpoints, early, control_period))
     states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
     directions = np.eye(count + 2)
@@ -314,7 +316,7 @@ def _visited(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
         following, _ = _advance(run, loop, setpoint, jnp.zeros(2), period, substeps)
         return following, (ravel_pytree(loop)[0], jnp.asarray(loop[0].angle))
 
-    states, angles = lax.scan(step, initial_loop(run.plant, run.controller, start), setpoints)[1]
+    states, angles = lax.scan(step, *begun(run.plant, run.controller, setpoints, start, period))[1]
     return states, find_limit_cycle(angles, setpoints.angle, period).amplitude
 
 
