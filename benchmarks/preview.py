@@ -217,7 +217,8 @@ def step_time(known):
     """Time of a step of the exported controller [s], the shortest of five replays."""
     section = f"{{class: predictive, preview: {str(known).lower()}}}"
     text = SCENARIO.read_text(encoding="utf-8")
-    scenario = Scenario.loads(re.sub(r"controller:.*?(?=reference:)", f"controller: {section}\n", text, flags=re.S))
+    edited = re.sub(r"controller:.*?(?=reference:)", f"controller: {section}\n", text, flags=re.S)
+    scenario = Scenario.parse(edited, folder=SCENARIO.parent)
     with tempfile.TemporaryDirectory() as folder:
         export(scenario, "c", folder)
         build = "cc", "-O3", "-march=native", "-std=c99", "replay.c", "controller.c", "-lm", "-o", "replay"

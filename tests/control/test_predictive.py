@@ -1,5 +1,6 @@
 """Predictive control in closed loop: the designed linear loop without limits, and its advantage at limits."""
 
+import dataclasses
 import functools
 
 import jax

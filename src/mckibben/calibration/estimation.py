@@ -230,7 +230,7 @@ class JointCalibration(CalibratedJoint):
 
     def remarks(self) -> list[Remark]:
         """Whether the model describes the recordings, and remarks on the quantities."""
-        remedy = "which recordings had the weight, the units, and the encoder's zero"
+        remedy = "which recordings had the weight, the units and the encoder's zero, and state in --prior what is known"
         return misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy) + super().remarks()
 
 

@@ -140,15 +140,10 @@ class JointwiseControl(RobotController):
     reference: RobotReference
     others: tuple[Pressure, ...] = ()
 
-<<<<<<< HEAD:src/mckibben/robot/control.py
     def init(self, measurement: RobotMeasurement) -> Any:
         check_count("controllers", len(self.controllers), len(measurement.angles), "joint, in their order")
-=======
-    def init(self, measurement: LegMeasurement) -> Any:
-        check_count("controllers", len(self.controllers), len(measurement.angles), "joint, from the trunk down")
         if any(controller.samples_ahead for controller in self.controllers):
-            raise RangeError("a leg gives no setpoints ahead", field="controllers", remedy="leave preview out")
->>>>>>> c70eb72f (Preview of a known reference in predictive control and decoupling, and costs of stages by users):src/mckibben/leg/control.py
+            raise RangeError("a robot gives no setpoints ahead", field="controllers", remedy="leave preview out")
         states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
         return self.reference.init(measurement), tuple(states)
 
