@@ -4,15 +4,12 @@ import dataclasses
 import json
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
 from mckibben.actuator import Actuator, FirstOrderValve
 from mckibben.calibration import Sweeps
 from mckibben.component.schema import read_component
-from mckibben.numerics.batching import batched_program
-from mckibben.plant import PerfectSensors
 from mckibben.scenario import Scenario
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -123,51 +120,6 @@ def written(folder, name, columns):
     text = "\n".join(",".join(f"{cell:.6g}" for cell in row) for row in zip(*rows, strict=True))
     (folder / name).write_text(f"{head}\n{text}\n", encoding="utf-8")
     return str(folder / name)
-
-
-@pytest.fixture(scope="module")
-def stepped(tmp_path_factory):
-    """Two recordings of commanded pressures of the example's joint, whose valve is slower than the scenario says."""
-    folder, scenario = tmp_path_factory.mktemp("stepped"), Scenario.read(EXAMPLE)
-    slow = scenario.model_copy(update={"valve": FirstOrderValve(0.06), "sensors": PerfectSensors()})
-    plant, files = slow.plant(), []
-    time = np.arange(0, 8, 0.01)
-
-    @jax.jit
-    def run(state, commands):
-        def step(state, one):
-            return plant.advance(state, (one[0], one[1]), 0.01, 5), state.angle
-
-        with batched_program():
-            return jax.lax.scan(step, state, commands)[1]
-
-    for seed in (1, 2):
-        levels = np.random.default_rng(seed).uniform(3.5e5, 5e5, (8, 2))
-        sent = levels[time.astype(int)]
-        angle = run(plant.init_state(0.0, tuple(levels[0])), sent)
-        columns = ("time_s,angle_rad,command1_bar,command2_bar", time, np.asarray(angle), *(sent.T / 1e5))
-        files.append(written(folder, f"{seed}.csv", columns))
-    return files
-
-
-@pytest.mark.slow
-def test_recordings_of_commands(cli, stepped, tmp_path):
-    files = ("--recording", stepped[0], "--held-out", stepped[1])
-    found = cli("calibrate", str(EXAMPLE), *files, "--out", "commands", "--json")
-    assert found.code == 0, found.err
-    numbers = json.loads(found.out)
-    simulated = numbers["tables"][-1]["columns"]
-    rows = estimates(numbers)
-    lag = rows["valve.time_constant"]
-    assert lag["determined"] and lag["unit"] == "ms"
-    assert abs(lag["estimate"] - 60) < 3 * lag["deviation"]
-    assert simulated["used as"]["values"] == ["fitted", "held out"]
-    assert simulated["calibrated"]["values"][1] < 0.3 * simulated["model before"]["values"][1]
-    kept = Scenario.read(tmp_path / "commands" / "scenario.yaml")
-    assert kept.valve.time_constant == pytest.approx(lag["estimate"] / 1e3)
-    assert kept.load.inertia == pytest.approx(rows["load.inertia"]["estimate"])
-    assert kept.controller.model == kept.joint
-    assert kept.command_delay == pytest.approx(rows["delay"]["estimate"] / 1e3)
 
 
 VALVES = ("--valves", "--duration", "20 s", "--angles", "-8..12 deg")

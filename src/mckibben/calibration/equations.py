@@ -51,10 +51,8 @@ class JointRecording:
         Gauge pressures [Pa] of muscles 1 and 2, and their tensions [N] if there are load cells; shape (samples, 2).
     added_mass, distance
         A known weight [kg] on the limb, and its distance from the axis [m].
-    commanded
-        Whether `pressures` are commands instead of measurements.
     commands
-        Commands [Pa] in addition to measured pressures, for `calibrate_valves`; shape (samples, 2).
+        Commands [Pa], for `calibrate_valves`; shape (samples, 2).
     """
 
     time: Floats
@@ -63,7 +61,6 @@ class JointRecording:
     tensions: Floats | None = None
     added_mass: float = 0.0
     distance: float = 0.0
-    commanded: bool = False
     commands: Floats | None = None
 
 
@@ -96,10 +93,7 @@ class JointPrior(Checked):
         Encoder zero [rad].
     arm_scale
         Scale of the moment arms.
-    lag, rate, delay, damping
-        For recordings of commands: logarithms of the valve's time constant, of its rate limit, of the delay about 20
-        ms, and of the load's damping. `mass` then refers to the logarithms of inertia and gravity.
-    valve, supply, polytropic_index, critical_ratio
+    valve, delay, supply, polytropic_index, critical_ratio
         For `calibrate_valves`: logarithms of these quantities, and of all others of a valve.
     volume, pressure_zero
         For `calibrate_valves`: volume of the air in the muscles, relative; reading of the pressure sensors at 0 bar
@@ -118,10 +112,7 @@ class JointPrior(Checked):
     load_cell: Strength = 0.01
     zero: PositiveAngle = 0.5 * deg
     arm_scale: Strength = 0.02
-    lag: Strength = 0.7
-    rate: Strength = 1.0
     delay: Strength = 1.0
-    damping: Strength = 1.0
     valve: Strength = 0.7
     supply: Strength = 0.05
     polytropic_index: Strength = 0.08
@@ -235,11 +226,8 @@ def halves_of(recording: JointRecording) -> Halves:
     Raises
     ------
     IdentificationError
-        If the pressures are commands, numbers are not finite, or the samples are too few, too sparse or uneven.
+        If numbers are not finite, or the samples are too few, too sparse or uneven.
     """
-    if recording.commanded:
-        remedy = "use calibrate_from_commands, or give measured pressures"
-        raise IdentificationError("a recording has commanded pressures", remedy=remedy)
     check_recording(recording)
     time, period = recording.time, 2 * sampling_period(recording)  # of a half
     margin = cubic_width(period) * period

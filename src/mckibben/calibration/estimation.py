@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import abc
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import field
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -61,15 +60,28 @@ STRENGTHS = range(-4, 3)
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 
 
-class CalibratedJoint(Calibration):
-    """Base of the calibrations of a joint: the model with the estimates, and its stiffness with deviations.
+class JointCalibration(Calibration):
+    """Joint identified from recordings of its motion, by `calibrate_joint`.
 
     Attributes
     ----------
+    quantities
+        Estimates by name: ``muscle1.force`` (relative to the model, at the middle contraction and the mean pressure),
+        ``muscle1.friction``, ``muscle1.presliding``, ``muscle1.creep`` (total stiffness of its Maxwell arms),
+        ``friction`` (sum of both half widths), ``load.mass``, ``added_mass`` (relative to its stated value), ``zero``
+        (encoder reading at angle 0), ``arm_scale``.
     joint, load
         The model with the estimates.
     recordings, held_out
         Those that were fitted, and those that were not.
+    residual
+        Root mean square of the error of the equation of motion [N*m], low-pass filtered.
+    noise
+        Root mean square of its sensor noise [N*m], the part not shared by even and odd samples.
+    misfit
+        Root mean square of the error of the model [N*m]: the residual without its noise. Deviations contain it.
+    highest
+        Highest torque of a muscle [N*m].
     """
 
     joint: AntagonisticJoint
@@ -78,9 +90,12 @@ class CalibratedJoint(Calibration):
     held_out: tuple[JointRecording, ...] = field(default=(), kw_only=True)
     _problem: CalibrationProblem
     _minima: tuple[LocalMinimum, ...]  # the best one first
+    residual: float = column("N*m", "residual torque", digits=2)
+    noise: float = column("N*m", "noise of the torque", digits=2)
+    misfit: float = column("N*m", "error of the model", digits=2)
+    highest: float = 0.0
 
     figures = ("calibration",)
-    _error: ClassVar[Column]  # of a recording, as `errors`
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
         """Return stiffness [N*m/rad] and its standard deviation at angles [rad] and gauge pressures [Pa]."""
@@ -115,9 +130,15 @@ class CalibratedJoint(Calibration):
         models = _models(self._problem, draws(self._minima, count))
         return {"joint": models.joint, "load": models.load}
 
-    @abc.abstractmethod
     def errors(self, recording: JointRecording) -> tuple[float, float]:
-        """Return the root mean square errors of a recording by the model before and after the calibration."""
+        """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
+        halves = halves_of(recording)
+        edge = sliding_from(self._problem.joint, halves[0].angle) + int(4 * _FILTER * RATE)
+        before, after = (
+            np.mean([_filtered(linearised(self._problem, z, half)[0], edge) for half in halves], axis=0)[:, 0]
+            for z in (np.zeros(PARAMETERS), self._minima[0].z)
+        )
+        return root_mean_square([before]), root_mean_square([after])
 
     @property
     def predicts(self) -> bool:
@@ -154,11 +175,12 @@ class CalibratedJoint(Calibration):
         """Estimates, combinations of those that are not determined, and errors of each recording."""
         recordings, rows = (*self.recordings, *self.held_out), self.combinations()
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
+        error = Column("N*m", digits=3)
         columns: dict[str, tuple[Column, Any]] = {
             "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
             "used as": (Column(), ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)),
-            "model before": (self._error, before),
-            "calibrated": (self._error, after),
+            "model before": (error, before),
+            "calibrated": (error, after),
         }
         listings = [*super().listings(), Listing("root mean square error", columns)]
         if rows:
@@ -176,9 +198,11 @@ class CalibratedJoint(Calibration):
         return f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; {super().verdict()}"
 
     def remarks(self) -> list[Remark]:
-        """Contradictions of model and recordings (probability 1e-6), and quantities that are far from the model."""
-        z = self._minima[0].z[:PARAMETERS]
-        remarks, distance = [], float(z @ z)
+        """Misfit, contradictions of model and recordings (probability 1e-6), and quantities far from the model."""
+        z = self._minima[0].z
+        remedy = "which recordings had the weight, the units and the encoder's zero, and state in --prior what is known"
+        remarks = misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy)
+        distance = float(z @ z)
         if distance > chdtri(z.size, 1e-6):
             text = f"the recordings contradict the model: it is too far from the estimates (chi-squared {distance:.3g})"
             remarks.append(Remark.warning("quantities", text, _CHECK))
@@ -189,49 +213,6 @@ class CalibratedJoint(Calibration):
             text = f"{len(self._minima)} minima describe the recordings; deviations contain the distances between them"
             remarks.append(Remark.note("quantities", text))
         return remarks + super().remarks()
-
-
-class JointCalibration(CalibratedJoint):
-    """Joint identified from recordings of its motion, by `calibrate_joint`.
-
-    Attributes
-    ----------
-    quantities
-        Estimates by name: ``muscle1.force`` (relative to the model, at the middle contraction and the mean pressure),
-        ``muscle1.friction``, ``muscle1.presliding``, ``muscle1.creep`` (total stiffness of its Maxwell arms),
-        ``friction`` (sum of both half widths), ``load.mass``, ``added_mass`` (relative to its stated value), ``zero``
-        (encoder reading at angle 0), ``arm_scale``.
-    residual
-        Root mean square of the error of the equation of motion [N*m], low-pass filtered.
-    noise
-        Root mean square of its sensor noise [N*m], the part not shared by even and odd samples.
-    misfit
-        Root mean square of the error of the model [N*m]: the residual without its noise. Deviations contain it.
-    highest
-        Highest torque of a muscle [N*m].
-    """
-
-    _error = Column("N*m", digits=3)
-
-    residual: float = column("N*m", "residual torque", digits=2)
-    noise: float = column("N*m", "noise of the torque", digits=2)
-    misfit: float = column("N*m", "error of the model", digits=2)
-    highest: float = 0.0
-
-    def errors(self, recording: JointRecording) -> tuple[float, float]:
-        """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
-        halves = halves_of(recording)
-        edge = sliding_from(self._problem.joint, halves[0].angle) + int(4 * _FILTER * RATE)
-        before, after = (
-            np.mean([_filtered(linearised(self._problem, z, half)[0], edge) for half in halves], axis=0)[:, 0]
-            for z in (np.zeros(PARAMETERS), self._minima[0].z)
-        )
-        return root_mean_square([before]), root_mean_square([after])
-
-    def remarks(self) -> list[Remark]:
-        """Whether the model describes the recordings, and remarks on the quantities."""
-        remedy = "which recordings had the weight, the units and the encoder's zero, and state in --prior what is known"
-        return misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy) + super().remarks()
 
 
 def calibrate_joint(

@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Array
 
 from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, Samples, sliding_from
-from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
+from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
-from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import independent, replaced, write_text
 from mckibben.control import Multisine, Reference, Sine
 from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
@@ -36,6 +35,7 @@ from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write
 
 _PRESSURES = ("pressure1", "pressure2")
+_OPTIONAL = {"command": "Pa", "tension": "N"}
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
 """
@@ -251,8 +251,8 @@ def read_joint_recording(
 ) -> JointRecording:
     """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
 
-    Columns ``command1_bar,command2_bar`` give commands in addition to or instead of pressures,
-    ``tension1_N,tension2_N`` the readings of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
+    Columns ``command1_bar,command2_bar`` give commands, for the valves, ``tension1_N,tension2_N`` the readings of load
+    cells. A ``result.nc`` of `mckibben rig control` is read as well.
     """
     file = Path(path)
     if file.suffix == ".nc":
@@ -260,20 +260,16 @@ def read_joint_recording(
 
     def wanted(header: list[str]) -> dict[str, str]:
         begins = {title.partition("_")[0] for title in header}
-        kinds = {"pressure": "Pa", "command": "Pa", "tension": "N"}
-        measured = {f"{kind}{i}": unit for kind, unit in kinds.items() if f"{kind}1" in begins for i in (1, 2)}
-        return {"angle": "rad", **(measured if {"pressure1", "command1"} & begins else dict.fromkeys(_PRESSURES, "Pa"))}
+        more = {f"{kind}{i}": unit for kind, unit in _OPTIONAL.items() if f"{kind}1" in begins for i in (1, 2)}
+        return {"angle": "rad", **dict.fromkeys(_PRESSURES, "Pa"), **more}
 
     times, columns = read_columns(file, wanted)
 
     def pair(kind: str) -> Any:
         return np.stack([columns[f"{kind}1"], columns[f"{kind}2"]], axis=1) if f"{kind}1" in columns else None
 
-    pressures, commands = pair("pressure"), pair("command")
-    shared = pair("tension"), added_mass, distance
-    if pressures is None:
-        return JointRecording(times, columns["angle"], commands, *shared, commanded=True)
-    return JointRecording(times, columns["angle"], pressures, *shared, commands=commands)
+    readings = columns["angle"], pair("pressure"), pair("tension")
+    return JointRecording(times, *readings, added_mass, distance, commands=pair("command"))
 
 
 def calibrate_scenario(
@@ -282,28 +278,13 @@ def calibrate_scenario(
     prior: JointPrior | None = None,
     *,
     held_out: Sequence[JointRecording] = (),
-) -> JointCalibration | CommandedCalibration:
-    """Identify the controller's model of a scenario from recordings of measured or commanded pressures.
+) -> JointCalibration:
+    """Identify the controller's model of a scenario from recordings.
 
     Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it.
     """
     joint, load = first_model_of(scenario), load_of(scenario)
-    kinds = {recording.commanded for recording in (*recordings, *held_out)}
-    if len(kinds) > 1:
-        remedy = "give recordings of one kind"
-        raise ParameterError("recordings of commands and of measured pressures", remedy=remedy)
-    fit: JointCalibration | CommandedCalibration
-    if kinds == {True}:
-        valve: Any = scenario.valve
-        if not valve.is_first_order:
-            remedy = "give the scenario a plausible one, such as `valve: {time_constant: 50 ms}`"
-            message = "recordings of commands need a valve with a first-order lag"
-            raise ParameterError(message, field="valve", remedy=remedy)
-        options: Any = {"friction": scenario.friction, "delay": scenario.command_delay}
-        fit = calibrate_from_commands(joint, load, valve, recordings, prior, **options)
-    else:
-        fit = calibrate_joint(joint, load, recordings, prior)
-    fit = replace(fit, held_out=tuple(held_out))
+    fit = replace(calibrate_joint(joint, load, recordings, prior), held_out=tuple(held_out))
     keeps = bool(held_out) and not fit.predicts
     after = scenario if keeps else calibrated_scenario(scenario, fit)
     model = joint if keeps else calibrated_model(scenario, fit)
@@ -312,7 +293,7 @@ def calibrate_scenario(
     return replace(fit, writers=writers, disk_margins=margins)
 
 
-def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJoint:
+def calibrated_model(scenario: Scenario, fit: JointCalibration) -> AntagonisticJoint:
     """Return the controller's model with the estimates."""
     model, joint, muscles = first_model_of(scenario), fit.joint, {}
     for name in ("muscle1", "muscle2"):
@@ -327,16 +308,13 @@ def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJo
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
 
 
-def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
+def calibrated_scenario(scenario: Scenario, fit: JointCalibration) -> Scenario:
     """Return the scenario with the estimates as its plant, encoder included, and as its controller's model."""
     parts: dict[str, Any] = {"joint": calibrated_model(scenario, fit), "load": fit.load}
     sensors = SampledSensors() if isinstance(scenario.sensors, PerfectSensors) else scenario.sensors
     if isinstance(sensors, SampledSensors):
         parts["sensors"] = replaced(sensors, {"encoder_offset": fit.quantities["zero"].value})
-    if isinstance(fit, CommandedCalibration):
-        valve = replaced(scenario.valve, {name: getattr(fit.valve, name) for name in ("time_constant", "rate")})
-        parts |= {"valve": valve, "command_delay": fit.delay}
-    elif mass := fit.load.adapted_mass:
+    if mass := fit.load.adapted_mass:
         parts["load"] = replaced(load_of(scenario), {mass: getattr(fit.load, mass)})
     return with_estimates(scenario, fit.deviations(), **parts)
 

@@ -25,7 +25,6 @@ _PARAMETERS = {  # of a scenario, for estimates of another name
     "muscle1.force": "joint.muscle1.strength",
     "muscle2.force": "joint.muscle2.strength",
     "delay": "command_delay",
-    "load.gravity_torque": "load.greatest_gravity_torque",
     "valve1.delay": "command_delay",
     "valve2.delay": "command_delay",
 }

@@ -156,7 +156,7 @@ class ValveCalibration(Calibration):
         return float(np.mean(self.delays))
 
     def drawn(self, count: int) -> dict[str, Any]:
-        """Return valve and delay of plants, with an array of shape (count,) for each number, as `CalibratedJoint`."""
+        """Return valve and delay of plants, with an array of shape (count,) for each number, as `JointCalibration`."""
         pairs = []
         for problem, minimum in zip(self._problems.values(), self._minima, strict=True):
             own = len(problem.parameters)

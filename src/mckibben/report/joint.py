@@ -39,7 +39,7 @@ from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
     from mckibben.calibration import ValveCalibration
-    from mckibben.calibration.estimation import CalibratedJoint
+    from mckibben.calibration.estimation import JointCalibration
     from mckibben.paper.identification import JointMap
     from mckibben.simulation import SimulationResult
 
@@ -331,7 +331,7 @@ def selection(selection: Selection) -> Figure:
 
 
 @styled
-def calibration(calibration: CalibratedJoint) -> Figure:
+def calibration(calibration: JointCalibration) -> Figure:
     """Stiffness of a model before and after calibration along the recordings, with 95 % intervals, and its change.
 
     Left: over recording time, one recording after the other; right: calibrated minus before, over the angle.
