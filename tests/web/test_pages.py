@@ -29,9 +29,9 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, rig, session, studies, tune, wording, workbench
+from mckibben.web import app, design, identify, rig, session, tune, wording, workbench
 from mckibben.web.reading import Read
-from mckibben.web.results import Presented
+from mckibben.web.results import Presented, Repetition
 
 RIG = (Path(__file__).parents[2] / "examples" / "rig.csv").read_text(encoding="utf-8")
 MUSCLE = catalog.joint("knee-table-2").muscle1
@@ -151,29 +151,28 @@ def test_another_kind_of_joint_has_its_own_sliders():
     assert (kept.kind, kept.dimensions) == ("pulleys", {"radius": 60})
 
 
-async def paste(user, text):
-    the(user, ui.textarea, "paste").set_value(text)
-    user.find("Read", kind=ui.button).click()
+async def give(user, text, name="points.csv"):
+    await the(user, ui.upload).handle_uploads([SmallFileUpload(name, "", text.encode())])
 
 
 async def points_of_the_rig(user):
-    """Open the page Muscle, paste the points, and wait for them; the state of the page."""
+    """Open the page Muscle, upload the points, and wait for them; the state of the page."""
     await user.open("/identify")
-    await paste(user, RIG)
+    await give(user, RIG)
     await user.should_see("204 points", retries=60)
     return state(identify.IdentificationState)
 
 
 @pytest.mark.slow
-def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
+def test_points_are_uploaded_fitted_downloaded_and_give_a_joint(tmp_path):
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
-            await paste(user, RIG)
+            await give(user, RIG)
             await user.should_see("204 points, 31 slack", retries=60)
             user.find(marker="fit").click()
             await user.should_see("ExponentialLaw describes", retries=400)
-            user.find(marker="download").click()
+            user.find(marker="download-fit").click()
             answer = await user.download.next()
             kept = state(identify.IdentificationState)
             await user.open("/identify")  # a reload
@@ -196,12 +195,11 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
 @pytest.mark.slow
 def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction():
     rubbing = dataclasses.replace(MUSCLE, friction=mk.MaxwellSlip(7.5, 0.5 * mm))
-    assert design.compute(design.JointDesign(), MUSCLE).small_motion is None
+    assert design.compute(design.JointDesign(), MUSCLE).here.small_motion is None
     found = design.compute(design.JointDesign(), rubbing)
-    angle = design.ANGLES[40]
-    expected = found.joint.attainable_stiffness(angle, 0.0, pressure_limits=(0.0, 6 * bar), amplitude=0.1 * deg)
-    np.testing.assert_allclose([edge[40] for edge in found.small_motion], expected)
-    assert found.small_motion[1][40] > 2 * found.stiffness[1][40]
+    expected = found.joint.attainable_stiffness(10 * deg, 0.0, pressure_limits=(0.0, 6 * bar), amplitude=0.1 * deg)
+    np.testing.assert_allclose(found.here.small_motion, expected)
+    assert found.here.small_motion[1] > 2 * found.here.stiffness[1]
     text = workbench.START.replace("law: lei-mas-10-180n", "law: lei-mas-10-180n, friction: {half_width: 7.5 N}")
     scenario = Scenario.parse(
         text.replace("7.5 N}", "7.5 N, presliding_length: 0.5 mm}")
@@ -255,7 +253,7 @@ def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_fi
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
-            await paste(
+            await give(
                 user, "p_bar,eps_percent,F_N,<b>x\n" + "".join(f"2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9))
             )
             kept = state(identify.IdentificationState)
@@ -275,20 +273,16 @@ def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_fi
     assert columns == {"<b>x": "ignore", "F_N": "force_kN"}
 
 
-def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
+def test_a_search_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
     class Done(Result):
-        name: str
-
         def verdict(self):
-            return f"{self.name} is done"
+            return "tuning is done"
 
-    def study(name):
+    def tuned(text, *_):
         remarks = (Remark.severe("cost", "unstable"), Remark.note("cost", "a note"))
-        scenarios = {"a": Scenario.parse(workbench.START)}
-        return lambda text, *_: studies.Study(Presented(Done(name), remarks, (), b""), text, scenarios)
+        return tune.Study(Presented(Done(), remarks, (), b"", Repetition("", "", {})), text, Scenario.parse(text))
 
-    monkeypatch.setattr(tune, "tuned", study("tuning"))
-    monkeypatch.setattr(tune, "compared", study("comparison"))
+    monkeypatch.setattr(tune, "tuned", tuned)
 
     def is_grey(user):
         return any("stale" in one.classes for one in user.find(ui.column).elements)
@@ -297,26 +291,25 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
         async with visitor() as user:
             await user.open("/tune")
             kept = state(tune.StudyState)
-            kept.error = ParameterError("of an earlier study")
+            kept.error = ParameterError("of an earlier search")
             the(user, ui.number, "iterations").set_value(500)
             user.find(marker="tune").click()
             await user.should_see("correct first: iterations")
             assert not kept.jobs.busy
             the(user, ui.number, "iterations").set_value(3)
+            the(user, ui.number, "angle_rmse").set_value(0.2)
             user.find(marker="tune").click()
             await user.should_see("tuning is done", retries=30)
             await user.should_see("severe: unstable", kind=ui.label)
             state(workbench.Workbench).text += "\n# a remark"
             await asyncio.sleep(0.5)
             assert kept.error is None and not is_grey(user)
-            user.find(marker="compare").click()
-            await user.should_see("comparison is done", retries=30)
-            newest, older = (the(user, ui.button, f"download-{name}").id for name in ("compared", "tuned"))
-            assert newest < older
             state(workbench.Workbench).text = workbench.START.replace("duration: 6 s", "duration: 5 s")
             await until(lambda: is_grey(user))
+            return kept.request
 
-    asyncio.run(visit())
+    request = asyncio.run(visit())
+    assert (request.iterations, request.cost) == (3, "angle_rmse/0.2 deg + stiffness_rmse/0.1 N*m/rad")
 
 
 @pytest.mark.slow
@@ -346,7 +339,7 @@ def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
             user.find(marker="fit").click()
             await until(lambda: len(laws) == 2, 60)
             await asyncio.sleep(0.3)
-            await paste(user, "pressure_bar,force_N\n1,2\n")
+            await give(user, "pressure_bar,force_N\n1,2\n")
             await until(lambda: kept.questions)
             user.find(marker="fit").click()
             await asyncio.sleep(0.3)
@@ -372,8 +365,8 @@ def test_several_files_are_one_test_and_gone_when_others_replace_them():
             await until(lambda: kept.data is not None)
             points, first = len(kept.data), kept.sources
             folder = first[0].parent.parent
-            await paste(user, RIG)
-            await until(lambda: kept.name == "pasted table" and not kept.old)
+            await give(user, RIG)
+            await until(lambda: kept.name == "points.csv" and not kept.old)
             return points, len(kept.data), first, list(folder.rglob("*.csv")), kept.sources
 
     points, in_one_file, first, remaining, last = asyncio.run(visit())
@@ -522,7 +515,9 @@ def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
             await until(lambda: bench.error is not None)
             stopped, rows = bench.error, len(bench.rows)
             bench.pace = 0
-            bench.text = rig._START.replace("[1 bar, 2 bar, 3 bar, 4 bar, 5 bar, 6 bar]", "[2 bar, 3 bar]")
+            the(user, ui.input, "pressures").set_value("2, 3.")
+            the(user, ui.number, "step").set_value(8)
+            assert "pressures: [2 bar, 3 bar]" in bench.text and "step: 8 mm" in bench.text
             user.find(marker="start").click()
             await until(lambda: bench.result is not None)
             return stopped, rows, bench

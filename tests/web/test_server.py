@@ -231,7 +231,7 @@ def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
         "/joint": "!!document.querySelector('canvas, svg[role=img] polyline')",
         "/identify": "document.body.innerText.includes('No points yet')",
         "/run": "document.body.innerText.includes('completed')",
-        "/tune": "document.body.innerText.includes('No study yet')",
+        "/tune": "document.body.innerText.includes('counts as 1')",
         "/rig": "document.body.innerText.includes('no data yet') || !!document.querySelector('canvas')",
     }
     address = f"http://127.0.0.1:{site.port}"

@@ -1,66 +1,76 @@
-"""Tuning and comparison of the pages: the numbers of the commands."""
+"""Results of the pages are those of the commands and programs that they copy."""
 
+import contextlib
 import io
 import json
+import shlex
+import sys
 import zipfile
 
 import pytest
 
 pytest.importorskip("nicegui")
 
-from mckibben import Scenario
-from mckibben.errors import ParameterError
-from mckibben.study.tune import parse_cost, tune
-from mckibben.web import studies, workbench
+from mckibben import Scenario, catalog
+from mckibben.cli import main
+from mckibben.study.tune import parse_cost
+from mckibben.study.tune import tune as search
+from mckibben.web import identify, reading, tune, workbench
+from mckibben.web.results import Presented
 
 SHORT = workbench.START.replace("duration: 6 s", "duration: 0.6 s").replace("at: 3 s", "at: 0.2 s")
+POINTS = "pressure_bar,contraction_percent,force_N\n" + "".join(
+    f"{p},{100 * e:.0f},{float(catalog.law('lei-mas-10-180n').force(e, p * 1e5)):.3f}\n"
+    for p in (3, 4, 5, 6)
+    for e in (0.0, 0.03, 0.06, 0.09, 0.12, 0.15)
+)
 
 
-def silent(_step, _part):
-    pass
-
-
-@pytest.mark.slow
-def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
-    over = "controller.position.ki\ncontroller.position.kp"
-    request = studies.TuningRequest(over=over, method="local", iterations=4)
-    presented, text, scenarios = studies.tuned(SHORT, request, tmp_path, silent)
-    result, scenario = presented.result, Scenario.parse(SHORT)
-    cost = parse_cost(request.cost, gain_margin=request.gain_margin)
-    names = ["controller.position.ki", "controller.position.kp"]
-    expected = tune(scenario, names, cost, method=request.method, iterations=4)
-    assert text == SHORT
-    assert result.cost == expected.cost < result.cost_before
-    assert scenarios == {"tuned": expected.scenarios[0]}
-    assert [row[0] for row in presented.listings[1].rows()] == names
-    assert presented.picture.startswith(b"\x89PNG")
+def repeated(presented, folder, monkeypatch):
+    """Numbers of the page, of the copied command, and of the copied program, run in the unpacked download."""
     with zipfile.ZipFile(io.BytesIO(presented.archive())) as archive:
-        assert json.loads(archive.read("results.json"))["verdict"] == result.verdict()
-        assert archive.read("figure.png") == presented.picture
+        archive.extractall(folder)
+    monkeypatch.chdir(folder)
+    words = shlex.split((folder / "command.txt").read_text())
+    out = folder / words[words.index("--out") + 1]
+    monkeypatch.setattr(sys, "argv", words)
+    with contextlib.suppress(SystemExit):
+        main()
+    program = {}
+    exec(compile((folder / "program.py").read_text(), "program.py", "exec"), program)
+    numbers = [json.loads((place / "results.json").read_text()) for place in (folder, out)]
+    return *numbers, program["result"].to_dict()
 
 
 @pytest.mark.slow
-def test_controllers_are_compared_on_the_same_runs(tmp_path):
-    kinds = ("model inversion (decoupling)",)
-    request = studies.ComparisonRequest(("two PID loops", *kinds), "load.mass2=+-20 %", runs=8, generations=1)
-    steps = []
-    presented, _, scenarios = studies.compared(SHORT, request, tmp_path, lambda step, _: steps.append(step))
-    assert any("(2 of 2): evaluation runs, the last part" in step for step in steps)
-    errors, at_air, _ = (listing.rows() for listing in presented.listings)
-    assert {row[0] for row in errors} == set(scenarios) == {"scenario", *kinds}
-    assert at_air[0][0] == "scenario"
-    assert all(0 < float(median) <= float(late) for _, median, late, *_ in errors)
-    for scenario in scenarios.values():
-        assert Scenario.parse(scenario.dumps()).control() == scenario.control()
+def test_gains_are_tuned_as_by_the_copied_command_and_go_into_the_scenario(tmp_path, monkeypatch):
+    names = ("controller.position.ki", "controller.position.kp")
+    request = tune.TuningRequest(over=names, method="local", iterations=4, tolerances={"angle_rmse": 0.2})
+    study = tune.tuned(SHORT, request, tmp_path, lambda _step, _part: None)
+    cost = parse_cost("angle_rmse/0.2 deg", gain_margin=request.gain_margin, disk_margin=request.disk_margin)
+    expected = search(Scenario.parse(SHORT), names, cost, method="local", iterations=4)
+    assert study.presented.result.cost == expected.cost < expected.cost_before
+    assert study.text == SHORT and study.tuned == expected.scenarios[0]
+    page, command, program = repeated(study.presented, tmp_path, monkeypatch)
+    assert page["scalars"] == command["scalars"] == program["scalars"]
+    assert (tmp_path / "figure.png").read_bytes() == study.presented.picture
 
 
-def test_a_controller_is_not_compared_with_itself(tmp_path):
-    with pytest.raises(ParameterError):
-        studies.compared(SHORT, studies.ComparisonRequest(("two PID loops",)), tmp_path, silent)
+@pytest.mark.slow
+def test_a_run_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
+    _, presented = workbench.compute(Scenario.parse(SHORT), tmp_path)
+    page, command, program = repeated(presented, tmp_path, monkeypatch)
+    assert page["scalars"] == command["scalars"] == program["scalars"]
 
 
-def test_the_kinds_of_a_scenario_are_those_of_its_fields():
-    for name, section in workbench.CONTROLLERS.items():
-        text = workbench.with_section(workbench.START, section, ("controller",))
-        found = workbench.chosen_kinds(Scenario.parse(text))
-        assert found == {"controller": name, "angle": "sine", "stiffness": "step"}
+@pytest.mark.slow
+def test_a_fit_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
+    source = tmp_path / "data-a file.csv"
+    source.write_text(POINTS.replace("force_N", "pull"))
+    fields, state = reading.ReadingFields(columns={"pull": "force_N"}), identify.IdentificationState()
+    state.use("a file.csv", reading.read([source], fields), [source], fields)
+    fit = identify.identify_with_friction(identify.law_types()["ExponentialLaw"], state.data, friction=False)
+    presented = Presented.of(fit, state.steps("ExponentialLaw", friction=False, robust=False, inner="10 mm"))
+    page, command, program = repeated(presented, tmp_path, monkeypatch)
+    for listing, other, third in zip(page["tables"], command["tables"], program["tables"], strict=True):
+        assert listing["columns"] == other["columns"] == third["columns"]

@@ -104,21 +104,6 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
     ]
 
 
-def dots(name: str, x: ArrayLike, y: ArrayLike, color: str, *, many: int = 40) -> Series:
-    """Points of a chart, below its curves.
-
-    Parameters
-    ----------
-    name, x, y, color
-        As of `line`.
-    many
-        Number of points from which on they are small and pale, as they would hide a curve.
-    """
-    data, crowded = points(x, y), len(np.asarray(x)) > many
-    look = {"color": color, "opacity": 0.35 if crowded else 1}
-    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if crowded else 6, "itemStyle": look}
-
-
 def cloud(name: str, x: ArrayLike, y: ArrayLike, pressure: ArrayLike) -> Series:
     """Points of a chart with a scale of colours, see `chart`.
 

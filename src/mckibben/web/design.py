@@ -151,13 +151,10 @@ class Designed(NamedTuple):
     stiffness, torque
         Lowest and highest attainable stiffness [N*m/rad] at the torque of the load, and torque [N*m]; arrays of the
         shape of `ANGLES`, NaN where the load is not held.
-    small_motion
-        As `stiffness`, of a motion by 0.1 deg; None for muscles without friction.
     """
 
     joint: AntagonisticJoint
     stiffness: tuple[np.ndarray, np.ndarray]
-    small_motion: tuple[np.ndarray, np.ndarray] | None
     torque: tuple[np.ndarray, np.ndarray]
     here: _Pose
 
@@ -181,24 +178,23 @@ Edges = tuple[Array, Array]
 @jit
 def _ranges(
     joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
-) -> tuple[Edges, Edges | None, Edges, _Pose]:
-    """Stiffness, that of small motion, and torque over angles and at one of them; compiled once per kind of law."""
+) -> tuple[Edges, Edges, _Pose]:
+    """Stiffness and torque over angles and at one of them; compiled once per kind of law."""
     every = jnp.append(jnp.asarray(angles), jnp.asarray(angle))
     stiffness = joint.attainable_stiffness(every, torque, pressure_limits=limits)
     small = None
     if joint.has_friction:
-        small = joint.attainable_stiffness(every, torque, pressure_limits=limits, amplitude=SMALL_MOTION)
+        small = joint.attainable_stiffness(angle, torque, pressure_limits=limits, amplitude=SMALL_MOTION)
     torques = joint.attainable_torque(every, pressure_limits=limits)
     lengths, arms = joint.geometry.paths_and_arms(angle)
     contractions = joint.muscle1.specimen.contraction_at(lengths[0]), joint.muscle2.specimen.contraction_at(lengths[1])
     (low, high), (least, most) = stiffness, torques
-    here_small = small and (small[0][-1], small[1][-1])
     (pressure1, pressure2), along = cocontraction_segment(joint, angle, torque, limits, 0.0).at(
         scan_points(is_affine(joint))
     )
     ends = tuple((pressure1[at], pressure2[at]) for at in (jnp.argmin(along), jnp.argmax(along)))
-    here = _Pose((low[-1], high[-1]), here_small, (least[-1], most[-1]), arms, contractions, ends)
-    return (low[:-1], high[:-1]), small and (small[0][:-1], small[1][:-1]), (least[:-1], most[:-1]), here
+    here = _Pose((low[-1], high[-1]), small, (least[-1], most[-1]), arms, contractions, ends)
+    return (low[:-1], high[:-1]), (least[:-1], most[:-1]), here
 
 
 def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
@@ -252,8 +248,8 @@ def compute(design: JointDesign, muscle: Muscle) -> Designed:
     """
     joint = joint_of(design, muscle)
     limits = pressure_limits(muscle)[0] * bar, design.pressure * bar
-    stiffness, small, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
-    return Designed(joint, _arrays(stiffness), small and _arrays(small), _arrays(torque), here)
+    stiffness, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
+    return Designed(joint, _arrays(stiffness), _arrays(torque), here)
 
 
 def _arrays(edges: Edges) -> tuple[np.ndarray, np.ndarray]:

@@ -1,17 +1,15 @@
 """Muscle page: measured points, force law and friction, residuals, ranking of laws.
 
-Files are those of one test, uploaded, pasted or of the catalog. A picker shows what each column is read as, and asks
-what is not plain; the points are drawn before any fit. Results are those of `mckibben.identification`, and muscle.yaml,
-fit.yaml and recipe.yaml can be downloaded.
+Files are those of one test, uploaded or of the catalog. A picker shows what each column is read as, and asks
+what is not plain; the points are drawn before any fit. Results are those of `mckibben.identification`; their download
+has muscle.yaml, fit.yaml and recipe.yaml.
 """
 
 from __future__ import annotations
 
-import io
 import re
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,19 +42,16 @@ from mckibben.web.layout import (
     select,
     show_remarks,
     side,
-    text_area,
     upload,
 )
 from mckibben.web.picker import ColumnPicker
 from mckibben.web.reading import Read, ReadingFields, read, refusal
-from mckibben.web.results import Presented, show_result
+from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
 from mckibben.web.wording import FRICTION, KEEP, on_page
 
-_LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_FILES = 64
-NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download muscle” on the page Muscle gives both."
 _FIELDS = {"initial_length": ("initial length", "180 mm"), "ambient": ("ambient pressure, if absolute", "101.3 kPa")}
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
@@ -124,6 +119,23 @@ class IdentificationState(JobState):
         self.tables, self.data, self.questions = read
         self.results, self.error = {}, None
         self.reading_notes, self.notes = list(reading_notes), []
+
+    def steps(self, law: str, *, friction: bool | None = None, robust: bool, inner: str = "") -> Repetition:
+        """How to identify the points again with a law, or "all" laws."""
+        files = {path.name.removeprefix("data-"): path.read_bytes() for path in self.sources}
+        names, read, recipe = list(files) or [self.name], [], ""
+        if self.read_by is not None:
+            files["recipe.yaml"], read = self.read_by.recipe().dumps().encode(), ["--read", "recipe.yaml"]
+            recipe = ", mk.Recipe.read('recipe.yaml')"
+        options = [] if friction is None else ["--friction", "on" if friction else "off"]
+        options += [*["--inner", inner] * bool(inner.strip()), *["--keep-outliers"] * (not robust)]
+        data = f"mk.read_dataset({names}{recipe})" if files else f"mk.catalog.dataset({self.name!r})"
+        call = f"mk.rank(data, robust={robust})"
+        if law != "all":
+            call = f"mk.identify_with_friction({law}, data, friction={friction}, robust={robust})"
+            data += f"\nfrom mckibben.muscle import {law}\n"
+        words = ["identify", *names, *read, "--law", law, *options, "--out", "identified"]
+        return Repetition.of(words, f"data = {data}\nresult = {call}", files)
 
     def show_first(self, name: str, result: Presented, heard: list[str]) -> None:
         """Replace a result, which is then the newest."""
@@ -197,10 +209,6 @@ class _Page(JobPage[IdentificationState]):
                 ).tooltip("several files are those of one test; a recipe.yaml sets how they are read")
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
                 self.examples = select(examples, "or an example", value="", on_change=self.example)
-                with ui.expansion("or paste a table").props("dense").classes("w-full"):
-                    example = "pressure_bar,contraction_percent,force_N\n1,0,120\n..."
-                    self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
-                    button("Read", self.paste)
                 for name, (label, example) in _FIELDS.items():
                     made = ui.input(label, placeholder=example, validation=partial(refusal, name))
                     made.on_value_change(partial(self.reread, name)).props("dense hide-bottom-space stack-label")
@@ -268,16 +276,6 @@ class _Page(JobPage[IdentificationState]):
         stem = re.sub(r'[\x00-\x1f/\\:*?"<>|]', "_", sent.stem)[-60:]  # the characters that no system forbids
         return Path(tempfile.mkdtemp(dir=self.folder, prefix="data-")) / f"data-{stem}{ending}"
 
-    def paste(self) -> None:
-        """Keep a pasted table."""
-        text = self.pasted.value or ""
-        if not text.strip():
-            ui.notify("paste a table first")
-            return
-        path = self.new_file("pasted.csv")
-        path.write_text(text[:_LONGEST_PASTE], encoding="utf-8")
-        self.take("pasted table", path)
-
     def example(self, event: events.ValueChangeEventArguments) -> None:
         """Use a dataset from the catalog."""
         if event.value:
@@ -340,7 +338,9 @@ class _Page(JobPage[IdentificationState]):
             fit = identify_with_friction(law, data, friction=friction, robust=not keep)
             written = Path(tempfile.mkdtemp(dir=folder))
             muscle = keep_muscle(fit, data, written, diameter)
-            return Presented.of(fit), muscle, written
+            steps = state.steps(law.__name__, friction=friction, robust=not keep, inner=diameter)
+            steps.files.update({path.name: path.read_bytes() for path in written.iterdir()})
+            return Presented.of(fit, steps), muscle, written
 
         def done(made: tuple[Presented, Muscle | None, Path], heard: list[str]) -> None:
             fit, state.muscle, written = made
@@ -362,7 +362,8 @@ class _Page(JobPage[IdentificationState]):
         robust = not state.keep_outliers
 
         def compute(progress: Callable[[str, float], None]) -> Presented:
-            return Presented.of(rank(data, robust=robust, progress=progress))
+            steps = state.steps("all", robust=robust)
+            return Presented.of(rank(data, robust=robust, progress=progress), steps)
 
         self.start_job(compute, partial(state.show_first, "ranking"))
 
@@ -375,8 +376,7 @@ class _Page(JobPage[IdentificationState]):
         elif not state.name and not state.jobs.busy:
             with panel("No points yet"):
                 quiet(
-                    "A table with columns of pressure, force, and contraction or length, one row per point. Units "
-                    "are read from the headers: pressure_bar, Force [N], length / mm."
+                    "A table with pressure, force, and contraction or length, one row per point, units in the headers."
                 )
         elif notes := dict.fromkeys([*state.reading_notes, *state.notes]):
             with panel():
@@ -406,37 +406,20 @@ class _Page(JobPage[IdentificationState]):
 
     def show_data(self, data: IsobaricDataset) -> None:
         """The points, and remarks from reading."""
-        attrs = data.table.attrs
         with panel(f"{len(data)} points, {len(data) - len(data.taut)} slack"):
             pressure = data.pressure / bar
             span = float(np.min(pressure)), float(np.max(pressure))
             points = chart("contraction [%]", "force [N]", height=330, scale="pressure [bar]", span=span)
             draw(points, [cloud("points", data.contraction / percent, data.force, pressure)])
-            recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
-            lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
-            if (length := attrs.get("initial_length")) is not None:
-                lines.append(f"initial length {length * 1e3:g} mm")
-            for text in [*lines, *self.named(attrs.get("preprocessing", "")).splitlines()]:
+            for text in self.named(data.table.attrs.get("preprocessing", "")).splitlines():
                 quiet(printable(text, 500))
 
     def show_uses(self) -> None:
         """What can be done with the muscle."""
-        with ui.row().classes("items-center").style("gap: 8px"):
-            button("Download muscle", self.download, "download", main=True)
-            if self.state.muscle is not None:
-                button("Design a joint with it", self.design)
-            else:
-                quiet("give the initial length to use the muscle in scenarios")
-
-    def download(self) -> None:
-        """Offer fit.yaml, the recipe of a file and, if the length is known, muscle.yaml for download."""
-        content = io.BytesIO()
-        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as folder:
-            for name in ("muscle.yaml", "fit.yaml") if self.state.muscle is not None else ("fit.yaml",):
-                folder.writestr(name, (self.folder / name).read_bytes())
-            if self.state.read_by is not None:
-                folder.writestr("recipe.yaml", self.state.read_by.recipe().dumps())
-        ui.download.content(content.getvalue(), "muscle.zip")
+        if self.state.muscle is not None:
+            button("Design a joint with it", self.design, main=True)
+        else:
+            quiet("give the initial length to use the muscle in scenarios")
 
     def design(self) -> None:
         """Use the muscle on the joint page."""

@@ -20,7 +20,6 @@ from mckibben.web.design import (
     ANGLES,
     KINDS,
     POSE,
-    YOURS,
     Designed,
     JointDesign,
     compute,
@@ -32,7 +31,7 @@ from mckibben.web.design import (
     pressure_limits,
     scenario_lines,
 )
-from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
+from mckibben.web.identify import IdentificationState
 from mckibben.web.layout import (
     LATER,
     NumberField,
@@ -104,7 +103,6 @@ class _Page:
                 self.lowest = quiet("")
             with actions():
                 button("Run this joint", self.run, main=True)
-                button("Download YAML", self.download)
         with side():
             with ui.element("div").classes("pair narrow-first"):
                 with panel():
@@ -123,14 +121,11 @@ class _Page:
                     self.note = ui.label(_COMPILING).classes("quiet number")
                     self.limits = quiet("")
                     self.errors = ui.column()
-            with panel("Stiffness of small motion, with friction") as self.small_panel:
-                self.small = chart("joint angle [°]", "stiffness [N·m/rad]", height=230, xAxis=degrees)
             with panel("Attainable torque"):
                 self.torque = chart("joint angle [°]", "torque [N·m]", height=230, xAxis=degrees)
-            self.small_panel.visible = False
             with panel("At this angle"), ui.element("div").classes("facts") as facts:
                 self.facts = [self.fact(name) for name in ("stiffness", "torque of the muscles", "moment arms")]
-        self.shown = self.drawing, self.stiffness, self.small_panel, self.torque, facts
+        self.shown = self.drawing, self.stiffness, self.torque, facts
         self.newest: Designed | None = None
         ui.timer(0.0, self.again, once=True)
         ui.timer(LATER, self.show_rest)
@@ -235,10 +230,6 @@ class _Page:
         low, high = designed.stiffness
         lowest, highest = line("lowest", angles, low, GREY, dash=True), line("highest", angles, high, GREY)
         draw(self.stiffness, [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest])
-        self.small_panel.visible = designed.small_motion is not None
-        if designed.small_motion is not None:  # in its own chart, as it can be many times the isobaric stiffness
-            ends = zip(("at the lowest", "at the highest"), designed.small_motion, (True, False), strict=True)
-            draw(self.small, [line(name, angles, edge, GREY, dash=dash) for name, edge, dash in ends])
         self.newest = designed
 
     def mark(self) -> Series:
@@ -290,13 +281,6 @@ class _Page:
         self.errors.clear()
         with self.errors:
             show_error(error)
-
-    def download(self) -> None:
-        """Offer the joint as a scenario section for download."""
-        text = scenario_lines(self.design, self.known[self.design.muscle])
-        ui.download.content(text, "joint.yaml")
-        if self.design.muscle == YOURS:
-            ui.notify(NEEDS_MUSCLE, multi_line=True)
 
     def run(self) -> None:
         """Use the joint on the page of runs."""

@@ -35,7 +35,7 @@ PAGES = {
     "/identify": ("Muscle", "From measured points to a force law with friction and error bars."),
     "/joint": ("Joint", "The stiffness and torque that two muscles attain on your joint."),
     "/run": ("Run", "The joint with controller, valves and sensors, simulated."),
-    "/tune": ("Tune", "Gains for your tolerances that keep a margin, and other controllers compared with them."),
+    "/tune": ("Tune", "Gains for your tolerances, with a margin to the limit of stability."),
     "/rig": ("Rig", "A test of a muscle on the simulated rig."),
 }
 """Title and purpose of each page, in the order of work."""
@@ -147,6 +147,11 @@ def select(options: list[str] | dict[Any, str], label: str, mark: str = "", **ot
     """
     made = ui.select(options, label=label, **others).props("dense").classes("w-full")
     return made.mark(mark) if mark else made
+
+
+def fold(title: str, *, opened: bool = False) -> ui.expansion:
+    """A part of a panel that opens and closes."""
+    return ui.expansion(title, value=opened).classes("w-full").props("dense header-class=heading")
 
 
 def quiet(text: str) -> ui.label:
@@ -372,7 +377,9 @@ _UPLOAD_HEADER = """
 """The field as a button that the keyboard reaches."""
 
 
-def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *, most: int = 1) -> ui.upload:
+def upload(
+    label: str, largest: int, taken: Callable[[events.MultiUploadEventArguments], Awaitable[None]], *, most: int = 1
+) -> ui.upload:
     """An upload of files; it lists no earlier ones.
 
     Parameters
@@ -382,25 +389,17 @@ def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *,
     largest
         Largest total size [bytes].
     taken
-        Called with the event of one file, or of several at once.
+        Called with the event, which has the files.
     most
         Most files at once.
     """
 
-    async def uploaded(event: events.UploadEventArguments | events.MultiUploadEventArguments) -> None:
-        if getattr(event, "files", True):  # a request without any file makes NiceGUI call a handler of several
+    async def uploaded(event: events.MultiUploadEventArguments) -> None:
+        if event.files:  # a request may have none
             await taken(event)
         made.reset()
 
-    several = most > 1
-    made = ui.upload(
-        auto_upload=True,
-        max_total_size=largest,
-        on_multi_upload=uploaded if several else None,
-        on_upload=None if several else uploaded,
-        multiple=several,
-        max_files=most if several else None,
-    )
+    made = ui.upload(auto_upload=True, max_total_size=largest, on_multi_upload=uploaded, multiple=True, max_files=most)
     made.add_slot("header", _UPLOAD_HEADER.replace("LABEL", label))
     return made.props("flat bordered").classes("w-full")
 

@@ -1,4 +1,4 @@
-"""Parts of a plant that the page of runs offers: what each choice changes in a scenario, and which one it has."""
+"""Parts of a scenario that the page of runs offers: what each choice changes, and which one a scenario has."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
+import numpy as np
 
 from mckibben import catalog
 from mckibben.component.schema import replaced
@@ -43,11 +44,37 @@ def _section(key: str, sections: Mapping[str, str]) -> Choice:
 
     def chosen(scenario: Scenario) -> str | None:
         now = getattr(scenario, key)
-        alike = [name for name in sections if type(component(name)) is type(now)]
+        alike = [name for name in sections if _kind(component(name)) == _kind(now)]
         equal = [name for name in alike if eqx.tree_equal(component(name), now)]
         return equal[0] if equal else alike[0] if len(alike) == 1 else None
 
     return Choice(tuple(sections), lambda scenario, name: scenario.replace(**{key: component(name)}), chosen)
+
+
+def _kind(component: object) -> tuple[type, type]:
+    """Class of a component and, of a controller, of its loop of the angle."""
+    return type(component), type(getattr(component, "position", None))
+
+
+def _signal(name: str, unit: str) -> Choice:
+    """Choice of a reference; levels of the angle are fixed, those of the stiffness about its present mean."""
+    signals = OFFERED["signals"]
+
+    def choose(scenario: Scenario, kind: str) -> Scenario:
+        times = np.linspace(0.0, scenario.duration, 200)
+        mean = 0.0 if name == "angle" else float(np.mean([scenario.signals.stiffness(time) for time in times]))
+        spans = {"at": 0.0, "low": -8.0, "high": 8.0, "half": 10.0}
+        if name == "stiffness":
+            spans = {"at": mean, "low": 0.9 * mean, "high": 1.1 * mean, "half": 0.1 * mean}
+        section = signals[kind].format(**{level: f"{value:.3g} {unit}" for level, value in spans.items()})
+        signal = getattr(Scenario.parse(with_section(START, section, ("reference", name))).signals, name)
+        return scenario.replace(reference=replaced(scenario.signals, {name: signal}))
+
+    def chosen(scenario: Scenario) -> str | None:
+        kind = type(getattr(scenario.signals, name)).__name__.lower()
+        return kind if kind in signals else None
+
+    return Choice(tuple(signals), choose, chosen)
 
 
 def _friction() -> Choice:
@@ -74,7 +101,11 @@ def _valves() -> dict[str, str]:
     return {name: f"{{from: {name}, supply: 7 bar{left_open.get(kind, '')}}}" for name, kind in classes.items()}
 
 
+_PID = START[START.index("  position") : START.index("reference")]
 CHOICES: Mapping[str, Choice] = {
+    "controller": _section("controller", {"two PID loops": _PID, **OFFERED["controllers"]}),
+    "angle": _signal("angle", "deg"),
+    "stiffness": _signal("stiffness", "N*m/rad"),
     "friction of the muscles": _friction(),
     "load": _section("load", OFFERED["load"]),
     "friction of the joint": _section("friction", OFFERED["friction"]),
@@ -82,4 +113,4 @@ CHOICES: Mapping[str, Choice] = {
     "sensors": _section("sensors", OFFERED["sensors"]),
     "disturbance": _section("disturbance", OFFERED["disturbance"]),
 }
-"""Choices by label."""
+"""Choices by label; the first three are those of the controller, the others of the plant."""

@@ -1,13 +1,16 @@
-"""The view of results, one for all pages: verdict, remarks, figure, tables, and a download of all of them."""
+"""The view of results, one for all pages: verdict, remarks, figure, tables, a download, and how to get it again."""
 
 from __future__ import annotations
 
 import base64
 import dataclasses
 import io
+import shlex
 import threading
 import zipfile
-from typing import NamedTuple
+from collections.abc import Iterable
+from functools import partial
+from typing import NamedTuple, Self
 
 from nicegui import ui
 
@@ -21,6 +24,28 @@ from mckibben.web.session import in_thread
 _drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
 
 
+class Repetition(NamedTuple):
+    """How to get a result again outside of the page.
+
+    Attributes
+    ----------
+    command, python
+        Command line, and a program, in the folder of the files.
+    files
+        Content of the files by name; the download of a result has them.
+    """
+
+    command: str
+    python: str
+    files: dict[str, bytes]
+
+    @classmethod
+    def of(cls, words: Iterable[str], python: str, files: dict[str, bytes]) -> Self:
+        """From the words of the command, and lines of Python."""
+        program = f"import mckibben as mk\n\n{python}\nprint(result.to_text())"
+        return cls(f"mckibben {shlex.join(words)}", program, files)
+
+
 class Presented(NamedTuple):
     """What is shown of a result, computed in the thread of its job.
 
@@ -30,21 +55,24 @@ class Presented(NamedTuple):
         Result, its remarks and its tables.
     picture
         First figure as PNG; empty if there is none, or if charts show it.
+    steps
+        How to get it again.
     """
 
     result: Result
     remarks: tuple[Remark, ...]
     listings: tuple[Listing, ...]
     picture: bytes
+    steps: Repetition
 
     @classmethod
-    def of(cls, result: Result, *, charts: bool = False) -> Presented:
+    def of(cls, result: Result, steps: Repetition, *, charts: bool = False) -> Presented:
         """Compute the tables of a result, and draw its first figure.
 
         Parameters
         ----------
-        result
-            Result.
+        result, steps
+            Result, and how to get it again.
         charts
             Whether the page has charts of it: they are in place of the figure, and tables are closed at first.
         """
@@ -52,7 +80,8 @@ class Presented(NamedTuple):
         if charts:
             titled = ((table.title or "all numbers", table) for table in listings)
             listings = (dataclasses.replace(table, title=title, detail=True) for title, table in titled)
-        return cls(result, tuple(result.remarks()), tuple(listings), b"" if charts else _picture_of(result))
+        picture = b"" if charts else _picture_of(result)
+        return cls(result, tuple(result.remarks()), tuple(listings), picture, steps)
 
     def others(self, heard: list[str]) -> list[str]:
         """Warnings that are not remarks of the result."""
@@ -60,12 +89,15 @@ class Presented(NamedTuple):
         return [text for text in heard if text not in shown]
 
     def archive(self) -> bytes:
-        """Zip file of results.json and the figure."""
+        """Zip file of results.json, the figure, and the files with which command and program give them again."""
         content, picture = io.BytesIO(), self.picture or _picture_of(self.result)
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as folder:
             folder.writestr("results.json", to_json(self.result.to_dict()))
             if picture:
                 folder.writestr("figure.png", picture)
+            texts = {"command.txt": f"{self.steps.command}\n", "program.py": f"{self.steps.python}\n"}
+            for file, text in (*texts.items(), *self.steps.files.items()):
+                folder.writestr(file, text)
         return content.getvalue()
 
 
@@ -104,8 +136,16 @@ def show_result(presented: Presented, name: str) -> ui.column:
             else:
                 quiet(listing.title)
                 show_listing(listing)
-        button("Download results", download, f"download-{name}")
+        with ui.row().style("gap: 8px"):
+            button("Download results", download, f"download-{name}")
+            for label, text in (("command", presented.steps.command), ("Python", presented.steps.python)):
+                button(f"Copy as {label}", partial(_copy, text), f"copy-{label.lower()}-{name}")
     return shown
+
+
+def _copy(text: str) -> None:
+    ui.clipboard.write(text)
+    ui.notify("copied; it runs in the unpacked folder of “Download results”, which has its files")
 
 
 def show_listing(listing: Listing) -> None:

@@ -7,27 +7,33 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from nicegui import ui
 
-from mckibben.config.document import LONGEST_TEXT
+from mckibben.component.classes import classes_of
+from mckibben.config.document import LONGEST_TEXT, plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import ParameterError, RigError
-from mckibben.report.palette import BLACK, GREY, MEASURED
+from mckibben.errors import McKibbenError, ParameterError, RigError
+from mckibben.report.palette import GREY, MEASURED
 from mckibben.result import Result, column
+from mckibben.rig.bench import RigLimits
 from mckibben.rig.document import RigTest
+from mckibben.rig.protocol import Protocol
 from mckibben.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.rig.session import Progress
-from mckibben.units import bar, percent
+from mckibben.scenario.parameters import Mark
+from mckibben.units import Quantity, bar, percent
 from mckibben.web import resource
-from mckibben.web.charts import chart, dots, draw, line
+from mckibben.web.charts import chart, draw, line
+from mckibben.web.forms import Value, section_form
 from mckibben.web.identify import IdentificationState
-from mckibben.web.layout import JobPage, actions, button, frame, panel, select, side, text_area
+from mckibben.web.layout import JobPage, actions, button, fold, frame, panel, select, side, text_area
 from mckibben.web.reading import Read
-from mckibben.web.results import Presented, show_result
+from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import JobState, session
 
 _MOST_SAMPLES = 5_000_000
@@ -76,7 +82,6 @@ class RigState(JobState):
     rows: list[tuple[float, float, float, float]] = field(default_factory=list)
     points: int = 0
     total: int = 1
-    old: bool = False  # whether the rows are of a test before the last one, which has not begun
     result: Measured | None = None
     presented: Presented | None = None
     source: Path | None = None
@@ -125,7 +130,7 @@ def measure(
     """
     test = checked(text, folder.parent)
     shutil.rmtree(folder, ignore_errors=True)
-    state.rows, state.points, state.old, state.total = [], 0, False, max(1, test.dry_run.plateaus)
+    state.rows, state.points, state.total = [], 0, max(1, test.dry_run.plateaus)
     began = time.monotonic()
 
     def report(progress: Progress) -> None:
@@ -158,7 +163,11 @@ class _Page(JobPage[RigState]):
         super().__init__(state, folder)
         self.drawn = 0
         with side(), panel("Test on the simulated rig"):
-            text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
+            self.form = ui.column().classes("w-full").style("gap: 8px")
+            with fold("Advanced: the protocol as YAML"):
+                text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
+                button("Show in the fields", self.fields)
+            self.fields()
             select(_PACES, "time of the rig").bind_value(state, "pace")
             with actions():
                 button("Start", self.start, "start", main=True)
@@ -173,8 +182,27 @@ class _Page(JobPage[RigState]):
                 self.pressure = chart("time [s]", "pressure [bar]", height=190)
             with panel("Force"):
                 self.force = chart("time [s]", "force [N]", height=190)
-            self.charts = self.loop, self.pressure, self.force
         ui.timer(0.2, self.refresh)
+
+    def fields(self) -> None:
+        """Fields for the numbers of protocol and limits, which the text has; none of a text with mistakes."""
+        self.form.clear()
+        try:
+            data = plain(read_document(self.state.text).data)
+            (name, protocol), limits = next(iter(data["protocol"].items())), data["limits"]
+            kind = classes_of(Protocol)[name]
+        except (McKibbenError, LookupError, TypeError, AttributeError, ValueError):
+            return  # starting it tells the mistakes
+
+        def put(section: dict[str, object], key: str, mark: Mark, value: Value) -> None:
+            texts = [mark.write(item) if isinstance(mark, Quantity) else item for item in np.atleast_1d(value).tolist()]
+            section[key] = texts if isinstance(value, list) else texts[0]
+            self.state.text = to_text(data)
+
+        with self.form:
+            for title, part, section in (("Protocol", kind, protocol), ("Limits", RigLimits, limits)):
+                with fold(title, opened=part is kind), ui.element("div").classes("fields"):
+                    section_form(part, section, partial(put, section))
 
     def refresh(self) -> None:
         """Show new measurements."""
@@ -187,11 +215,8 @@ class _Page(JobPage[RigState]):
             times, pressure, force, contraction = np.array(rows or [(np.nan,) * 4]).T
             draw(self.pressure, [line("pressure", times, pressure, GREY, width=1.5)])
             draw(self.force, [line("force", times, force, MEASURED, width=1.5)])
-            now = dots("now", contraction[-1:], force[-1:], BLACK) | {"symbolSize": 11}
-            draw(self.loop, [line("measured", contraction, force, MEASURED, width=1), now])
+            draw(self.loop, [line("measured", contraction, force, MEASURED, width=1)])
         if self.news():
-            for plot in self.charts:
-                plot.classes(**{"add" if state.old and state.error is not None else "remove": "stale"})
             self.show_results(self.results, self.show)
 
     def show(self) -> None:
@@ -208,12 +233,19 @@ class _Page(JobPage[RigState]):
             ui.notify("a test is running: vent first")
             return
         state.vent.clear()
-        state.error, state.result, state.presented, state.old = None, None, None, True
+        state.error, state.result, state.presented = None, None, None
         text = state.text
 
         def compute(shown: Callable[[str, float], None]) -> tuple[Measured, Presented]:
             result = Measured.of(measure(state, text, folder, shown))
-            return result, Presented.of(result, charts=True)
+            python = (
+                "from mckibben.rig.document import read_test\n"
+                "from mckibben.rig.running import check, run_test\nfrom pathlib import Path\n\n"
+                'result = run_test(check(*read_test("protocol.yaml")), Path("test"))'
+            )
+            words = ("rig", "run", "protocol.yaml", "--out", "test")
+            steps = Repetition.of(words, python, {"protocol.yaml": text.encode()})
+            return result, Presented.of(result, steps, charts=True)
 
         def done(measured: tuple[Measured, Presented], heard: list[str]) -> None:
             (state.result, state.presented), state.notes = measured, heard

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,13 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import printable
 from mckibben.report.palette import DESIRED, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
-from mckibben.units import bar, deg, factor
+from mckibben.units import bar, deg
 from mckibben.web.charts import Series, band, chart, draw, line
-from mckibben.web.identify import NEEDS_MUSCLE
+from mckibben.web.forms import meaning, number
 from mckibben.web.layout import (
     JobPage,
-    NumberField,
     button,
+    fold,
     frame,
     panel,
     quiet,
@@ -34,21 +35,17 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.parts import CHOICES
-from mckibben.web.results import Presented, show_result
+from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import session
 from mckibben.web.workbench import (
-    ANGLES,
-    CONTROLLERS,
-    SIGNALS,
     SMALL_MOTION,
     START,
     Curves,
     Workbench,
-    chosen_kinds,
     compute,
     parse,
+    scenario_files,
     with_joint,
-    with_section,
 )
 
 _NEW_JOINT = (
@@ -57,15 +54,8 @@ _NEW_JOINT = (
 )
 _KEPT = (PURPLE, ORANGE, SKY)
 """Colours of kept runs, of which there are at most as many."""
-_GROUPS = {"controller.": "Gains", "reference.": "References"}
-_PLANT = {
-    "joint.": "Joint and muscles",
-    "load.": "Load",
-    "friction.": "Friction of the joint",
-    "valve.": "Valves",
-    "sensors.": "Sensors",
-    "disturbance.": "Disturbance",
-}
+_PARTS = ("controller", "reference", "joint", "load", "friction", "valve", "sensors", "disturbance")
+"""Parts of a scenario with fields; the first two are open at first."""
 
 
 def page() -> None:
@@ -92,22 +82,24 @@ class _Page(JobPage[Workbench]):
         self.selects: dict[str, ui.select] = {}
         with side():
             with panel("Controller and references"):
-                for label, options in {"controller": CONTROLLERS, "angle": SIGNALS, "stiffness": SIGNALS}.items():
-                    self.select(label, options)
-            with panel(), _section("Plant").mark("plant"):
-                for label, choice in CHOICES.items():
-                    self.select(label, choice.options)
+                for label in [*CHOICES][:3]:
+                    self.select(label)
+            with panel(), fold("Plant").mark("plant"):
+                for label in [*CHOICES][3:]:
+                    self.select(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
-            with panel("Scenario"):
+            with panel(), fold("Advanced: the scenario as YAML"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
                 with ui.row().style("gap: 8px"):
                     button("Run", self.apply, "run", main=True)
-                    button("Download", self.download)
                 upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
         with side():
             with ui.row().classes("w-full items-center").style("gap: 12px"):
                 button("Keep this run", self.keep, "keep", main=True)
                 button("Remove kept runs", self.clear)
+                button("Undo", self.undo, "undo")
+                button("Margins", partial(self.study, "margins"), "margins")
+                button("Limits", partial(self.study, "envelope"), "limits")
                 with ui.row().classes("items-center no-wrap") as self.busy:
                     ui.spinner(size="20px")
                     quiet("computing; a new kind of controller compiles for a few seconds")
@@ -127,14 +119,15 @@ class _Page(JobPage[Workbench]):
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
 
-    def select(self, label: str, options: Iterable[str]) -> None:
+    def select(self, label: str) -> None:
         """A select that changes the scenario, and shows the kind that runs."""
 
         def changed(event: events.ValueChangeEventArguments) -> None:
-            if event.value and event.value != self.state.options.get(label):
-                self.choose(label, event.value)
+            scenario = self.state.scenario
+            if event.value and scenario is not None and event.value != self.state.options.get(label):
+                self.change(lambda: CHOICES[label].choose(scenario, event.value))
 
-        self.selects[label] = select(list(options), label, label, on_change=changed)
+        self.selects[label] = select(list(CHOICES[label].options), label, label, on_change=changed)
 
     def begin(self) -> None:
         """Run the joint of another page, or the first scenario."""
@@ -179,8 +172,18 @@ class _Page(JobPage[Workbench]):
             with ui.column().classes("w-full" + (" stale" if state.error else "")), show_result(state.presented, "run"):
                 if state.error is not None:
                     quiet("Fields, curves and numbers are those of the last scenario that ran.")
+        for name, presented in state.studies.items():
+            show_result(presented, name)
 
-    def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "", scroll: bool = False) -> None:
+    def change(
+        self,
+        make: Callable[[], Scenario],
+        *,
+        form: bool = True,
+        note: str = "",
+        scroll: bool = False,
+        undone: bool = False,
+    ) -> None:
         """Change the scenario and run it.
 
         Parameters
@@ -191,18 +194,22 @@ class _Page(JobPage[Workbench]):
             Whether the structure changes, so that the fields are rebuilt.
         note
             Remark on the change.
-        scroll
-            Whether the page scrolls to the results.
+        scroll, undone
+            Whether the page scrolls to the results, and whether the change cannot be undone.
         """
         state, folder = self.state, self.folder
 
         def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Curves, Presented]:
             scenario = make()
             progress("run", 0.1)  # unless another has been requested since
-            return scenario, _options(scenario), *compute(scenario, folder)
+            options = {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
+            return scenario, options, *compute(scenario, folder)
 
         def done(ran: tuple[Scenario, dict[str, str | None], Curves, Presented], heard: list[str]) -> None:
+            if state.current is not None and not undone:
+                state.past = [*state.past[-50:], state.current.text]
             state.scenario, state.options, state.current, state.presented = ran
+            state.studies = {}
             state.text, state.error = state.current.text, None
             state.notes = [*filter(None, [note]), *state.presented.others(heard)]
             state.form += form
@@ -218,68 +225,66 @@ class _Page(JobPage[Workbench]):
         """Run the text on the page."""
         self.apply_text(self.yaml.value or "")
 
-    async def uploaded(self, event: events.UploadEventArguments) -> None:
+    async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
         """Run an uploaded scenario."""
-        content = await event.file.read()
+        content = await event.files[0].read()
         self.apply_text(content[: 4 * LONGEST_TEXT].decode("utf-8", errors="replace"))
 
-    def download(self) -> None:
-        """Offer the shown scenario for download."""
-        ui.download.content(self.state.text, "scenario.yaml")
-        if "muscle.yaml" in self.state.text:
-            ui.notify(NEEDS_MUSCLE, multi_line=True)
-
-    def choose(self, label: str, kind: str) -> None:
-        """Run the scenario with another kind of controller, reference or part of the plant."""
-        now, scenario, folder = self.state.current, self.state.scenario, self.folder
-        if (choice := CHOICES.get(label)) is not None:
-            if scenario is not None:
-                self.change(lambda: choice.choose(scenario, kind))
-            return
-        if label == "controller":
-            section, place = CONTROLLERS[kind], ("controller",)
-        else:
-            section, place = SIGNALS[kind].format(**_levels(label, now)), ("reference", label)
-        text = START if now is None else now.text  # the last valid one
-        self.change(lambda: parse(with_section(text, section, place), folder))
-
     def fields(self, scenario: Scenario) -> None:
-        """Fields for the numbers set in a scenario."""
-        parameters = list_parameters(scenario)
-        for prefix, title in {**_GROUPS, **_PLANT}.items():
-            shown = [
-                (parameter, parameter.nominal)
-                for parameter in parameters
-                if parameter.nominal is not None
-                and parameter.name.startswith(prefix)
-                and not _HIDDEN.search(parameter.name)
-            ]
-            if not shown:
+        """Fields for the numbers set in a scenario, by its parts, with one column for each loop."""
+        parts: dict[str, dict[str, list[ScenarioParameter]]] = {part: {} for part in _PARTS}
+        for parameter in list_parameters(scenario):
+            if parameter.nominal is not None and parameter.part in parts and not _HIDDEN.search(parameter.name):
+                _, *groups, _ = parameter.name.split(".")
+                parts[parameter.part].setdefault(next(iter(groups), ""), []).append(parameter)
+        for part, columns in parts.items():
+            if not columns:
                 continue
-            with panel(), _section(title, opened=prefix in _GROUPS), ui.element("div").classes("fields"):
-                for parameter, nominal in shown:
-                    self.number(parameter, nominal, parameter.name.removeprefix(prefix))
+            with panel(), fold(part.capitalize(), opened=part in _PARTS[:2]), ui.element("div").classes("fields"):
+                for group, members in columns.items():
+                    alone = not group or len(columns) == 1
+                    with ui.element("div").classes("fields wide") if alone else ui.column().style("gap: 4px"):
+                        if group:
+                            ui.label(group.replace("_", " ")).classes("loop")
+                        for parameter in members:
+                            name = parameter.name.removeprefix(f"{part}.").removeprefix(f"{group}.")
+                            self.number(scenario, parameter, name)
 
-    def number(self, parameter: ScenarioParameter, nominal: float, name: str) -> None:
+    def number(self, scenario: Scenario, parameter: ScenarioParameter, name: str) -> None:
         """A number field, in the unit of files."""
-        scale = 1.0 if parameter.is_integer else factor(parameter.shown)
-        unit = "" if parameter.shown == "1" else parameter.shown
-
-        def si(value: float) -> float | int:
-            return int(value) if parameter.is_integer and value.is_integer() else value * scale
 
         def changed(value: float) -> None:
-            if (scenario := self.state.scenario) is not None:
-                self.change(lambda: with_values(scenario, {parameter.name: si(float(value))}), form=False)
+            if (now := self.state.scenario) is not None:
+                self.change(lambda: with_values(now, {parameter.name: value}), form=False)
 
-        NumberField(
-            name.replace(".", " ").replace("_", " "),
-            float(f"{nominal / scale:.10g}"),
-            lambda value: parameter.holds(si(float(value))),
-            f"{'a whole number, ' if parameter.is_integer else ''}{parameter.range}",
-            changed,
-            step=_step(nominal / scale),
-        ).props(f'dense debounce=400 hint="{unit}"').classes("w-full").mark(parameter.name)
+        label, words = name.replace(".", " ").replace("_", " "), meaning(scenario, parameter)
+        number(label, parameter.mark, float(parameter.nominal or 0.0), changed, words).mark(parameter.name)
+
+    def undo(self) -> None:
+        """Run the scenario before the last change."""
+        state = self.state
+        if state.past:
+            text = state.past.pop()
+            self.change(lambda: parse(text, self.folder), undone=True)
+
+    def study(self, name: str) -> None:
+        """Compute stability margins, or the attainable set, of the scenario that ran last."""
+        state, folder = self.state, self.folder
+        if (scenario := state.scenario) is None or state.current is None:
+            return
+        text = state.current.text
+
+        def compute(progress: Callable[[str, float], None]) -> Presented:
+            progress(name, 0.1)
+            words = (name, "scenario.yaml", "--out", name)
+            python = f'result = mk.Scenario.read("scenario.yaml").{name}()'
+            return Presented.of(getattr(scenario, name)(), Repetition.of(words, python, scenario_files(text, folder)))
+
+        def done(presented: Presented, heard: list[str]) -> None:
+            state.studies = {name: presented} | {other: old for other, old in state.studies.items() if other != name}
+            state.notes, state.error = presented.others(heard), None
+
+        self.start_job(compute, done)
 
     def keep(self) -> None:
         """Keep the current run for comparison."""
@@ -324,39 +329,8 @@ class _Page(JobPage[Workbench]):
             table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
 
 
-def _options(scenario: Scenario) -> dict[str, str | None]:
-    """Options of a scenario by the label of their select; None if the page does not offer its part."""
-    return chosen_kinds(scenario) | {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
-
-
-def _levels(label: str, now: Curves | None) -> dict[str, str]:
-    """Levels of a new reference as text, by the name in `SIGNALS`.
-
-    Those of the angle are fixed, those of the stiffness 0.9 and 1.1 times the mean of the present one.
-    """
-    if label == "angle":
-        return ANGLES
-    mean = 15.0 if now is None else float(np.mean(now.columns["desired_stiffness"]))
-    factors = {"at": 1.0, "low": 0.9, "high": 1.1, "half": 0.1}
-    return {name: f"{factor * mean:.3g} N*m/rad" for name, factor in factors.items()}
-
-
-def _section(title: str, *, opened: bool = False) -> ui.expansion:
-    """A part of the page that opens and closes."""
-    return ui.expansion(title, value=opened).classes("w-full").props("dense header-class=heading")
-
-
 def _row(run: Curves) -> tuple[str, ...]:
     """Cells of a run: name, RMSE of angle [deg] and stiffness [N*m/rad], coupling [deg], air [L], outcome."""
     names = ("angle_rmse_deg", "stiffness_rmse", "coupling_deg", "air_L")
     numbers = (f"{run.metrics[name]:.3g}" if np.isfinite(run.metrics[name]) else "-" for name in names)
     return printable(run.name, 60), *numbers, run.outcome
-
-
-def _step(value: float) -> float:
-    """Step of a field: a twentieth of the number, rounded to one digit.
-
-    >>> _step(3.7), _step(0.0)
-    (0.2, 0.1)
-    """
-    return float(f"{abs(value) / 20:.0e}") or 0.1

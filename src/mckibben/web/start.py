@@ -19,38 +19,28 @@ def page() -> None:
     with frame("/"), ui.element("div").classes("ways"):
         _way(
             "Your data",
-            "A CSV, Excel, MATLAB, TDMS or LabVIEW file with pressure, force, and length or contraction of your "
-            "muscle. Units are read from the headers; what is not plain is asked at the column.",
+            "Pressure, force, and length or contraction in CSV, Excel, MATLAB, TDMS or LabVIEW files.",
             "Choose a file",
-            lambda: ui.navigate.to("/identify"),
+            "/identify",
         )
         _way(
             "Example data",
-            "The points that Martens and Boblan measured on a Festo DMSP-10-250: drawn, fitted, and used on a joint.",
+            "Points that Martens and Boblan measured on a Festo DMSP-10-250: see them, fit them, build a joint.",
             "Try it",
-            _example,
+            "/identify",
+            lambda: setattr(session().state(IdentificationState), "wanted", _EXAMPLE),
         )
         _way(
             "The paper's knee",
-            "Lei et al.: position and stiffness of a knee with two muscles, by two PID loops. Change gains, valves and "
-            "load, and see the angle follow.",
+            "Lei et al.: position and stiffness of a knee with two muscles, controlled by two PID loops.",
             "Run it",
-            _knee,
+            "/run",
+            lambda: setattr(session().state(Workbench), "waiting", START),
         )
 
 
-def _way(title: str, text: str, label: str, action: Callable[[], object]) -> None:
+def _way(title: str, text: str, label: str, path: str, before: Callable[[], object] = lambda: None) -> None:
     with ui.column().classes("panel").style("gap: 10px"):
         heading(title)
         quiet(text)
-        button(label, action, f"way-{label.lower().replace(' ', '-')}", main=True)
-
-
-def _example() -> None:
-    session().state(IdentificationState).wanted = _EXAMPLE
-    ui.navigate.to("/identify")
-
-
-def _knee() -> None:
-    session().state(Workbench).waiting = START
-    ui.navigate.to("/run")
+        button(label, lambda: (before(), ui.navigate.to(path)), main=True)

@@ -1,58 +1,126 @@
-"""Tune page: gains of the scenario of the page Run, and its comparison with other controllers.
-
-Both are studies of `mckibben.web.studies` with limited size; their scenarios open on the page Run.
-"""
+"""Tune page: gains of the scenario of the page Run, for tolerances of its errors and a margin, and how to repeat it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Annotated, NamedTuple
 
-from nicegui import ui
+from nicegui import events, ui
 
+from mckibben.component.columns import labels_of
 from mckibben.errors import printable
-from mckibben.scenario import Scenario
+from mckibben.scenario import Scenario, list_parameters
+from mckibben.simulation import Metrics
+from mckibben.study.tune import parse_cost, parse_ranges, tune
 from mckibben.study.tune.search import SEARCHES
-from mckibben.web.layout import (
-    JobPage,
-    NumberField,
-    button,
-    frame,
-    panel,
-    progress_row,
-    quiet,
-    select,
-    side,
-)
-from mckibben.web.results import show_result
+from mckibben.study.tune.tune import COST
+from mckibben.units import BoundedInt, Quantity
+from mckibben.web.forms import section_form
+from mckibben.web.layout import JobPage, NumberField, actions, button, frame, panel, progress_row, quiet, select, side
+from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import JobState, session
-from mckibben.web.studies import (
-    ComparisonRequest,
-    Study,
-    TuningRequest,
-    compared,
-    tuned,
-)
-from mckibben.web.workbench import CONTROLLERS, Workbench, parse
+from mckibben.web.workbench import START, Workbench, parse, scenario_files
+
+METRICS = labels_of(Metrics)
+"""Metrics with their titles and units."""
+Progress = Callable[[str, float], None]
+
+
+@dataclass
+class TuningRequest:
+    """Input of a tuning, as `mckibben tune` has it.
+
+    Attributes
+    ----------
+    tolerances
+        Error that counts as 1 in the cost, by its metric, in the unit that is shown.
+    over
+        Parameters, or NAME=RANGE; all gains if empty.
+    method
+        Search.
+    gain_margin
+        Factor by which gains may be larger: the cost covers them, too.
+    disk_margin
+        Least disk margin that the gains keep along the run; 0 for none.
+    iterations
+        Generations of the search, or its steps.
+    seed
+        Seed of the search.
+    """
+
+    tolerances: dict[str, float] = field(default_factory=lambda: _tolerances(COST["cost"]))
+    over: tuple[str, ...] = ()
+    method: str = "cma"
+    gain_margin: Annotated[float, Quantity("1", "1", 1, 10)] = COST["gain_margin"]
+    disk_margin: Annotated[float, Quantity("1", "1", 0, 1.9)] = COST["disk_margin"]
+    iterations: Annotated[int, BoundedInt(1, 60)] = 10
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
+
+    @property
+    def cost(self) -> str:
+        """Sum of the metrics, each over its tolerance, as text."""
+        return " + ".join(f"{name}/{value:g} {METRICS[name].shown_unit}" for name, value in self.tolerances.items())
+
+
+def _tolerances(cost: str) -> dict[str, float]:
+    """Tolerances of a cost as text."""
+    return {term.metric: float(f"{term.scale / METRICS[term.metric].size:.6g}") for term in parse_cost(cost).terms}
+
+
+class Study(NamedTuple):
+    """Result of a tuning: what is shown, the scenario that was tuned, and the tuned one."""
+
+    presented: Presented
+    text: str
+    tuned: Scenario
+
+
+def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Study:
+    """Tune a scenario as `mckibben tune` does.
+
+    Parameters
+    ----------
+    text, folder
+        Scenario, and the folder of its files.
+    request
+        Input of the page.
+    progress
+        Called with step and part; whatever it raises ends the study.
+
+    Raises
+    ------
+    McKibbenError
+        For mistakes of text or request.
+    """
+    progress("compiling", 0.0)
+    scenario = parse(text, folder)
+    cost = parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=request.disk_margin)
+    search = {"method": request.method, "iterations": request.iterations, "seed": request.seed}
+    result = tune(scenario, parse_ranges(request.over, scenario), cost, **search, progress=progress)
+    progress("runs before and after", 1.0)
+    numbers = {"margin": request.gain_margin, "disk-margin": request.disk_margin, **search}
+    words = ["tune", "scenario.yaml", "--out", "tuned", "--cost", request.cost]
+    words += [word for name, value in numbers.items() for word in (f"--{name}", str(value))]
+    words += [word for parameter in request.over for word in ("--over", parameter)]
+    python = (
+        "from mckibben.study.tune import parse_cost\n\n"
+        f"margins = {{'gain_margin': {request.gain_margin}, 'disk_margin': {request.disk_margin}}}\n"
+        f"cost = parse_cost({request.cost!r}, **margins)\n"
+        f"result = mk.Scenario.read('scenario.yaml').tune({list(request.over)}, cost, **{search})"
+    )
+    steps = Repetition.of(words, python, scenario_files(text, folder))
+    return Study(Presented.of(result, steps), text, result.scenarios[0])
 
 
 @dataclass
 class StudyState(JobState):
-    """State of the page.
+    """State of the page: input and result."""
 
-    Attributes
-    ----------
-    tuning, comparison
-        Inputs of both studies.
-    results
-        Tuning and comparison by name, the newest first.
-    """
-
-    tuning: TuningRequest = field(default_factory=TuningRequest)
-    comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
-    results: dict[str, Study] = field(default_factory=dict)  # the newest first
+    request: TuningRequest = field(default_factory=TuningRequest)
+    study: Study | None = None
 
 
 def page() -> None:
@@ -63,50 +131,29 @@ def page() -> None:
 
 
 class _Page(JobPage[StudyState]):
-    """Requests and results of one visit."""
+    """Request and result of one visit."""
 
     def __init__(self, state: StudyState, bench: Workbench, folder: Path) -> None:
         super().__init__(state, folder)
         self.bench, self.drawn = bench, ""
-        tuning, comparison = state.tuning, state.comparison
+        request = state.request
         with side():
-            with panel("Scenario"):
-                self.name = ui.label().classes("number").mark("scenario-name")
-                quiet("That of the page Run, as it last ran.")
-            self.progress = progress_row(state.jobs)
             with panel("Tune"):
-                _lines("cost", tuning, "cost")
-                select(list(SEARCHES), "method", "method").bind_value(tuning, "method")
+                self.name = quiet("").mark("scenario-name")
+                quiet("An error of this size counts as 1 in the cost:")
+                self.tolerances = ui.element("div").classes("fields")
+                metrics = {name: label.title for name, label in METRICS.items()}
+                chosen = list(request.tolerances)
+                select(metrics, "errors in the cost", "metrics", value=chosen, multiple=True, on_change=self.weigh)
+                self.weigh()
                 with ui.element("div").classes("fields"):
-                    self.tuning_fields = [
-                        _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
-                        _number("disk margin", tuning, "disk_margin", 0.0, 1.9),
-                        _number("iterations", tuning, "iterations", 1, 60),
-                        _number("seed", tuning, "seed", 0, 2**31 - 1),
-                    ]
-                _lines("NAME=RANGE per line, or all gains", tuning, "over")
-                button("Tune", self.tune, "tune", main=True)
-            with panel("Compare"):
-                select(
-                    list(CONTROLLERS),
-                    "with these controllers",
-                    "controllers",
-                    value=list(comparison.controllers),
-                    multiple=True,
-                    on_change=lambda event: setattr(comparison, "controllers", tuple(event.value or ())),
-                )
-                with ui.element("div").classes("fields"):
-                    self.comparison_fields = [
-                        _number("unseen runs", comparison, "runs", 2, 512),
-                        _number("generations", comparison, "generations", 1, 30),
-                    ]
-                _lines("conditions, NAME=RANGE per line, or strengths and masses", comparison, "conditions")
-                button("Compare", self.compare, "compare", main=True)
-            quiet(
-                "Both take minutes, part of them for compiling, and more on a busy computer. The time of tuning grows "
-                "with iterations, that of comparing with controllers, generations and unseen runs. `mckibben tune` and "
-                "`mckibben compare` do larger ones, and can be interrupted and resumed."
-            )
+                    self.numbers = section_form(TuningRequest, vars(request), self.put)
+                select(list(SEARCHES), "method", "method").bind_value(request, "method")
+                self.parameters(request)
+                with actions():
+                    button("Tune", self.tune, "tune", main=True)
+                quiet("Compiling takes part of the time. Larger searches, and comparisons: `mckibben tune`, `compare`.")
+            self.progress = progress_row(state.jobs)
         with side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
         ui.timer(0.15, self.refresh)
@@ -115,108 +162,81 @@ class _Page(JobPage[StudyState]):
         """Show progress, and new results."""
         self.progress()
         scenario = self.bench.scenario
-        self.name.text = "the first one" if scenario is None else printable(scenario.name, 80)
+        shown = "the first one" if scenario is None else printable(scenario.name, 80)
+        self.name.text = f"Scenario: {shown}, as it last ran on the page Run."
         if self.news() or self.drawn != self.text():
             self.drawn = self.text()
             self.show_results(self.results, self.show)
+
+    def weigh(self, event: events.ValueChangeEventArguments | None = None) -> None:
+        """Fields for the tolerance of each error in the cost."""
+        request = self.state.request
+        if event is not None and event.value:
+            request.tolerances = {name: request.tolerances.get(name, 1.0) for name in event.value}
+        self.tolerances.clear()
+        with self.tolerances:
+            for name, value in request.tolerances.items():
+                put, label = partial(request.tolerances.__setitem__, name), METRICS[name]
+                made = NumberField(name.replace("_", " "), value, lambda number: number > 0, "a number above 0", put)
+                made.props(f'dense suffix="{label.shown_unit}"').classes("w-full").mark(name).tooltip(label.title)
+
+    def put(self, name: str, _: object, value: object) -> None:
+        """Take a number of the request."""
+        setattr(self.state.request, name, value)
+
+    def parameters(self, request: TuningRequest) -> None:
+        """A choice of parameters, or of texts NAME=RANGE."""
+        names = [parameter.name for parameter in list_parameters(self.bench.scenario or parse(START, self.folder))]
+        made = select(
+            list(dict.fromkeys((*request.over, *names))),
+            "tuned; or all gains",
+            "over",
+            value=list(request.over),
+            multiple=True,
+            with_input=True,
+            new_value_mode="add-unique",
+            on_change=lambda event: setattr(request, "over", tuple(event.value or ())),
+        )
+        made.props("use-chips").tooltip("Choose parameters, or write one with its range: load.mass2=0.2 kg..1 kg")
 
     def text(self) -> str:
         """The scenario of the page Run, as it last ran."""
         return self.bench.text if self.bench.current is None else self.bench.current.text
 
     def tune(self) -> None:
-        """Tune the scenario."""
-        self.start("tuned", tuned, self.state.tuning, self.tuning_fields)
-
-    def compare(self) -> None:
-        """Compare controllers."""
-        self.start("compared", compared, self.state.comparison, self.comparison_fields)
-
-    def start(
-        self,
-        name: str,
-        compute: Callable[..., Study],
-        request: TuningRequest | ComparisonRequest,
-        fields: list[NumberField],
-    ) -> None:
-        """Compute a study, at most one at a time.
-
-        Parameters
-        ----------
-        name
-            Key of its result in the state.
-        compute, request
-            Study, and its input.
-        fields
-            Number fields, which have to be valid.
-        """
+        """Tune the scenario, once at a time."""
         state, text, folder = self.state, self.text(), self.folder
-        if wrong := [field.label for field in fields if field.error]:
+        if wrong := [field.label for field in self.numbers if field.error]:
             ui.notify(f"correct first: {', '.join(map(str, wrong))}", type="negative")
             return
         if state.jobs.busy:
-            ui.notify("a study is running: cancel it first")
+            ui.notify("a search is running: cancel it first")
             return
 
+        def compute(progress: Callable[[str, float], None]) -> Study:
+            return tuned(text, state.request, folder, progress)
+
         def done(study: Study, heard: list[str]) -> None:
-            state.results = {name: study} | {other: old for other, old in state.results.items() if other != name}
-            state.notes = study.presented.others(heard)
+            state.study, state.notes = study, study.presented.others(heard)
 
         state.error, state.notes = None, []
-        self.start_job(lambda progress: compute(text, request, folder, progress), done)
+        self.start_job(compute, done)
 
-    def run(self, scenario: Scenario) -> None:
-        """Open a scenario on the page Run."""
-        self.bench.waiting = scenario.dumps(folder=self.folder)
+    def run(self) -> None:
+        """Open the tuned scenario on the page Run."""
+        assert self.state.study is not None
+        self.bench.waiting = self.state.study.tuned.dumps(folder=self.folder)
         ui.navigate.to("/run")
 
     def show(self) -> None:
-        """Show everything known."""
-        state = self.state
+        """Show the result, grey if the scenario has been changed, or a search has failed since."""
         self.show_notes()
-        for name, (presented, text, scenarios) in state.results.items():
-            with self.result_of(text), show_result(presented, name), ui.row().classes("items-center"):
-                chosen = select(list(scenarios), "scenario", value=next(iter(scenarios))).classes(remove="w-full")
-                self.run_button(name, scenarios, chosen)
-        if not state.results and state.error is None:
-            with panel("No study yet"):
-                quiet(
-                    "Tune searches the gains of the scenario for the lowest cost. Compare tunes its controller and "
-                    "others with one budget, and compares them on the same unseen runs."
-                )
-
-    @contextmanager
-    def result_of(self, text: str) -> Iterator[None]:
-        """A column for the result of a scenario, grey if the scenario has been changed or a study has failed since."""
-        now = self.text()  # the page Run writes a scenario that is the same with other spaces
-        changed = text != now and parse(text, self.folder) != parse(now, self.folder)
+        study, now = self.state.study, self.text()
+        if study is None:
+            return
+        changed = study.text != now and parse(study.text, self.folder) != parse(now, self.folder)  # spaces may differ
         with ui.column().classes("w-full" + (" stale" if changed or self.state.error else "")).style("gap: 16px"):
             if changed:
                 quiet("Result of the scenario before it was changed.")
-            yield
-
-    def run_button(self, name: str, scenarios: dict[str, Scenario], chosen: ui.select) -> None:
-        """Button that opens the chosen scenario of a study on the page Run."""
-        button("Run it", lambda: self.run(scenarios[str(chosen.value)]), f"use-{name}", main=True)
-
-
-def _lines(label: str, on: TuningRequest | ComparisonRequest, name: str) -> None:
-    """A field of several lines, bound to an attribute of a request."""
-    ui.textarea(label).props("dense autogrow maxlength=4000").classes("w-full mono").mark(name).bind_value(on, name)
-
-
-def _number(label: str, on: TuningRequest | ComparisonRequest, name: str, low: float, high: float) -> NumberField:
-    """A number field of a request; whole if its limits are."""
-    whole = isinstance(low, int)
-
-    def changed(value: float) -> None:
-        setattr(on, name, int(value) if whole else value)
-
-    made = NumberField(
-        label,
-        getattr(on, name),
-        lambda value: low <= value <= high and (not whole or float(value).is_integer()),
-        f"{'a whole number, ' if whole else ''}{low:g} to {high:g}",
-        changed,
-    )
-    return made.props("dense").classes("w-full").mark(name)
+            with show_result(study.presented, "tuned"):
+                button("Run it", self.run, "use-tuned", main=True)

@@ -11,22 +11,15 @@ from mckibben.scenario.parameters import LISTING
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
 _SETTING = re.compile(r"\b(\w+)=(?=\[?')")  # an argument, which the page has as a line of a recipe
-_PAIR = re.compile(r"'([^']*)': '([^']*)'")
-_COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
+_COLUMNS = re.compile(r"(name (it|them): )?(columns=\{[^}]*\}|--column '.*)")
 KEEP, FRICTION = "keep outliers", "friction"  # labels of what stands for arguments
 _INSTEAD = {
     KEEP_OUTLIERS: f"to keep such points, tick “{KEEP}”",
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     "--disk-margin": "a disk margin of",
-    f"; {LISTING}": "",
-    f" {LISTING}": "",
-    LISTING: "",
 }
 """Parts of texts that name calls and options, with those for the page."""
-_READERS = {
-    "which `mckibben simulate` reads": "which the page Run reads",
-}
 
 
 def on_page(text: str) -> str:
@@ -35,12 +28,12 @@ def on_page(text: str) -> str:
     Python arguments become fields or lines of a recipe, options of the command line are left out.
 
     >>> on_page("name it: columns={'p': 'pressure_bar'} (command line: --column 'p=pressure_bar')")
-    'name it: p = pressure_bar (columns)'
+    'choose it above a column'
     """
     for ours, shown in _INSTEAD.items():
         text = text.replace(ours, shown)
-    text = _COLUMNS.sub(lambda match: _PAIR.sub(r"\1 = \2", match[1]) + " (columns)", _ELSEWHERE.sub("", text))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
+    text = re.sub(f"(;? )?{re.escape(LISTING)}", "", text)
+    text = _COLUMNS.sub("choose it above a column", _ELSEWHERE.sub("", text))
     return quotes(_SETTING.sub(r"\1: ", text).replace("initial_length", "initial length"))
 
 
@@ -50,6 +43,5 @@ def quotes(text: str) -> str:
     >>> quotes("change `mass2`")
     'change “mass2”'
     """
-    for ours, shown in _READERS.items():
-        text = text.replace(ours, shown)
+    text = text.replace("which `mckibben simulate` reads", "which the page Run reads")
     return re.sub("`([^`]*)`", r"“\1”", text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import in_shown_units
 from mckibben.units import deg
 from mckibben.web import resource
-from mckibben.web.results import Presented
+from mckibben.web.results import Presented, Repetition
 from mckibben.web.session import JobState
 
 MOST_STEPS = 2_000_000
@@ -26,9 +25,6 @@ MOST_STEPS = 2_000_000
 START = resource("starts/knee.yaml")
 OFFERED: dict[str, dict[str, str]] = plain(read_document(resource("starts/choices.yaml")).data)
 """What the selects put into a scenario, as YAML by part and label."""
-SIGNALS = OFFERED["signals"]
-CONTROLLERS = {"two PID loops": START[START.index("  position") : START.index("reference")], **OFFERED["controllers"]}
-ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
 SMALL_MOTION = "small_motion_stiffness"
 """Column of results whose muscles have friction."""
 _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
@@ -70,8 +66,10 @@ class Workbench(JobState):
         Option of each select by its label; None if the scenario has a part that the page does not offer.
     text
         Text of the scenario on the page, which may be invalid.
-    overlays
-        Kept runs.
+    overlays, past
+        Kept runs, and the texts of earlier scenarios, to which the page goes back.
+    studies
+        Margins and attainable set of the current scenario, the newest first.
     joint, waiting
         A section `joint` from the page Joint, and a scenario from the page Tune, to be run when this page opens.
     form
@@ -84,6 +82,8 @@ class Workbench(JobState):
     current: Curves | None = None
     presented: Presented | None = None
     overlays: list[Curves] = field(default_factory=list)
+    past: list[str] = field(default_factory=list)
+    studies: dict[str, Presented] = field(default_factory=dict)
     joint: str = ""
     waiting: str = ""
     form: int = 0
@@ -99,34 +99,23 @@ def parse(text: str, folder: Path) -> Scenario:
     return scenario
 
 
-def controller_kind(controller: object) -> tuple[type, type]:
-    """Classes of a controller and of its loop of the angle, by which the page tells kinds apart."""
-    return type(controller), type(getattr(controller, "position", None))
-
-
-@functools.cache
-def _kinds() -> dict[tuple[type, type], str]:
-    kinds = {}
-    for name, section in CONTROLLERS.items():
-        scenario = Scenario.parse(with_section(START, section, ("controller",)))
-        kinds[controller_kind(scenario.controller)] = name
-    return kinds
-
-
-def chosen_kinds(scenario: Scenario) -> dict[str, str | None]:
-    """Kinds of controller and references of a scenario by the label of their field; None if the page has no such."""
-    signals = (scenario.signals.angle, scenario.signals.stiffness)
-    angle, stiffness = (name if (name := type(signal).__name__.lower()) in SIGNALS else None for signal in signals)
-    return {"controller": _kinds().get(controller_kind(scenario.controller)), "angle": angle, "stiffness": stiffness}
-
-
 def compute(scenario: Scenario, folder: Path) -> tuple[Curves, Presented]:
     """Run a scenario; its curves, and its result without them."""
     result = run_scenario(scenario)
-    return _curves(scenario, result, folder), Presented.of(result, charts=True)
+    text = scenario.dumps(folder=folder)
+    words = ("simulate", "scenario.yaml", "--out", "run")
+    python = 'result = mk.Scenario.read("scenario.yaml").simulate()'
+    again = Repetition.of(words, python, scenario_files(text, folder))
+    return _curves(scenario, result, text), Presented.of(result, again, charts=True)
 
 
-def _curves(scenario: Scenario, result: SimulationResult, folder: Path) -> Curves:
+def scenario_files(text: str, folder: Path) -> dict[str, bytes]:
+    """A scenario as a file, with those of the session that it may name."""
+    named = ("muscle.yaml", "fit.yaml") if "muscle.yaml" in text else ()
+    return {"scenario.yaml": text.encode()} | {name: (folder / name).read_bytes() for name in named}
+
+
+def _curves(scenario: Scenario, result: SimulationResult, text: str) -> Curves:
     step = max(1, len(result["angle"]) // 1200)
 
     def shown(name: str) -> np.ndarray:
@@ -138,7 +127,7 @@ def _curves(scenario: Scenario, result: SimulationResult, folder: Path) -> Curve
         band=(shown("lowest_stiffness"), shown("highest_stiffness")),
         metrics=in_shown_units(result.metrics),
         outcome=result.outcome.name.lower().replace("_", " "),
-        text=scenario.dumps(folder=folder),
+        text=text,
     )
 
 
