@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from typer import Argument
 
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_results, check_unused, required_folder
@@ -17,27 +19,31 @@ if TYPE_CHECKING:
 
 @command
 def robot(
-    study: Literal["land", "jump", "stiffness"],
+    study: Literal["land", "jump", "stiffness", "read"],
     file: Path,
+    muscle: Annotated[Path | None, Argument(metavar="MUSCLE.yaml", help="Muscle of all tendons that are read.")] = None,
     *,
     out: Path | None,
     resume: bool,
     progress: Progress = None,
 ) -> Result:
     """Study a robot: drop landings over stiffness, height and valve; the highest jumps; pressures for a stiffness of
-    its foot. Landings and jumps are kept in DIR, and can be resumed.
+    its foot. Landings and jumps are kept in DIR, and can be resumed. Or read MJCF or URDF, and write DIR/robot.yaml.
 
     Parameters
     ----------
-    study : land|jump|stiffness
-        Study, of which the file has the settings.
+    study : land|jump|stiffness|read
+        Study, of which the file has the settings; or read.
     file : ROBOT.yaml
-        Robot; see examples/robot/.
+        Robot, see examples/robot/; or a file of MJCF or URDF to read.
     """
-    if study == "stiffness":
-        check_unused("robot stiffness", resume=resume)
+    if study in ("stiffness", "read"):
+        check_unused(f"robot {study}", resume=resume)
     elif out or resume:
         check_study(required_folder(out, "study to be continued") / STUDY, resume=resume)
+    if study == "read":
+        return _read(file, muscle, out)
+    check_unused(f"robot {study}", muscle=muscle)
     from mckibben.robot.jumping import JumpStudy, study_jump
     from mckibben.robot.landing import LandingStudy, study_landing
     from mckibben.robot.scenario import RobotScenario
@@ -45,11 +51,22 @@ def robot(
     kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, Report)
     if out:
         check_results(out, kind, resume)
-    read = RobotScenario.read(file)
+    scenario = RobotScenario.read(file)
     if study == "stiffness":
-        return _stiffness(read, str(file))
+        return _stiffness(scenario, str(file))
     run = study_landing if study == "land" else study_jump
-    return run(read, source=str(file), out=out, resume=resume, progress=progress)
+    return run(scenario, source=str(file), out=out, resume=resume, progress=progress)
+
+
+def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
+    from mckibben.component.schema import read_component
+    from mckibben.muscle import Muscle
+    from mckibben.robot.reading import read_mjcf
+
+    read = read_mjcf(file, None if muscle is None else read_component(Muscle, muscle))
+    if out:
+        read.scenario()  # fails before anything is written
+    return read
 
 
 def _stiffness(read: RobotScenario, source: str) -> Report:

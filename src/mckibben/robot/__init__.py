@@ -19,6 +19,7 @@ from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import EnergyBalance, RobotMetrics
 from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
+from mckibben.robot.reading import ReadRobot, read_mjcf
 from mckibben.robot.scenario import RobotScenario, read_robot
 from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
 
@@ -41,6 +42,7 @@ __all__ = [
     "PathMuscle",
     "Place",
     "PressureSchedule",
+    "ReadRobot",
     "Robot",
     "RobotController",
     "RobotMeasurement",
@@ -56,6 +58,7 @@ __all__ = [
     "foot_matrix",
     "foot_stiffness",
     "pressures_for_foot_stiffness",
+    "read_mjcf",
     "read_robot",
     "robot_metrics",
     "simulate_robot",

@@ -20,7 +20,7 @@ from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
 from mckibben.muscle import Muscle
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, difference, total
-from mckibben.robot.bodies import MOTIONS, Body, Foot, Freedom, Joint, check_base
+from mckibben.robot.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
 from mckibben.robot.muscles import MusclePair, MuscleUnit, Routed, Skeleton, check_contractions
 from mckibben.robot.tree import Frame, Hinge, frames_of
 from mckibben.units import deg
@@ -288,6 +288,10 @@ class Robot(Component):
         """Return all muscles with their paths at angles [rad]."""
         skeleton = self._skeleton(angles)
         return [routed for unit in self.muscles for routed in unit.routed(skeleton)]
+
+    def path_through(self, points: Sequence[BodyPoint], angles: Sequence[ArrayLike]) -> tuple[Array, dict[int, Array]]:
+        """Return the length [m] of lines through points at angles [rad], and its derivatives [m/rad] by joint."""
+        return self._skeleton(angles).path_through(points)
 
     def hinges(self, angles: Sequence[Any], rates: Sequence[Any], base: int = 0) -> list[Hinge]:
         """Return the hinges of the joints at angles [rad] and rates [rad/s]; the base has a number."""

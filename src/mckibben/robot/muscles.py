@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import itertools
 from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -49,6 +48,12 @@ class Skeleton(NamedTuple):
     def number(self, name: str) -> int:
         """Return the number of a joint."""
         return [joint.name for joint in self.joints].index(name)
+
+    def path_through(self, points: Sequence[BodyPoint]) -> tuple[Array, dict[int, Array]]:
+        """Return the length [m] of lines through points, and its derivatives [m/rad] by the number of the joint."""
+        places = [(self.frame_names.index(point.body), point.place.vector) for point in points]
+        length, by_body = path_through(places, *self.posed())
+        return length, {body - 1: slope for body, slope in by_body.items()}
 
 
 class MuscleUnit(Component):
@@ -186,7 +191,7 @@ class PathMuscle(MuscleUnit):
     over
         Paths over joints.
     through
-        Points from one end to the other; successive ones are on different bodies.
+        Points from one end to the other.
     connector_length
         Length of the connectors in series with the muscle [m]; below 0 for a muscle that is longer than its path.
     tendon
@@ -206,13 +211,10 @@ class PathMuscle(MuscleUnit):
         super().__check_init__()
         self.muscle.check_pressure_limit()
         bodies = [point.body for point in self.through]
-        if len(bodies) == 1 or any(first == second for first, second in itertools.pairwise(bodies)):
-            raise RangeError(
-                f"{self.name}: it passes through {', '.join(bodies)}",
-                field="through",
-                value=bodies,
-                remedy="give two points or more, successive ones on different bodies",
-            )
+        if len(set(bodies)) == 1:
+            remedy = "give points on two bodies or more"
+            message = f"{self.name}: it passes through {', '.join(bodies)} alone"
+            raise RangeError(message, field="through", value=bodies, remedy=remedy)
         if not bodies and not self.over:
             remedy = "give points that it goes `through`, or paths `over` joints"
             raise RangeError(f"{self.name}: it has no path", field="through", remedy=remedy)
@@ -241,11 +243,10 @@ class PathMuscle(MuscleUnit):
             own, slopes[index] = part.length(skeleton.angles[index])
             length = own if length is None else length + own
         if self.through:
-            points = [(skeleton.frame_names.index(point.body), point.place.vector) for point in self.through]
-            straight, by_body = path_through(points, *skeleton.posed())
+            straight, by_joint = skeleton.path_through(self.through)
             length = straight if length is None else length + straight
-            for body, slope in by_body.items():
-                slopes[body - 1] = slopes[body - 1] + slope if body - 1 in slopes else slope
+            for joint, slope in by_joint.items():
+                slopes[joint] = slopes[joint] + slope if joint in slopes else slope
         return [Routed(self.muscle, self.tendon, length - self.connector_length, slopes)]
 
     def check_range(self, joints: Sequence[Joint]) -> None:
