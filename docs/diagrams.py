@@ -82,25 +82,6 @@ WORKFLOWS: Mapping[str, tuple[Mapping[str, Box], Sequence[tuple[str, str]]]] = {
             ("identify", "muscle"),
         ],
     ),
-    "rig-hardware": (
-        {
-            "test": (0, 0.5, "test,\nsafety monitor", OURS),
-            "backend": (1, 0.5, "card, or\nsimulated rig", OTHER),
-            "valve": (2, 0, "pressure\nregulator", OTHER),
-            "motor": (2, 1, "motor,\nreducer, screw", OTHER),
-            "muscle": (3, 0.5, "muscle", OTHER),
-            "sensors": (2, 2, "force and\npressure sensors", OTHER),
-        },
-        [
-            ("test", "backend"),
-            ("backend", "valve"),
-            ("backend", "motor"),
-            ("valve", "muscle"),
-            ("motor", "muscle"),
-            ("muscle", "sensors"),
-            ("sensors", "backend"),
-        ],
-    ),
     "joint-rig": (
         {
             "scenario": (0, 0, "scenario.yaml", FILE),

@@ -114,7 +114,7 @@ BUDGET = {
     "plant": 520,
     "reachability": 1210,
     "report": 2230,
-    "rig": 5030,
+    "rig": 5040,
     "scenario": 730,
     "serial_protocol": 160,
     "simulation": 2770,

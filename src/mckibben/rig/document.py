@@ -130,19 +130,25 @@ Moved = Literal["screw", "weights"]
 
 @dataclass(frozen=True, kw_only=True)
 class SerialBench(Checked, MuscleRig):
-    """Sensors and a valve at a microcontroller, see `SerialBackend`, and an operator, see `HandBench`."""
+    """Sensors and a valve at a microcontroller, see `SerialBackend`, and an operator, see `HandBench`.
+
+    The muscle is one of the two of a joint's board, unless the firmware has the channels of a bench (0).
+    """
 
     short_name = "serial"
 
     port: str
     baud: Annotated[int, BoundedInt(1200, 10_000_000)] = 1_000_000
     moved_by: Moved = "screw"
+    muscle: Annotated[int, BoundedInt(0, 2)] = 1
 
     def backend(self, session: int = 0) -> MovingBackend:
         """Return the rig, once its firmware has said who it is."""
         from mckibben.rig.serial_line import SerialBackend
 
-        return HandBench(SerialBackend(self.port, baud=self.baud), weights=self.moved_by == "weights")
+        return HandBench(
+            SerialBackend(self.port, baud=self.baud, muscle=self.muscle), weights=self.moved_by == "weights"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,12 +55,17 @@ class SerialBackend(Backend):
         SHA-256 that the firmware must have; empty: any.
     period
         Sampling period that the firmware must have [s]; 0: any.
+    muscle
+        Muscle of a joint's board that is on a bench, 1 or 2: its channels are "pressure" and "valve", and the other
+        muscle stays vented. 0: a joint.
     """
 
     patience = 100 * ms
 
-    def __init__(self, port: str, *, baud: int = 1_000_000, digest: bytes = b"", period: float = 0.0) -> None:
-        self.port, self.baud = port, baud
+    def __init__(
+        self, port: str, *, baud: int = 1_000_000, digest: bytes = b"", period: float = 0.0, muscle: int = 0
+    ) -> None:
+        self.port, self.baud, self.muscle = port, baud, muscle
         self._digest, self._period = digest, period
         self._line: Any = None
         self._forget()
@@ -80,11 +85,16 @@ class SerialBackend(Backend):
 
     @property
     def inputs(self) -> Sequence[Channel]:
-        return [Channel(name, unit, where=self.port) for name, unit in self._known.measurements]
+        return [Channel(self._named(name), unit, where=self.port) for name, unit in self._known.measurements]
 
     @property
     def outputs(self) -> Sequence[Channel]:
-        return [Channel(name, unit, 0.0, where=self.port) for name, unit in self._known.commands]
+        channels = [Channel(self._named(name), unit, 0.0, where=self.port) for name, unit in self._known.commands]
+        return [channel for channel in channels if not self.muscle or channel.name == "valve"]
+
+    def _named(self, channel: str) -> str:
+        """Name of a channel of the firmware on this rig."""
+        return {f"{name}{self.muscle}": name for name in ("pressure", "valve")}.get(channel, channel)
 
     @property
     def losses(self) -> str:
@@ -207,7 +217,9 @@ class SerialBackend(Backend):
         """Send commands [Pa], and arm the board after the first ones."""
         self._check_open()
         self._take(self._received())
-        command = MessageKind.COMMAND, pack_numbers([float(pressure) for pressure in pressures], "f")
+        known = {valve.name: float(pressure) for valve, pressure in zip(self.outputs, pressures, strict=True)}
+        asked = [known.get(self._named(name), 0.0) for name, _ in self._known.commands]
+        command = MessageKind.COMMAND, pack_numbers(asked, "f")
         if not self._armed:
             self._arm(command)
         self._send(*command)

@@ -311,7 +311,7 @@ class RigSession:
         bench, monitor, block = self.bench, self.monitor, None
         try:
             with monitor.guard():
-                block = self.backend.read(count or bench.samples_per_cycle, timeout=bench.cycle)
+                block = self.backend.read(count or bench.samples_per_cycle, timeout=bench.limits.gap)
                 self._latest = latest = monitor.check_block(block, self.backend.clock())
                 monitor.heartbeat()
         except BaseException:

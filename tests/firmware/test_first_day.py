@@ -1,0 +1,113 @@
+"""Every command of docs/first-day.md, on the firmware of this computer with a simulated joint."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import mckibben as mk
+from mckibben.codegen.native import compiler
+from mckibben.component.schema import read_component
+from mckibben.muscle import Muscle, forces
+from mckibben.units import bar
+
+pytest.importorskip("serial", reason="needs the extra rig")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make"),
+]
+ROOT = Path(__file__).parents[2]
+MUSCLE = Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
+
+
+def commands():
+    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "docs" / "first-day.md").read_text(), re.DOTALL | re.MULTILINE)
+    lines = [line.partition("  #")[0].strip() for block in blocks for line in block.splitlines()]
+    return [line.removeprefix("mckibben ") for line in lines]
+
+
+class Board:
+    """The firmware in a folder, as a process with a serial port."""
+
+    process = None
+
+    def flash(self, *weight):
+        self.unplug()
+        subprocess.run(["make", "-s", "-C", "firmware"], check=True)
+        Path("board").unlink(missing_ok=True)
+        self.process = subprocess.Popen(["firmware/firmware", "board", *weight])
+        while not Path("board").exists():
+            time.sleep(0.01)
+
+    def unplug(self):
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+
+
+def lengths():
+    """Answers of an operator: a weight is hung, then the length of the muscle at each pressure, up and down."""
+    for force in (50.0, 150.0, 250.0):
+        yield ""
+        for pressure in (2, 3, 4, 5, 5, 4, 3, 2):
+            contraction = brentq(lambda at, p=pressure, f=force: float(forces(MUSCLE, at, p * bar)) - f, -0.03, 0.4)
+            yield f"{180 * (1 - contraction):.2f} mm"
+
+
+def clip_on(board, answers):
+    """Confirm the bare joint; then clip the weight on, and confirm it."""
+    answers.write("y\n")
+    answers.flush()
+    while not Path("calibration/bare/result.nc").exists():
+        time.sleep(0.1)
+    board.flash("0.5", "0.2")
+    answers.write("y\n")
+    answers.flush()
+
+
+def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for path in (ROOT / "examples" / "first-day").iterdir():
+        shutil.copy(path, tmp_path)
+    host = "board: host\nsilence: 2 s\n"  # other tests run at the same time
+    Path("board.yaml").write_text(
+        f"{host}limits: {{frozen: 900 s, lowest_angle: -180 deg, highest_angle: 180 deg}}\n", encoding="utf-8"
+    )
+    board = Board()
+    try:
+        for command in commands():
+            if command.endswith("--force"):
+                Path("board.yaml").write_text(host, encoding="utf-8")
+            arguments = [*re.sub(r"'(.*?)'", lambda m: m[1].replace(" ", "\0"), command).split()]
+            arguments = [argument.replace("\0", " ") for argument in arguments]
+            arguments += ["--duration", "20 s"] * (arguments[0] == "calibrate")
+            answers = "\n".join(lengths()) if "bench.yaml" in command else None
+            line = [sys.executable, "-m", "mckibben", *arguments]
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+            with subprocess.Popen(line, **pipes, text=True) as run:
+                if arguments[0] == "calibrate":
+                    threading.Thread(target=clip_on, args=(board, run.stdin), daemon=True).start()
+                    said = run.stdout.read()
+                else:
+                    said, _ = run.communicate(answers)
+            assert run.returncode == 0, f"{command}\n{said}"
+            if arguments[0] in ("export", "calibrate"):
+                board.flash()
+        fitted = read_component(Muscle, Path("fit/muscle.yaml"))
+        contraction, pressure = np.array([0.05, 0.1, 0.15]), np.array([3.0, 4.0, 5.0]) * bar
+        np.testing.assert_allclose(
+            forces(fitted, contraction, pressure), forces(MUSCLE, contraction, pressure), rtol=0.1
+        )
+        for name in ("run", "calibrated"):
+            results = json.loads(Path(name, "results.json").read_text(encoding="utf-8"))
+            assert results["ended"] == "completed" and results["metrics"]["angle_rmse_deg"] < 1.0
+    finally:
+        board.unplug()
