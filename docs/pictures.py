@@ -47,6 +47,10 @@ def main() -> None:
     for name, figure in drawings.items():
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
+    of_report = {"fig2-test-rig": draw_workflow(*WORKFLOWS["rig-hardware"]), "fig5-control-loop": draw_control_loop()}
+    for name, figure in of_report.items():
+        png, _ = save(figure, ROOT / "src" / "mckibben" / "report", name)
+        png.unlink()
     mk.report.animate(run_scenario(scenario), IMAGES / "knee.webp", overwrite=True)
     for name, workflow in WORKFLOWS.items():
         png, _ = save(draw_workflow(*workflow), IMAGES, name)

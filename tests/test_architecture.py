@@ -113,7 +113,7 @@ BUDGET = {
     "paper": 740,
     "plant": 520,
     "reachability": 1210,
-    "report": 2230,
+    "report": 2250,
     "rig": 5040,
     "scenario": 730,
     "serial_protocol": 160,

@@ -49,6 +49,7 @@ def test_angles_without_a_geometry_or_beyond_it_are_asked_about(put):
     _, force, arm = muscle(2)
     path = put(table("Angle [deg];Torque [N*m];Pressure [bar]", ANGLES, force * arm, PRESSURES))
     assert any(problem.startswith("joint: ") for problem in problems_of(path, joint="knee-table-2"))
+    assert any("joint=FILE" in problem for problem in problems_of(path))
     tabulated = catalog_table()
     (problem,) = problems_of(path, **OPTIONS | {"geometry": tabulated})
     assert "--column 'Angle [deg]=1*x+0 angle_deg'" in problem

@@ -20,11 +20,14 @@ pytestmark = pytest.mark.slow
 
 
 NAMES = (
+    "fig2-test-rig",
     "fig3-isobaric-curves",
     "fig4-law-comparison",
     "measured-muscles",
+    "fig6-knee",
     "attainable-stiffness",
     "torque-stiffness-map",
+    "fig5-control-loop",
     "fig7-control-results-as-printed",
     "fig8-errors-as-printed",
     "fig7-control-results-pre-contracted",
@@ -63,9 +66,13 @@ def check(figure):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_figure_is_complete(drawn, name):
     found = drawn[name]
-    check(found.figure)
-    assert found.title and found.caption and found.alternative
-    assert found.figure.get_figwidth() <= 7.5
+    assert found.caption and found.alternative
+    (number,) = re.findall(r"^Fig. (A?\d): ", found.title)
+    assert [other.title.split(":")[0] for other in drawn.values()].count(f"Fig. {number}") == 1
+    if found.figure is not None:
+        assert found.figure.get_figwidth() <= 7.5
+        if name != "fig6-knee":  # a drawing without scales
+            check(found.figure)
 
 
 def test_a_users_settings_do_not_change_the_house_style(reproduction, tmp_path):

@@ -41,9 +41,12 @@ def test_pictures_have_a_text_and_a_file_and_tables_a_caption_and_heads(parsed, 
     assert all(len(picture["alt"]) > 30 for picture in pictures)
     assert count("table") == count("caption") == count("thead") > 8
     assert reproduction.quick  # then there is no SVG; `save` has a test of its own
-    for name in drawn:
-        assert (page / "figures" / f"{name}.png").stat().st_size > 5000
-        assert not (page / "figures" / f"{name}.svg").exists()
+    for name, figure in drawn.items():
+        kinds = ("svg", "png") if figure.figure is None else ("png", "svg")  # a schematic is kept as SVG
+        assert (page / "figures" / f"{name}.{kinds[0]}").stat().st_size > 5000
+        assert not (page / "figures" / f"{name}.{kinds[1]}").exists()
+    assert [tag for tag, _ in parsed.tags].count("math") == 8  # Eqs. 1 to 8
+    assert "command line" not in (page / "report.html").read_text(encoding="utf-8")
     assert not list(page.glob(".*"))
 
 

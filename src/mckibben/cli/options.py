@@ -37,12 +37,12 @@ def on_command_line(text: str) -> str:
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
     """Print text; control characters, such as escape sequences in names, are escaped. Messages keep to the terminal."""
-    shown = printable(text)
-    if err and nl and sys.stderr.isatty():
+    shown, stream = printable(text), sys.stderr if err else sys.stdout
+    if nl and stream.isatty() and not shown.startswith("{"):  # JSON is kept
         width = shutil.get_terminal_size().columns
         whole: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
         shown = "\n".join(textwrap.fill(line, width, subsequent_indent="    ", **whole) for line in shown.splitlines())
-    print(shown, file=sys.stderr if err else sys.stdout, end="\n" * nl, flush=True)
+    print(shown, file=stream, end="\n" * nl, flush=True)
 
 
 def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False) -> float:

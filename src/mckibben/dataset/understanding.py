@@ -42,6 +42,7 @@ _SIGN_REMEDY = (
     "(command line: --column '{0}=WAY_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
 _ELSEWHERE = " (in Python columns={...}); per file: --read 'from_name={pressure_bar}bar', --read 'loads=2 kg, 5 kg'"
+_AT_JOINT = "of torques at angles, give the geometry of the joint: --read joint=FILE (in Python joint=FILE); else "
 _UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -128,7 +129,9 @@ class _Reader:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
             meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
-            self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"name them: {meant}{_ELSEWHERE}")
+            at_joint = "torque" in names.lower() or "moment" in names.lower()
+            named = f"{_AT_JOINT if at_joint and not self.recipe.joint else ''}name them: {meant}{_ELSEWHERE}"
+            self.ask(f"no column for {kinds}; its columns are {names}", remedy=named)
         self._ask_about_words(chosen)
         table.repairs += [str(replace(asked.problem, remedy="")) for asked in self.asked if asked.topic == "corrupt"]
         self._leave_out()

@@ -15,14 +15,15 @@ from matplotlib.figure import Figure
 
 from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
-from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG
+from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG, plant_of
 from mckibben.paper.settings import FREE, SETTINGS, Setting, StiffnessReference
 from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
+from mckibben.report.drawing import draw_joint
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
-from mckibben.units import deg
+from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.paper import Reproduction
@@ -41,7 +42,7 @@ class ReportFigure:
     title, caption, alternative
         Heading; what is seen, with numbers; what is drawn, for those who do not see it.
     figure
-        The drawing.
+        The drawing; None for a schematic, which is an SVG of this package.
     """
 
     name: str
@@ -49,14 +50,14 @@ class ReportFigure:
     title: str
     caption: str
     alternative: str
-    figure: Figure
+    figure: Figure | None
 
     def __post_init__(self) -> None:
         assert self.section in SECTIONS
 
 
 def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
-    """Figures of the paper: 3, 4, 7 and 8, and our own of the attainable set, the measured muscles and all controllers.
+    """Figures 2 to 8 of the paper, and our own of the attainable set, the measured muscles and all controllers.
 
     Parameters
     ----------
@@ -68,14 +69,17 @@ def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
     ReportFigure
         In the order of the report.
     """
+    yield described("fig2-test-rig", None)
     yield from _of_the_muscle(reproduction)
+    yield described("fig6-knee", draw_joint(plant_of(SETTINGS[0]), 25 * deg, (2 * bar, 4 * bar)))
     yield from _of_the_joint(reproduction)
+    yield described("fig5-control-loop", None)
     for setting in SETTINGS:
         yield from _of_the_control(reproduction, setting)
     yield from _of_the_methods(reproduction)
 
 
-def described(key: str, figure: Figure, suffix: str = "", **values: object) -> ReportFigure:
+def described(key: str, figure: Figure | None, suffix: str = "", **values: object) -> ReportFigure:
     """A figure with its texts from figures.toml.
 
     Parameters
@@ -127,16 +131,19 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
 def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[ReportFigure]:
     """Figs. 7 and 8 in a geometry."""
     runs, suffix = reproduction.tracking.runs, f"-{setting.key.replace('_', '-')}"
+    numbers = ("7", "8") if setting is SETTINGS[0] else ("A4", "A5")
     columns = {
         f"{reference.value} stiffness": {name: runs[setting.key, reference, name].result for name in (PID, BP)}
         for reference in StiffnessReference
     }
     panels = {f"{name}, {title}": (name, results[name]) for name in (PID, BP) for title, results in columns.items()}
     step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to")
-    yield described("fig7-control-results", control_results(panels), suffix, setting=setting, step=step)
+    yield described(
+        "fig7-control-results", control_results(panels), suffix, number=numbers[0], setting=setting, step=step
+    )
     constant = columns[f"{StiffnessReference.CONSTANT.value} stiffness"]
     rmse = {name: result.metrics["angle_rmse"] / deg for name, result in constant.items()}
-    yield described("fig8-errors", error_curves(columns), suffix, setting=setting, rmse=rmse)
+    yield described("fig8-errors", error_curves(columns), suffix, number=numbers[1], setting=setting, rmse=rmse)
 
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:

@@ -12,12 +12,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mckibben.reachability import (
-    Envelope,
-    Selection,
-    StaticEnvelope,
-    static_envelope,
-)
+from mckibben.reachability import Envelope, Selection, StaticEnvelope, static_envelope
 from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
     DESIRED,
@@ -121,7 +116,7 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
             axes.set_facecolor("#F3F3F3")
             axes.grid(False)
             if j:
-                label = _STIFFNESS if j == 1 else "K_max − K_min [N·m/rad]"
+                label = _STIFFNESS if j == 1 else "range of stiffness [N·m/rad]"
                 figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
             letter(axes, 3 * i + j, f"{name}: {titles[j]}" if j < 2 else titles[j])
             reach = joint_map.angles[~np.isnan(joint_map.lowest_at).all(axis=0)] / deg
@@ -174,7 +169,7 @@ def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
         width = np.nan_to_num(static.map_stiffness.width)
         drawn = axes.contourf(static.map_angles / deg, static.map_torques, width, 10, cmap="cividis")
         drawn.set_rasterized(True)
-        figure.colorbar(drawn, ax=axes, label="K_max − K_min [N·m/rad]", pad=0.02)
+        figure.colorbar(drawn, ax=axes, label="range of stiffness [N·m/rad]", pad=0.02)
     angles = trackability.trajectory.angle / deg
     axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
     axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion")

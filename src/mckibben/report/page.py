@@ -16,14 +16,16 @@ import markupsafe
 
 from mckibben import catalog
 from mckibben.errors import printable
+from mckibben.identification import Fit
 from mckibben.paper import Reproduction, file_stem
-from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
+from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
-from mckibben.storage.files import atomic_write
+from mckibben.result import Severity
+from mckibben.storage.files import atomic_write, make_folder
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
@@ -69,6 +71,7 @@ def typeset(text: str) -> markupsafe.Markup:
     """
     safe = str(markupsafe.escape(printable(text) if type(text) is str else text))
     safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
+    safe = re.sub(r"\bK_(min|max)\b", r"<em>K</em><sub>\1</sub>", safe)
     safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad").replace(" %", "\u00a0%")
     safe = re.sub(r"(\d)\.\.(−?\d|-)", r"\1 to \2", safe)
     safe = re.sub(r"(?<![\w.])-(?=\d)", "−", safe)
@@ -113,6 +116,10 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
 
 def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> EmbeddedFigure:
     """A figure with its data URI, after saving it in `figures/` of a folder; a preview as PNG with 100 dpi only."""
+    if figure.figure is None:
+        schematic = make_folder(folder / "figures") / f"{figure.name}.svg"
+        schematic.write_text(_resource(schematic.name), encoding="utf-8")
+        return figure, address_of(schematic, schematic)
     return figure, address_of(*save(figure.figure, folder / "figures", figure.name, preview=preview))
 
 
@@ -138,12 +145,13 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         sections=SECTIONS,
         figures=drawn,
         fit=tables.fit_table(results),
-        parameters=tables.parameter_table(results),
-        warnings={name_of(n): f["warnings"] for n, f in results["identification"].items() if f["warnings"]},
+        parameters=(parameters := tables.parameter_table(results)),
+        published={row[0].split()[0]: row[1] for row in parameters.rows},
+        hardware=tables.hardware_table(),
+        warnings={name_of(n): _warnings(fit) for n, fit in reproduction.identification.fits.items()},
         validation=tables.validation_tables(results),
         joint=tables.joint_table(results),
         tracking=tables.tracking_tables(results),
-        outcomes=_outcomes(reproduction),
         gains=tables.gains_table(reproduction, results),
         coupling=tables.coupling_table(results),
         settings=tables.settings_table(reproduction),
@@ -154,13 +162,9 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
     )
 
 
-def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
-    """Outcome of each run in the figures."""
-    names = {setting.key: setting.name for setting in SETTINGS}
-    return [
-        (f"{names[key]}, {reference.value} stiffness, {controller}", run.result.verdict())
-        for (key, reference, controller), run in reproduction.tracking.runs.items()
-    ]
+def _warnings(fit: Fit) -> list[str]:
+    """Texts of the warnings of a fit, without their remedies."""
+    return [note.text for note in fit.notes if note.severity is not Severity.NOTE]
 
 
 def _source(name: str) -> tuple[str, str, list[str]]:

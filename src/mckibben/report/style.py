@@ -257,7 +257,8 @@ _MOST_VERTICES = 600
 def letter(axes: Axes, index: int, title: str) -> None:
     """Set the title of the panel at an index, from 0: "(a) title" with a bold letter."""
     mark = rf"$\bf{{({string.ascii_lowercase[index % 26]})}}$"
-    axes.set_title(f"{mark} {title.replace('$', chr(92) + '$')}", parse_math=True)
+    text = re.sub(r"\bK_(min|max)\b", r"$K_{\\mathrm{\1}}$", title.replace("$", chr(92) + "$"))
+    axes.set_title(f"{mark} {text}", parse_math=True)
 
 
 def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
@@ -413,9 +414,11 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
             label = str(handle.get_label())
             if isinstance(handle, Line2D | Patch | Collection) and label and not _NO_LABEL.match(label):
                 handles.setdefault(label, handle)
-    widest = max(map(len, handles), default=0) * _CHARACTER + _HANDLE
-    columns = max(1, min(columns, len(handles), int(figure.get_figwidth() / widest)))
-    rows = -(-len(handles) // columns)
+    widths, room = [len(label) * _CHARACTER + _HANDLE for label in handles], figure.get_figwidth()
+    in_one_row = len(handles) <= columns and sum(widths) <= room
+    most = len(handles) if in_one_row else min(columns, int(room / max(widths, default=1.0)))
+    rows = -(-len(handles) // max(most, 1))
+    columns = max(-(-len(handles) // max(rows, 1)), 1)  # rows of nearly equal length
     figure.set_figheight(figure.get_figheight() + max(0, rows - 2) * _LEGEND_ROW)
     figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=columns)
 

@@ -191,6 +191,11 @@ def parameter_table(results: Numbers) -> Table:
     return _table("parameters", rows, *map(name_of, fits))
 
 
+def hardware_table() -> Table:
+    """Table 1 of the paper, with what stands for it here."""
+    return _table("hardware", _TEXTS["hardware"]["rows"])
+
+
 def validation_tables(results: Numbers) -> list[Table]:
     """Errors of laws [N]: by pressure on the simulated rig, and over all taut points of the measured muscles.
 

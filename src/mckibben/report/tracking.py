@@ -303,6 +303,7 @@ def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, Controlle
         for j, (metric, label, unit) in enumerate(_METRICS):
             axes = grid[i, j]
             _dots(axes, references, names, metric, unit)
+            axes.margins(x=0.08)  # of logarithmic axes, whose outer dots would be cut off
             axes.set(xlabel=label)
             axes.set_yticks(range(len(names)), names)
             axes.set_ylim(len(names) - 0.4, -0.6)
