@@ -1,6 +1,7 @@
 """Calibration on recordings that obey the equation of motion of a known joint exactly, but for noise."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -271,5 +272,9 @@ def test_a_prior_is_read_from_a_file_with_units(tmp_path):
 @pytest.mark.parametrize(("scale", "named"), [(0.93, True), (0.97, False)])
 def test_moment_arms_that_contradict_their_prior_are_named(scale, named):
     quantities = {"arm_scale": JointEstimate(scale, 0.005, 0.02, "1", expected=1.0)}
-    found = JointCalibration(quantities, knee(), LOAD, (), None, (LocalMinimum(np.zeros(1), np.eye(1)),), 0.0, 0.0, 0.0)
-    assert ("arm_scale" in {remark.field for remark in found.remarks()}) == named
+    minima = (LocalMinimum(np.zeros(1), np.eye(1)),)
+    for prior in (JointPrior(), JointPrior(mass=0.05)):
+        problem = SimpleNamespace(prior=vars(prior))
+        found = JointCalibration(quantities, knee(), LOAD, (), problem, minima, 0.0, 0.0, 0.0)
+        remarked = {remark.field for remark in found.remarks()}
+        assert ("arm_scale" in remarked) == named and ("prior" in remarked) == (prior == JointPrior())

@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 from mckibben.control import PID, BackpropPID
+from mckibben.errors import RangeError
 
 PERIOD = 0.01
 
@@ -95,3 +96,9 @@ def test_without_integral_action_saturation_leaves_no_bias(tracking, learning):
     assert np.all(np.asarray(achieved[:30]) == 1.0)
     # The initial output stays; the velocity form of BP starts from no error, so its first step is one of the error.
     np.testing.assert_allclose(output, 0.3 + 2.0 * setpoint, rtol=1e-12)
+
+
+def test_gains_of_two_signs_in_one_run_are_refused_in_arrays_too():
+    PID(np.array([1.0, -1.0]), np.array([2.0, -2.0]), 0.0)
+    with pytest.raises(RangeError, match="kp is positive, ki is negative"):
+        PID(np.array([1.0, 1.0]), np.array([2.0, -2.0]), 0.0)

@@ -202,6 +202,14 @@ class JointCalibration(Calibration):
         z = self._minima[0].z
         remedy = "which recordings had the weight, the units and the encoder's zero, and state in --prior what is known"
         remarks = misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy)
+        widths = {name: self._problem.prior[name] for name in ("strength", "mass")}
+        if all(width == getattr(JointPrior, name) for name, width in widths.items()):
+            text = (
+                "forces and mass have the default deviations, with which the stiffness of muscles that were tested can "
+            )
+            text += "get worse"
+            remedy = "state what is known in --prior: strength: 2 % after a test of these muscles, mass: 5 % if weighed"
+            remarks.append(Remark.warning("prior", text, remedy))
         distance = float(z @ z)
         if distance > chdtri(z.size, 1e-6):
             text = f"the recordings contradict the model: it is too far from the estimates (chi-squared {distance:.3g})"

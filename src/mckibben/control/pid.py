@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.checks import known_numbers
 from mckibben.control.base import Loop
 from mckibben.errors import RangeError
 from mckibben.numerics.elementary import floating
@@ -68,10 +69,11 @@ class PID(Loop[PIDState]):
     def __check_init__(self) -> None:
         super().__check_init__()
         gains = {"kp": self.kp, "ki": self.ki, "kd": self.kd}
-        if all(isinstance(gain, Real) for gain in gains.values()) and min(gains.values()) < 0 < max(gains.values()):
-            signs = ", ".join(
-                f"{name} is {'negative' if gain < 0 else 'positive'}" for name, gain in gains.items() if gain
-            )
+        numbers = [known_numbers("PID", name, gain) for name, gain in gains.items()]
+        known = np.stack(np.broadcast_arrays(*numbers)) if all(part.size for part in numbers) else np.zeros(3)
+        if (wrong := known.min(axis=0) * known.max(axis=0) < 0).any():
+            first = zip(gains, known[:, wrong][:, 0], strict=True)
+            signs = ", ".join(f"{name} is {'negative' if gain < 0 else 'positive'}" for name, gain in first if gain)
             remedy = "give all one sign, negative if the loop is reverse-acting"
             raise RangeError(f"PID: the gains differ in sign: {signs}", remedy=remedy)
 

@@ -18,6 +18,21 @@ from mckibben.study.compare.tuning import ControllerTuning
 from mckibben.study.tune.space import SearchSpace
 
 
+def runs_of(suite: Suite, name: str) -> int:
+    """Runs that the comparison takes for a controller, of its tuning, finalists and evaluation.
+
+    >>> suite = Suite.read("examples/comparison/valves.yaml").of_setup("Festo VPPE-6")
+    >>> [runs_of(suite, name) for name in ("PID", "decoupling")]
+    [42100, 11860]
+    """
+    tuning, own = suite.tuning, suite.evaluation.runs
+    if not suite.tuned_over(name):
+        return own
+    starts = tuning.starts_of.get(name, tuning.starts)
+    trials = starts * tuning.candidates + (starts + 1) * tuning.generations * tuning.population
+    return trials * tuning.runs + tuning.finalists * tuning.finalist_runs + 2 * own
+
+
 def compare(
     suite: Suite, *, out: str | os.PathLike[str] | None = None, resume: bool = False, progress: Progress | None = None
 ) -> CompareResult:
@@ -44,12 +59,14 @@ def compare(
     training = draw(suite, suite.tuning.runs, suite.tuning.seed)
     evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
     names = list(suite.controllers)
+    efforts = [runs_of(suite, name) for name in names]
     result, at_air = (CompareResult(suite, evaluation, {}, {}, {}, {}) for _ in range(2))
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
         for number, name in enumerate(names):
 
             def report(task: str, part: float, name: str = name, number: int = number) -> None:
-                progress(f"{name} ({number + 1} of {len(names)}): {task}", (number + part) / len(names))
+                done = sum(efforts[:number]) + part * efforts[number]
+                progress(f"{name} ({number + 1} of {len(names)}): {task}", done / sum(efforts))
 
             result.tuned[name], result.at_bound[name] = {}, ()
             if swept := suite.tuned_over(name):
