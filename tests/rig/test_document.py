@@ -12,7 +12,6 @@ from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
 from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.running import check
-from mckibben.units import bar
 
 MUSCLE = catalog.joint("knee-table-2").muscle1
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -164,13 +163,7 @@ def test_what_the_rig_decides_is_not_set_by_the_recording(line):
     assert problem.field == f"recording.{line.split(':')[0]}" and problem.remedy == "leave it out"
 
 
-def test_a_regulator_of_ideal_parts_keeps_what_is_not_given_ideal():
-    """And the pressures are checked against its supply."""
-    rig = "rig: {simulated: {parts: ideal, regulator: {supply: 3 bar, leak: 2e-5 L/(s*bar)}}}"
-    test = RigTest.parse(STEPS.replace("rig: {simulated: {seed: 1}}", rig))
-    found = check(test).setup.backend._regulator
-    assert (found.supply, found.hysteresis, found.repeatability) == (3 * bar, 0.0, 0.0)
-    assert found.leak == pytest.approx(2e-13)
+def test_pressures_are_checked_against_the_supply_and_the_regulator():
     for limit in ("supply", "highest"):
         with pytest.raises(ScenarioError) as caught:
             check(RigTest.parse(STEPS.replace("{seed: 1}", f"{{regulator: {{{limit}: 2.5 bar}}}}")))

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 from scipy.optimize import brentq
@@ -230,27 +229,10 @@ def compile_flat(function: Callable[..., Any], *sizes: int, static: tuple[Any, .
         return compile_native(function, *sizes, static=static)
     except ExportError as error:
         warn_of_fallback(error)
-        return _compile_loop(functools.partial(function, *static), *sizes)
+        shapes = [jax.ShapeDtypeStruct((size,), float) for size in sizes]
+        with jax.default_device(jax.devices("cpu")[0]):
+            return jax.jit(functools.partial(function, *static)).lower(*shapes).compile()
 
 
 flat_program = functools.lru_cache(16)(compile_flat)
 """`compile_flat`, once per function, sizes and static arguments."""
-
-
-def _compile_loop(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile by XLA, as a loop with one iteration."""
-    # XLA compiles a small loop to one kernel, other code to dozens of calls, which take ten times longer than the work.
-    # The number of iterations is an argument, and the others depend on the iteration, so that nothing is hoisted out.
-    shapes = [jax.ShapeDtypeStruct((size,), float) for size in sizes]
-
-    def looped(times: Array, *args: Array) -> Any:
-        def body(carried: Any) -> Any:
-            i, given, _ = carried
-            return i + 1, [jnp.where(i > 0, -one, one) for one in given], function(*given)
-
-        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(function, *args))
-        return lax.while_loop(lambda carried: carried[0] < times, body, (0, list(args), zeros))[2]
-
-    with jax.default_device(jax.devices("cpu")[0]):
-        program = jax.jit(looped).lower(jax.ShapeDtypeStruct((), int), *shapes).compile()
-    return functools.partial(program, np.asarray(1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -60,10 +60,9 @@ class MountedMuscle(Component):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRigSettings(Checked, MuscleRig):
-    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts.
+    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`).
 
-    `regulator` replaces the one of the parts; with a `wall_conductance` the air has a temperature. With ideal parts its
-    hysteresis, repeatability and leak are 0 unless they differ from their default.
+    With a `wall_conductance` of the `regulator` the air has a temperature.
     """
 
     short_name = "simulated"
@@ -74,7 +73,6 @@ class SimulatedRigSettings(Checked, MuscleRig):
     law: ForceLaw | None = None
     friction: Friction | None = None
     creep: Creep | None = None
-    parts: Literal["real", "ideal"] = "real"
     regulator: Regulator | None = None
     paced: bool = False
 
@@ -86,28 +84,12 @@ class SimulatedRigSettings(Checked, MuscleRig):
 
     def backend(self, session: int = 0) -> MovingBackend:
         """Return the simulated rig, each session with its own noise."""
-        from mckibben.rig.simulated import (
-            FORCE_SENSOR,
-            PRESSURE_SENSOR,
-            SimulatedRig,
-            Stretcher,
-        )
+        from mckibben.rig.simulated import SimulatedRig
 
         laws = {name: law for name in ("law", "friction", "creep") if (law := getattr(self, name)) is not None}
         muscle = self.muscle.muscle(**laws, **({"strength": None} if self.law else {}))
-        regulator = self.regulator or Regulator()
-        parts: dict[str, Any] = {"regulator": regulator}
-        if self.parts == "ideal":
-            errors = ("hysteresis", "repeatability", "leak")
-            ideal = {name: 0.0 for name in errors if getattr(regulator, name) == getattr(Regulator, name)}
-            parts = {
-                "regulator": replace(regulator, **ideal),
-                "stretcher": Stretcher(backlash=0.0),
-                "force_sensor": replace(FORCE_SENSOR, noise=0.0, resolution=0.0),
-                "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0, resolution=0.0),
-            }
-        parts |= {"mounted_at": self.muscle.mounted_at, "paced": self.paced}
-        return SimulatedRig(muscle, seed=self.seed + 1_000_003 * session, **parts)
+        settings: dict[str, Any] = {"mounted_at": self.muscle.mounted_at, "paced": self.paced}
+        return SimulatedRig(muscle, seed=self.seed + 1_000_003 * session, regulator=self.regulator, **settings)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 from mckibben import catalog
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR
-from mckibben.rig.simulated import Regulator, Stretcher
+from mckibben.rig.bench import Drive
+from mckibben.rig.simulated import Regulator
 from mckibben.rig.simulated.faults import ValveStuck
 from mckibben.rig.simulated.machine import Machine
 from mckibben.units import bar
@@ -22,7 +23,7 @@ VOLUME = float(SPECIMEN.volume(0.1)) + 5e-6
 
 
 def at_work(muscle, pressure, regulator=TIGHT):
-    machine = Machine(muscle, 0.1, regulator, Stretcher(backlash=0.0))
+    machine = Machine(muscle, 0.1, regulator, Drive())
     machine.set_signal(pressure, 0.0)
     machine.hold()
     return machine

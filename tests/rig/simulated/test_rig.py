@@ -22,9 +22,7 @@ from mckibben.rig.simulated import (
     SamplesStopped,
     SensorDisconnected,
     SimulatedRig,
-    Slipped,
     Stalled,
-    Stretcher,
     SupplyLost,
     ValveStuck,
 )
@@ -141,20 +139,6 @@ def test_motor_counts_its_pulses_in_time():
         rig.move(1, 2001.0)
 
 
-def test_slack_muscle_is_left_in_the_play_of_the_screw():
-    play = 0.05 * mm
-    rig = opened(mounted_at=0.2, stretcher=Stretcher(backlash=play), patience=1e9)
-    rig.move(400, 800.0)
-    rig.read(600)
-    assert rig.truth.stretch == pytest.approx(1 * mm)
-    rig.move(-400, 800.0)
-    rig.read(600)
-    assert rig.truth.stretch == pytest.approx(play)
-    press(rig, 6 * bar)  # taut: it takes the play up
-    rig.read(3000)
-    assert rig.truth.force > 50 and rig.truth.stretch == pytest.approx(0, abs=1e-12)
-
-
 # Vented
 
 
@@ -227,14 +211,6 @@ def test_unplugged_sensor_reads_a_rail_a_plausible_value_or_the_mains():
     assert (force[time >= 1.5] == 2040).all() and force[1400] < 500
 
 
-def test_muscle_that_slips_pulls_at_nothing():
-    rig, (time, force, pressure, _) = after(Slipped(2.0))
-    assert force[1990] > 100 and (force[time >= 2.0] == 0).all()
-    volumes = [float(SPECIMEN.volume(contraction)) + 5e-6 for contraction in (0.05, 0.25)]
-    dip = (pressure[1999] + 101325) * volumes[0] / volumes[1] - 101325  # its air has more room
-    assert pressure[2001] == pytest.approx(dip, rel=0.02) and rig.truth.contraction == pytest.approx(0.25)
-
-
 def test_muscle_that_bursts_loses_its_pressure_at_once():
     _, (time, force, pressure, _) = after(Burst(2.0))
     assert pressure[1990] > 3.9 * bar and pressure[time > 2.1].max() < 0.05 * bar
@@ -242,7 +218,7 @@ def test_muscle_that_bursts_loses_its_pressure_at_once():
 
 
 def test_stalled_motor_counts_and_stands():
-    rig = opened(faults=[Stalled(1.0)], stretcher=Stretcher(backlash=0.0), patience=1e9)
+    rig = opened(faults=[Stalled(1.0)], patience=1e9)
     rig.move(-160, 80.0)
     assert rig.read(2500).pulses[-1] == -160
     assert rig.truth.stretch == pytest.approx(rig.drive.travel(-80))
@@ -318,7 +294,6 @@ def test_wrong_use_is_refused():
         lambda: Burst(-1.0),
         lambda: SamplesDropped(1.0, 0),
         lambda: ValveStuck(0.0, 2.0),
-        lambda: Stretcher(backlash=-1.0),
         lambda: Drive(lead=0.0),
     ):
         with pytest.raises(RangeError):

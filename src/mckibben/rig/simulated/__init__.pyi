@@ -5,13 +5,11 @@ from .faults import SamplesDelayed as SamplesDelayed
 from .faults import SamplesDropped as SamplesDropped
 from .faults import SamplesStopped as SamplesStopped
 from .faults import SensorDisconnected as SensorDisconnected
-from .faults import Slipped as Slipped
 from .faults import Stalled as Stalled
 from .faults import SupplyLost as SupplyLost
 from .faults import ValveStuck as ValveStuck
 from .machine import Truth as Truth
 from .parts import Regulator as Regulator
-from .parts import Stretcher as Stretcher
 from .rig import VALVE as VALVE
 from .rig import SimulatedRig as SimulatedRig
 from .sampling import FORCE_SENSOR as FORCE_SENSOR

@@ -83,11 +83,6 @@ class SensorDisconnected(Fault):
 
 
 @dataclass(frozen=True)
-class Slipped(Fault):
-    """Muscle slips out of its clamp: no force, shortest length."""
-
-
-@dataclass(frozen=True)
 class Burst(Fault):
     """Burst bladder.
 

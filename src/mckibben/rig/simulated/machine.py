@@ -15,13 +15,14 @@ from jaxtyping import Array
 
 from mckibben.actuator import AirState, AirVolume, PressureRegulator
 from mckibben.muscle import Muscle, MuscleState
-from mckibben.muscle.air import ATMOSPHERE, TEMPERATURE, exchange_rate
+from mckibben.muscle.air import TEMPERATURE, exchange_rate
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.compiled import numeric
 from mckibben.plant.base import STABILITY_LIMIT
+from mckibben.rig.bench import Drive
 from mckibben.rig.compiled import FlatTree, flat_program
-from mckibben.rig.simulated.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
-from mckibben.rig.simulated.parts import Carriage, Motor, Regulator, Stretcher
+from mckibben.rig.simulated.faults import Burst, Fault, Stalled, SupplyLost, ValveStuck
+from mckibben.rig.simulated.parts import Motor, Regulator
 from mckibben.rig.simulated.sampling import INSTANT
 from mckibben.units import ms
 
@@ -137,18 +138,17 @@ class Machine:
     ----------
     muscle, mounted_at
         The muscle, and its contraction [-] at the beginning.
-    regulator, stretcher
+    regulator, drive
         The other parts.
     """
 
-    def __init__(self, muscle: Muscle, mounted_at: float, regulator: Regulator, stretcher: Stretcher) -> None:
+    def __init__(self, muscle: Muscle, mounted_at: float, regulator: Regulator, drive: Drive) -> None:
         self.now = 0.0  # since the rig was first opened [s]
-        self.motor = Motor(stretcher)
+        self.motor = Motor(drive)
         self.shut, self.exhausting, self._exhaust_at = False, True, math.inf
         self.signal, self._command = 0.0, 0.0  # of the regulator, as pressures [Pa], without and with its offset
         self._part, self._hole, self._supply, self._stuck = regulator, 0.0, regulator.supply, math.inf
-        self._carriage = Carriage(stretcher)
-        self._held, self._resting, self._force = True, False, 0.0
+        self._resting, self._force = False, 0.0
         self._rig = Rig(muscle, regulator.valve(), float(mounted_at))
         rig: Rig = numeric(self._rig)
         relaxed = jax.eval_shape(functools.partial(_relaxed, rig))
@@ -167,8 +167,8 @@ class Machine:
     def truth(self) -> Truth:
         """True state."""
         _, pressure, _, *temperature = self._air
-        stretch = self._carriage.at
-        contraction = float(self._rig.contraction(stretch)) if self._held else self._shortest
+        stretch = self.motor.travel(self.now)
+        contraction = float(self._rig.contraction(stretch))
         kelvin = temperature[0] if temperature else TEMPERATURE
         return Truth(self.now, pressure, self._force, stretch, contraction, self.exhausting, kelvin)
 
@@ -176,10 +176,6 @@ class Machine:
     def _air(self) -> list[float]:
         """Stretch [m], pressure and command of the regulator [Pa], and temperature [K], if the air has one."""
         return self._state[: 3 + (self._part.wall_conductance is not None)].tolist()
-
-    @property
-    def _shortest(self) -> float:
-        return float(self._specimen.domain.contraction_max)
 
     def differs(self, pressure: float) -> bool:
         """Whether a pressure [Pa] is a new signal of the regulator."""
@@ -224,7 +220,7 @@ class Machine:
             idle = self._resting and not moving
             if (not idle or self._creeps) and to - self.now > INSTANT:
                 span = min(to - self.now, self._knot if idle else _MOVING, self._stable)
-                pressure = self._advance(span, self._carriage.follow(self.motor.travel(self.now + span), self._force))
+                pressure = self._advance(span, self.motor.travel(self.now + span))
             else:
                 span = to - self.now
             self.now = to if self.now + span > to - INSTANT else self.now + span
@@ -234,12 +230,10 @@ class Machine:
 
     def _advance(self, span: float, stretch: float) -> float:
         """Integrate over a span [s] to a stretch [m]; return the pressure [Pa]."""
-        end = stretch if self._held else (self._rig.mounted_at - self._shortest) * float(self._specimen.initial_length)
         side = math.copysign(1.0, self._stuck) if abs(self._stuck) <= 1 else math.inf
-        inputs = [self._command, end, span, side, *self._conductances, self._supply]
+        inputs = [self._command, stretch, span, side, *self._conductances, self._supply]
         before, after = self._air, np.asarray(self._program(self._numbers, self._state, np.array(inputs)))
-        self._state, force = after[:-1], float(after[-1])
-        self._force = force if self._held else 0.0
+        self._state, self._force = after[:-1], float(after[-1])
         _, *changes = (new - old for new, old in zip(self._air, before, strict=True))
         self._resting = max(map(abs, (*changes[:2], *(1e3 * change for change in changes[2:])))) < _STILL * span
         return self._air[1]
@@ -268,8 +262,6 @@ class Machine:
                 self._supply = 0.0
             case ValveStuck(opening=opening):
                 self._stuck = opening
-            case Slipped():
-                self._slip()
             case Burst(conductance=conductance):
                 self._hole += conductance
                 del self._stable
@@ -278,16 +270,6 @@ class Machine:
             case _:
                 pass
         self._resting = False
-
-    def _slip(self) -> None:
-        """The muscle is as short as it can be at once, with the air that it had."""
-        dead, shortest = self._part.dead_volume, self._shortest
-        before = float(self._specimen.volume(self._rig.contraction(self._carriage.at))) + dead
-        after = float(self._specimen.volume(shortest)) + dead
-        stretch = (self._rig.mounted_at - shortest) * float(self._specimen.initial_length)
-        pressure = (self._air[1] + ATMOSPHERE) * before / after - ATMOSPHERE
-        self._state = np.concatenate([[stretch, pressure], self._state[2:]])
-        self._held, self._force = False, 0.0
 
 
 def _relaxed(rig: Rig) -> ClampedMuscle:

@@ -1,9 +1,9 @@
-"""Parts of the simulated rig: regulator, motor and carriage of the stretching device."""
+"""Parts of the simulated rig: regulator and motor."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -16,10 +16,7 @@ from mckibben.muscle.air import L_PER_S_BAR, CriticalRatio
 from mckibben.rig.bench import Drive
 from mckibben.units import (
     Conductance,
-    Distance,
-    Force,
     HeatConductance,
-    N,
     PositivePressure,
     PositiveTime,
     PressureNoise,
@@ -29,7 +26,6 @@ from mckibben.units import (
     Volume,
     bar,
     kPa,
-    mm,
     ms,
 )
 
@@ -114,28 +110,6 @@ class Regulator(Checked):
 _ROUNDING = 1e-6  # pulses
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stretcher(Checked):
-    """Motor, reducer, lead screw and guide rails; the numbers are ours.
-
-    A force above the friction of the guide takes up the backlash: with a taut muscle the carriage follows the screw,
-    with a slack one it stays.
-
-    Parameters
-    ----------
-    drive
-        Motor with its gear.
-    backlash
-        Backlash of the nut [m].
-    guide_friction
-        Friction of the guide [N].
-    """
-
-    drive: Drive = field(default_factory=Drive)
-    backlash: Distance = 0.02 * mm
-    guide_friction: Force = 5 * N
-
-
 @dataclass(frozen=True)
 class _Move:
     """A move at a constant rate [Hz], which begins at a time [s] and a position [pulses]."""
@@ -155,15 +129,15 @@ class Motor:
 
     Examples
     --------
-    >>> motor = Motor(Stretcher())
+    >>> motor = Motor(Drive())
     >>> motor.move(0.0, 40, 80.0)
     >>> motor.counted(np.array([0.0, 0.25, 1.0])).tolist(), motor.moving(0.4)
     ([0, 20, 40], True)
     """
 
-    def __init__(self, stretcher: Stretcher) -> None:
-        self._per_metre = stretcher.drive.pulses_per_metre
-        self._fastest = stretcher.drive.fastest
+    def __init__(self, drive: Drive) -> None:
+        self._per_metre = drive.pulses_per_metre
+        self._fastest = drive.fastest
         self._move: _Move | None = None
         self._counted = 0  # end of the last move
         self._stalled: float | None = None  # position of the blocked shaft [pulses]
@@ -215,20 +189,3 @@ class Motor:
             return float(self._counted)
         sent = min(max((now - move.begin) * move.rate, 0.0), abs(move.pulses))
         return move.first + math.copysign(sent, move.pulses)
-
-
-class Carriage:
-    """Position of the carriage [m], with backlash and friction."""
-
-    def __init__(self, stretcher: Stretcher) -> None:
-        self._play = stretcher.backlash
-        self._friction = stretcher.guide_friction
-        self.at = 0.0
-
-    def follow(self, screw: float, pull: float) -> float:
-        """Follow the screw [m] at a force of the muscle [N]."""
-        if pull > self._friction:
-            self.at = screw
-        else:
-            self.at = min(max(self.at, screw), screw + self._play)
-        return self.at

@@ -12,9 +12,10 @@ from mckibben.component.checks import check_within
 from mckibben.errors import RigError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Channel, MovingBackend
+from mckibben.rig.bench import Drive
 from mckibben.rig.simulated.faults import Fault
 from mckibben.rig.simulated.machine import Machine, Truth
-from mckibben.rig.simulated.parts import Regulator, Stretcher
+from mckibben.rig.simulated.parts import Regulator
 from mckibben.rig.simulated.sampling import FORCE_SENSOR, PRESSURE_SENSOR, Sensor, SimulatedBackend
 from mckibben.units import Hz, bar, s
 
@@ -40,7 +41,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         Seed of noise and the regulator's offsets, each with its own stream.
     mounted_at
         Contraction [-] at which the muscle is clamped, relaxed.
-    regulator, stretcher, force_sensor, pressure_sensor
+    regulator, drive, force_sensor, pressure_sensor
         Its parts.
     rate, patience
         Sampling rate of each input [Hz], timeout of the watchdog [s].
@@ -82,7 +83,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         mounted_at: float = 0.0,
         faults: Sequence[Fault] = (),
         regulator: Regulator | None = None,
-        stretcher: Stretcher | None = None,
+        drive: Drive | None = None,
         force_sensor: Sensor = FORCE_SENSOR,
         pressure_sensor: Sensor = PRESSURE_SENSOR,
         rate: float = 1000 * Hz,
@@ -93,10 +94,9 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         sensors = force_sensor, pressure_sensor
         super().__init__(sensors, rate=rate, patience=patience, seed=seed, faults=faults, **others)
         self._muscle, self._mounted_at = muscle, mounted_at
-        self._regulator, self._stretcher = regulator or Regulator(), stretcher or Stretcher()
+        self._regulator, self.drive = regulator or Regulator(), drive or Drive()
         self.supply = min(self._regulator.supply, self._regulator.highest)
-        self.drive = self._stretcher.drive
-        self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
+        self._machine = Machine(muscle, mounted_at, self._regulator, self.drive)
         self._zero = 0  # pulses when it was opened
 
     @property
@@ -112,7 +112,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
             **{name: repr(getattr(muscle, name)) for name in ("law", "friction", "creep")},
             "mounted_at": f"{self._mounted_at:g}",
             "regulator": repr(self._regulator),
-            "stretcher": repr(self._stretcher),
+            "drive": repr(self.drive),
             **super().description,
         }
 
