@@ -104,7 +104,7 @@ BUDGET = {
     "dataset": 3070,
     "experiment_design": 740,
     "export": 2510,
-    "firmware": 140,
+    "firmware": 150,
     "identification": 3630,
     "joint": 1200,
     "robot": 3660,

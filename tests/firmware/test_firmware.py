@@ -254,6 +254,28 @@ def test_a_missing_part_is_asked_for(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_spring_in_place_of_a_muscle_needs_neither_sensor_nor_valve(tmp_path):
+    scenario = Scenario.read("examples/setups/spring.yaml")
+    parts = "\n".join(line for line in PARTS.splitlines() if not line.startswith(("pressure1", "valve1")))
+    export(scenario, "firmware", tmp_path / "esp32", hardware=Hardware.parse(f"board: esp32\n{parts}"))
+    export(scenario, "firmware", tmp_path, hardware=Hardware(board="host"))
+    subprocess.run(["make", "-s"], cwd=tmp_path, check=True)
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    session = Session(["./firmware"], tmp_path, master, master, (slave, slave))
+    try:
+        session.period(MessageKind.SETPOINT, pack_numbers((0.0, 11.5)))
+        session.arm(Scenario.read(tmp_path / "scenario.yaml").digest)
+        samples = [session.period(MessageKind.SETPOINT, pack_numbers((0.0, 11.5))) for _ in range(2000)]
+        assert samples[-1].state == FirmwareState.RUNNING
+        assert samples[-1].values[3] == 0 < samples[-1].values[4] and abs(samples[-1].values[0]) < 0.05
+    finally:
+        session.process.kill()
+        session.process.wait()
+        os.close(master)
+
+
+@pytest.mark.slow
 def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
     """Both ends of the protocol, in real time: samples, arming, commands, and the vent; then a scenario."""
     pytest.importorskip("serial", reason="needs the extra rig")

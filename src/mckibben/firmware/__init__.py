@@ -24,6 +24,7 @@ from mckibben.export.controller import controller_functions, stepping_module, un
 from mckibben.export.targets import Exported
 from mckibben.numerics.compiled import numeric
 from mckibben.rig.compiled import vented_angle
+from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, Hello, MessageKind
 from mckibben.units import Angle, BoundedInt, ForceTerm, PositivePressure, PositiveTime, Share, ms
@@ -129,9 +130,11 @@ def link_files() -> dict[str, str]:
 def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Hardware) -> Exported:
     """Project of a board: a sketch of its Arduino core, or C with a simulated joint for this computer.
 
-    Raises `ExportError` for a part that is missing.
+    A muscle without air, such as a spring, needs neither sensor nor valve. Raises `ExportError` for a missing part.
     """
-    needed = ("board",) if hardware.board == "host" else ("board", "angle", *_PARTS, "vent")
+    air = [high > 0 for _, high in rated_commands(scenario.plant())]
+    parts = [[f"{kind}{i}" for i, takes in enumerate(air, start=1) if takes] for kind in ("pressure", "valve")]
+    needed = ("board",) if hardware.board == "host" else ("board", "angle", *parts[0], *parts[1], "vent")
     for field in needed:
         if getattr(hardware, field) is None:
             message, remedy = f"the firmware needs {field}", f"give {field} in the hardware file"
@@ -151,6 +154,7 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
     )
     values = {
         **{field: getattr(hardware, field) for field in ("board", "angle", "vent", "force")},
+        "air": air,
         "pressures": [hardware.pressure1, hardware.pressure2],
         "valves": [hardware.valve1, hardware.valve2],
         "volts": _CONVERTERS.get(str(hardware.board), (0, 0))[0],
@@ -200,9 +204,6 @@ def _plant(scenario: Scenario, period: float) -> SourceModule:
     module.add("init", "state at rest without pressure", init, {})
     module.add("advance", "state after a control period", advance, inputs)
     return module
-
-
-_PARTS = "pressure1", "pressure2", "valve1", "valve2"
 
 
 def _filled(names: tuple[str, ...], values: dict[str, object]) -> dict[str, str]:

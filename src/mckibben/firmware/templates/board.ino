@@ -172,7 +172,11 @@ void board_measure(double values[MEASUREMENTS])
 {
     values[0] = joint_angle();
 <% for sensor in pressures %>
+<% if air[loop.index0] %>
     values[${loop.index}] = pressure(${sensor.pin}, ${sensor.low_volts}, ${sensor.high_volts}, ${sensor.pressure});
+<% else %>
+    values[${loop.index}] = 0; // it takes no air
+<% endif %>
 <% endfor %>
 <% if force %>
     values[3] = force();
@@ -182,7 +186,9 @@ void board_measure(double values[MEASUREMENTS])
 void board_command(const double commands[COMMANDS])
 {
 <% for valve in valves %>
+<% if air[loop.index0] %>
     set_output(${"true" if valve.output == "dac" else "false"}, ${valve.pin}, ${valve.low_share} + commands[${loop.index0}] / ${valve.pressure} * ${valve.high_share - valve.low_share});
+<% endif %>
 <% endfor %>
 }
 
@@ -204,9 +210,9 @@ void setup()
     analogWriteResolution(12);
 <% endif %>
 <% for valve in valves %>
-<% if board == "esp32" and valve.output == "pwm" %>
+<% if board == "esp32" and air[loop.index0] and valve.output == "pwm" %>
     ledcAttach(${valve.pin}, 5000, 12);
-<% elif valve.output == "pwm" %>
+<% elif air[loop.index0] and valve.output == "pwm" %>
     pinMode(${valve.pin}, OUTPUT);
 <% endif %>
 <% endfor %>

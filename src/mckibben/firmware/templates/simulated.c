@@ -22,8 +22,9 @@ void board_measure(double values[MEASUREMENTS])
 {
     memset(values, 0, sizeof(double) * MEASUREMENTS);
     values[0] = joint.state.angle + 1e-6 * noise();
-    values[1] = joint.state.pressures_0 + 100 * noise();
-    values[2] = joint.state.pressures_1 + 100 * noise();
+<% for takes in air %>
+    values[${loop.index}] = ${"joint.state.pressures_%d + 100 * noise()" % loop.index0 if takes else "0"};
+<% endfor %>
 }
 
 void board_command(const double commands[COMMANDS]) { memcpy(commands_sent, commands, sizeof commands_sent); }
