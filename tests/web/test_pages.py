@@ -416,13 +416,19 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
             the(user, ui.number, "controller.position.ki").set_value(90)
             await until(lambda: bench.current is not first, 60)
             await until(lambda: "run 1" in [one["name"] for one in charts(user)[0].options["series"]])
-            return first, bench
+            changed = bench.current
+            user.find(marker="margins").click()
+            await until(lambda: bench.studies, 100)
+            user.find(marker="undo").click()
+            await until(lambda: bench.current is not changed, 60)
+            return first, changed, bench
 
-    first, bench = asyncio.run(visit())
-    assert "ki: 90 bar/(rad*s)" in bench.current.text
-    assert bench.current.metrics["angle_rmse_deg"] < first.metrics["angle_rmse_deg"]
-    assert [one.text for one in bench.overlays] == [first.text]
-    assert Scenario.parse(bench.text).dumps() == bench.text
+    first, changed, bench = asyncio.run(visit())
+    assert "ki: 90 bar/(rad*s)" in changed.text
+    assert changed.metrics["angle_rmse_deg"] < first.metrics["angle_rmse_deg"]
+    assert [one.text for one in bench.overlays] == [first.text] == [bench.text]
+    assert not bench.past and not bench.studies  # margins were those of the scenario before
+    assert Scenario.parse(changed.text).dumps() == changed.text
 
 
 @pytest.mark.parametrize("wrong", [1e308, None])

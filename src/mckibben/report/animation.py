@@ -19,7 +19,7 @@ from PIL import Image
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
-from mckibben.report.palette import MUSCLES, VERMILLION
+from mckibben.report.palette import MEASURED, MUSCLES
 from mckibben.report.style import DESIRED, Look, draw_band, pressure_colours, robust_limits, styled
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
@@ -151,10 +151,10 @@ def _plots(figure: SubFigure, result: SimulationResult, times: NDArray[np.float6
     """Plot angle, stiffness and pressures over time; return their cursors."""
     rows = figure.subplots(3, 1, sharex=True)
     rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)
-    rows[0].plot(times, result["angle"] / deg, color=VERMILLION)
+    rows[0].plot(times, result["angle"] / deg, color=MEASURED)
     rows[0].set_ylim(*robust_limits([result["angle"] / deg, result["desired_angle"] / deg]))
     draw_band(rows[1], times, result["lowest_stiffness"], result["highest_stiffness"])
-    rows[1].plot(times, result["stiffness"], color=VERMILLION)
+    rows[1].plot(times, result["stiffness"], color=MEASURED)
     rows[1].plot(times, result["desired_stiffness"], **DESIRED)
     rows[1].set_ylim(*robust_limits([result["stiffness"], result["desired_stiffness"]], margin=0.3))
     for number, colour in enumerate(MUSCLES, 1):

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.report.palette import BLACK, BLUE, GREEN, MUSCLES, PURPLE, VERMILLION
+from mckibben.report.palette import BLACK, BLUE, GREEN, MEASURED, MUSCLES, PURPLE, VERMILLION
 from mckibben.report.style import (
     CONTROLLERS,
     DESIRED,
@@ -68,7 +68,7 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
     rows = 3 + alone + bool(small)
     figure = blank(DOUBLE, 1.8 + 1.3 * rows)
     grid = figure.subplots(rows, 1, sharex=True)
-    looks = looks_of(results)
+    looks = {name: {"color": MEASURED} for name in results} if alone else looks_of(results)
     first = next(iter(results.values()))
     times = first.times
     _angle(grid[0], results, looks)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import importlib
 import secrets
 import socket
 import sys
@@ -74,6 +75,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
         while not Server.instance.started:
             await asyncio.sleep(0.01)
         ready(f"http://{HOST}:{port}/?token={access.token}")
+        await asyncio.to_thread(importlib.import_module, "xarray")  # seconds that the first file would wait for
 
     def stop(number: int) -> None:
         signals.append(number)

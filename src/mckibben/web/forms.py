@@ -78,8 +78,9 @@ def number(label: str, mark: Mark, value: float, changed: Callable[[float], obje
         allowed,
         lambda shown: changed(si(float(shown))),
         step=float(f"{abs(value / scale) / 20:.0e}") or 0.1,  # a twentieth, of one digit
+        words=words,
     )
-    made.props(f'dense debounce=400 suffix="{unit}"').classes("w-full").tooltip(f"{words} Allowed: {allowed}.".strip())
+    made.props(f'dense debounce=400 suffix="{unit}"').classes("w-full")
     return made
 
 

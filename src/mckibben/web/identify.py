@@ -400,8 +400,6 @@ class _Page(JobPage[IdentificationState]):
             return
         count = len(state.questions)
         with panel(f"{count} question{'s' * (count > 1)} about {state.name}" if count else f"Columns of {state.name}"):
-            if len(state.tables) > 1:
-                quiet(f"as those of the first of {len(state.tables)} files")
             ColumnPicker(state.tables[0], state.reading, state.questions, self.read)
 
     def show_data(self, data: IsobaricDataset) -> None:

@@ -415,8 +415,8 @@ class NumberField(ui.number):
         Whether a finite number is allowed, and these numbers in words, after "give".
     changed
         Called with each new allowed number.
-    step
-        Step of the arrow keys.
+    step, words
+        Step of the arrow keys, and meaning, which the tooltip tells with what is allowed.
     """
 
     def __init__(
@@ -428,6 +428,7 @@ class NumberField(ui.number):
         changed: Callable[[float], object],
         *,
         step: float | None = None,
+        words: str = "",
     ) -> None:
         def refused(number: float | None) -> str | None:
             return None if number is not None and math.isfinite(number) and holds(number) else f"give {allowed}"
@@ -436,7 +437,7 @@ class NumberField(ui.number):
             return changed(self.value) if self.value is not None and self.validate() else None
 
         super().__init__(label, value=value, step=step, on_change=taken, validation=refused)
-        self.props("hide-bottom-space")
+        self.props("hide-bottom-space").tooltip(f"{words} Allowed: {allowed}.".strip())
 
     def _event_args_to_value(self, e: events.GenericEventArguments) -> float | None:
         try:

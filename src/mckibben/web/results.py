@@ -18,7 +18,7 @@ from mckibben.errors import printable
 from mckibben.report import png_of
 from mckibben.result import Listing, Remark, Result
 from mckibben.storage.files import to_json
-from mckibben.web.layout import button, panel, quiet, show_remarks, table
+from mckibben.web.layout import button, fold, panel, quiet, show_remarks, table
 from mckibben.web.session import in_thread
 
 _drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
@@ -130,11 +130,9 @@ def show_result(presented: Presented, name: str) -> ui.column:
             data = base64.b64encode(presented.picture).decode("ascii")
             ui.image(f"data:image/png;base64,{data}").classes("w-full").props(f'alt="figure: {name}" no-spinner')
         for listing in presented.listings:
-            if listing.detail:
-                with ui.expansion(printable(listing.title, 100)).props("dense").classes("w-full"):
-                    show_listing(listing)
-            else:
+            if not listing.detail:
                 quiet(listing.title)
+            with fold(printable(listing.title, 100)) if listing.detail else ui.column().classes("w-full"):
                 show_listing(listing)
         with ui.row().style("gap: 8px"):
             button("Download results", download, f"download-{name}")
@@ -152,9 +150,8 @@ def show_listing(listing: Listing) -> None:
     """Show a table of a result; units are in the header."""
     header = [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in listing.header()]
     if listing.vertical:
-        table(
-            ("", ""), [(title, *cells) for title, cells in zip(header, zip(*listing.rows(), strict=True), strict=True)]
-        )
+        cells = zip(*listing.rows(), strict=True)
+        table(("", ""), [(title, *values) for title, values in zip(header, cells, strict=True)])
     else:
         texts = [index for index, (column, _) in enumerate(listing.columns.values()) if not column.shown_unit]
         table(header, listing.rows(), texts={0, *texts})

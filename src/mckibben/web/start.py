@@ -11,8 +11,6 @@ from mckibben.web.layout import button, frame, heading, quiet
 from mckibben.web.session import session
 from mckibben.web.workbench import START, Workbench
 
-_EXAMPLE = "dmsp-10-250-martens2017"
-
 
 def page() -> None:
     """The page."""
@@ -28,7 +26,7 @@ def page() -> None:
             "Points that Martens and Boblan measured on a Festo DMSP-10-250: see them, fit them, build a joint.",
             "Try it",
             "/identify",
-            lambda: setattr(session().state(IdentificationState), "wanted", _EXAMPLE),
+            lambda: setattr(session().state(IdentificationState), "wanted", "dmsp-10-250-martens2017"),
         )
         _way(
             "The paper's knee",

@@ -173,12 +173,13 @@ class _Page(JobPage[StudyState]):
         request = self.state.request
         if event is not None and event.value:
             request.tolerances = {name: request.tolerances.get(name, 1.0) for name in event.value}
+        above = (lambda number: number > 0), "a number above 0"
         self.tolerances.clear()
         with self.tolerances:
             for name, value in request.tolerances.items():
                 put, label = partial(request.tolerances.__setitem__, name), METRICS[name]
-                made = NumberField(name.replace("_", " "), value, lambda number: number > 0, "a number above 0", put)
-                made.props(f'dense suffix="{label.shown_unit}"').classes("w-full").mark(name).tooltip(label.title)
+                made = NumberField(name.replace("_", " "), value, *above, put, words=f"{label.title}.")
+                made.props(f'dense suffix="{label.shown_unit}"').classes("w-full").mark(name)
 
     def put(self, name: str, _: object, value: object) -> None:
         """Take a number of the request."""
