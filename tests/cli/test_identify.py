@@ -267,3 +267,19 @@ def test_share_and_time_constant_of_the_creep(cli, steps, tmp_path):
 def test_mistakes_are_explained(cli, shut, options, named):
     refused = cli("identify", shut, "--of", *options)
     assert (refused.code, refused.out) == (2, "") and named in refused.err
+
+
+def test_torques_of_two_muscles_give_one_for_scenarios(cli, tmp_path):
+    """On pulleys of 25 mm, each muscle vented in turn, the other at three pressures."""
+    law, angle = catalog.law("lei-mas-10-180n"), np.tile(np.linspace(-0.4, 0.4, 15), 6)
+    pressures = np.repeat([[0, 3, 0, 4, 0, 5], [3, 0, 4, 0, 5, 0]], 15, axis=1) * 1e5
+    contraction = 0.1 + np.array([-1, 1])[:, None] * 0.025 * angle / 0.18
+    first, second = np.maximum(np.asarray(law.force(contraction, pressures)), 0)
+    rows = np.transpose([angle, 0.025 * (second - first), *pressures / 1e5])
+    np.savetxt("torque.csv", rows, "%.9g", ",", header="angle_rad,torque_Nm,p1_bar,p2_bar", comments="")
+    pulley = "{class: Pulley, radius: 25 mm, rest_length: 162 mm}"
+    Path("pulleys.yaml").write_text(f"{{class: PairedPaths, path1: {pulley}, path2: {pulley}}}")
+    options = ("--of", "torque", "--read", "joint=pulleys.yaml", "--initial-length", "180 mm", "--out", "fit")
+    assert cli("identify", "torque.csv", *options).code == 0
+    muscle = read_component(Muscle, Path("fit/muscle.yaml"))
+    assert float(muscle.law.force(0.12, 4e5)) == pytest.approx(float(law.force(0.12, 4e5)), rel=1e-3)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mckibben import report
 from mckibben.cli.report import Report
+from mckibben.component.schema import write as write_component
+from mckibben.errors import ParameterError
 from mckibben.identification.with_friction import titled
 from mckibben.result import Remark
 from mckibben.scenario import write_muscle
@@ -16,6 +18,7 @@ from mckibben.storage.files import make_folder
 from mckibben.units import show
 
 if TYPE_CHECKING:
+    from mckibben.cli.reading import Reading
     from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.identification import Fit, FitWithFriction, HysteresisFit, PooledFit, Ranking
 
@@ -67,6 +70,30 @@ def identified(fitted: FitWithFriction, source: Source) -> Report:
             report.save(report.loops(source.points, loops), folder, "loops")
 
     return Report(fitted.verdict(), tuple(fitted.listings()), (*fitted.remarks(), *source.remarks()), write)
+
+
+def of_torque(files: list[str], law: str, reading: Reading) -> Report:
+    """Report of the law of two equal muscles, from torques of their joint."""
+    from mckibben.dataset.reading import read_torques
+    from mckibben.identification import identify_torque
+    from mckibben.study.inputs import geometry_named, law_type_named
+
+    recipe = reading.recipe
+    length, geometry = recipe.initial_length, geometry_named(recipe.joint)
+    if length is None or geometry is None:
+        remedy = "give --read joint=FILE and --initial-length '180 mm'"
+        raise ParameterError("torques need the joint and the initial length of its muscles", field="of", remedy=remedy)
+    fit = identify_torque(
+        law_type_named(law), read_torques(files, recipe, geometry=geometry), geometry, initial_length=length
+    )
+
+    def write(folder: Path) -> None:
+        recipe.to_yaml(folder / "recipe.yaml")
+        name = recipe.specimen or Path(files[0]).stem
+        section = {"class": type(fit.law).__name__, **write_component(fit.law)}
+        write_muscle(folder / "muscle.yaml", fit.law, specimen=name, initial_length=length, law=section)
+
+    return Report(fit.verdict(), tuple(fit.listings()), tuple(fit.remarks()), write)
 
 
 def ranked(ranking: Ranking, source: Source) -> Report:

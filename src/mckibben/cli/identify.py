@@ -22,7 +22,7 @@ _CHOICES: dict[str, str | bool | None] = {"auto": None, "on": True, "off": False
 @command
 def identify(
     data: Data,
-    of: Literal["force", "creep", "air", "inverse"] = "force",
+    of: Literal["force", "creep", "air", "inverse", "torque"] = "force",
     law: str = "exponential",
     friction: str = "auto",
     inner: str = "",
@@ -41,8 +41,9 @@ def identify(
 
     Parameters
     ----------
-    of : force|inverse|creep|air
-        What to identify: the force law of measured points; of a test at constant loads, the pressure over
+    of : force|torque|inverse|creep|air
+        What to identify: the force law of measured points; that of two equal muscles from torques of
+        their joint at angles and pressures; of a test at constant loads, the pressure over
         contraction, load and direction as a table (CSV and C); or, of recordings over time, the creep after
         steps of the pressure at fixed lengths, or heat to the wall, leak and dead volume of the air: fill a
         muscle fast, shut the valve, watch; vent, shut, watch.
@@ -72,6 +73,10 @@ def identify(
 
             return inverse_table(reading.data(data))
         check_unused(f"--of {of}", inner=inner, pool=pool, friction=form)
+        if of == "torque":
+            from mckibben.cli.identified import of_torque
+
+            return of_torque(data, law, reading)
         return _of_recordings(of, data, dead_volume, reading)
     from mckibben.cli.identified import Source, identified, pooled, ranked
     from mckibben.identification import identify_pooled, rank

@@ -58,7 +58,10 @@ def add_muscle(columns: dict[str, Column], geometry: JointPaths | None) -> Itera
     names = [name for name in PRESSURES if name in columns]
     if len(names) > 1:
         first = columns[names[0]].header
-        remedy = f"leave out that of a muscle without pressure: --column '{first}=ignore'"
+        remedy = (
+            "for the law of both: identify_torque (command line: --of torque); if one has no pressure, leave it out: "
+            f"--column '{first}=ignore'"
+        )
         yield question("is the pressure of one of two muscles", field=first, remedy=remedy)
         return
     (name,) = names

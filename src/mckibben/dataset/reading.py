@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from mckibben.dataset.checks import questions_of
+from mckibben.dataset.clocks import join_clocks
 from mckibben.dataset.file_names import add_from_name
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -83,7 +84,7 @@ def read_dataset(
     shorter it is. Points that break this, or that look like summaries, copies, saturation, absolute pressures or an
     offset of the load cell, are questions, which ``accept=[topic]`` answers.
     """
-    parts = [_read_points(file, own, geometry) for file, own in _files(path, recipe, options)]
+    parts = [_read_points(*file, geometry) for file in _files(path, recipe, options)]
     recipe = (recipe or Recipe()).with_options(options)
     dataset, source = _joined([part for part, _ in parts], path)
     own = all(written for _, written in parts)
@@ -113,7 +114,22 @@ def read_recording(
     DatasetError, ScenarioError
         As `read_dataset`.
     """
-    return _joined([_read_samples(file, own, geometry) for file, own in _files(path, recipe, options)], path)[0]
+    return _joined([_read_samples(*file, geometry) for file in _files(path, recipe, options)], path)[0]
+
+
+def read_torques(
+    path: FilePaths, recipe: Recipe | None = None, *, geometry: JointPaths | None = None, **options: object
+) -> Table:
+    """Read torques of a joint at angles and pressures of both muscles, the columns of `mckibben.dataset.at_joint`.
+
+    Parameters and errors as for `read_dataset`, of one file, or of two with clocks of their own.
+    """
+    files = _files(path, (recipe or Recipe()).with_options({"joint": "joint"} if geometry else {}), options)
+    if len(files) > 1:
+        raise RangeError("torques are read from one file", field="path", value=path, remedy="join the files")
+    table = _understood(*files[0], ("angle", "torque", "pressure1", "pressure2"), geometry)[0]
+    table.ask(files[0][1].accept)
+    return table
 
 
 def read_columns(
@@ -123,7 +139,7 @@ def read_columns(
 
     Parameters as for `read_dataset`. Raises a `DatasetError` if the file cannot be read, but not for questions.
     """
-    return _understood(Path(path), (recipe or Recipe()).with_options(options), _POINTS, geometry)[0]
+    return _understood(Path(path), (recipe or Recipe()).with_options(options), (), _POINTS, geometry)[0]
 
 
 def _lines_of(parts: Sequence[Table], rows: np.ndarray) -> Iterator[Table]:
@@ -176,18 +192,28 @@ def _paths(path: FilePaths) -> list[Path]:
     return [Path(name) for name in several]
 
 
-def _files(path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]) -> list[tuple[Path, Recipe]]:
-    """The files of a test, each with its recipe, which has at most one load."""
+def _files(
+    path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]
+) -> list[tuple[Path, Recipe, Sequence[Path]]]:
+    """The files of a test, each with its recipe, which has at most one load, and files with further columns."""
     paths, recipe = _paths(path), (recipe or Recipe()).with_options(options)
     if len(recipe.loads) not in (0, len(paths)):
         text, remedy = f"{len(recipe.loads)} loads are given for {len(paths)} files", "give one load for each file"
         raise DatasetError(str(paths[0]), [Problem(text, field="loads", remedy=remedy)])
-    return [(path, recipe.with_options({"loads": recipe.loads[at : at + 1]})) for at, path in enumerate(paths)]
+    if recipe.clocks:
+        return [(paths[0], recipe, paths[1:])]
+    return [(path, recipe.with_options({"loads": recipe.loads[at : at + 1]}), ()) for at, path in enumerate(paths)]
 
 
-def _understood(path: Path, recipe: Recipe, needed: Sequence[str], geometry: JointPaths | None) -> tuple[Table, bool]:
-    """Table of a file, and whether this program wrote it."""
+def _understood(
+    path: Path, recipe: Recipe, others: Sequence[Path], needed: Sequence[str], geometry: JointPaths | None
+) -> tuple[Table, bool]:
+    """Table of a file, joined with others over time, and whether this program wrote it."""
     raw = read_table(path, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
+    for other in others:
+        more = read_table(other, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
+        raw, needless = join_clocks(other, raw, more, recipe.columns or {}, recipe.clocks or "")
+        recipe = recipe.with_options({"columns": {**(recipe.columns or {}), **dict.fromkeys(needless, "ignore")}})
     if recipe.from_name:
         add_from_name(raw, path, recipe.from_name)
     for load in recipe.loads:
@@ -210,16 +236,19 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
     attrs = {"columns_read": str(table), "ignored_columns": ", ".join(table.ignored)} if not own else {}
     attrs |= {"repairs": "\n".join(table.repairs)}
     attrs |= {"preprocessing": table.preprocessing} if own and table.preprocessing != "none" else {}
+    attrs |= {"preprocessing": table.joined} if table.joined else {}
     attrs = {name: text for name, text in attrs.items() if text}
     return replace(kind(made.table.assign_attrs(attrs)), lines=(table,))
 
 
-def _read_points(path: Path, recipe: Recipe, geometry: JointPaths | None) -> tuple[IsobaricDataset, bool]:
+def _read_points(
+    path: Path, recipe: Recipe, others: Sequence[Path], geometry: JointPaths | None
+) -> tuple[IsobaricDataset, bool]:
     """Points of a file as they are, and whether this program wrote it."""
     if holds_own_table(path):
         dataset = _own(IsobaricDataset, path, recipe)
         return dataset, dataset.table.attrs.pop("samples", "") == ""
-    table, own = _understood(path, recipe, _POINTS, geometry)
+    table, own = _understood(path, recipe, others, _POINTS, geometry)
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
     table.ask(recipe.accept)
@@ -227,14 +256,14 @@ def _read_points(path: Path, recipe: Recipe, geometry: JointPaths | None) -> tup
     return _made(IsobaricDataset, table, {name: table.columns[name].values for name in names}, own=own), own
 
 
-def _read_samples(path: Path, recipe: Recipe, geometry: JointPaths | None) -> Recording:
+def _read_samples(path: Path, recipe: Recipe, others: Sequence[Path], geometry: JointPaths | None) -> Recording:
     """Recording of one file."""
     if holds_own_table(path):
         recording = _own(Recording, path, recipe)
         if recipe.contraction is None or "contraction" in recording.table:
             return recording
         return Recording(recording.table.assign(contraction=("sample", np.full(len(recording), recipe.contraction))))
-    table, _ = _understood(path, recipe, ("pressure", "force"), geometry)
+    table, _ = _understood(path, recipe, others, ("pressure", "force"), geometry)
     values = {name: table.columns[name].values for name in _SAMPLES if name in table.columns}
     if "time" not in values:
         rate = recipe.sample_rate

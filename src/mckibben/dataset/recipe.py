@@ -11,8 +11,10 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
+from mckibben.dataset.clocks import ESTIMATED, Clock
 from mckibben.dataset.file_names import pattern_problem
 from mckibben.dataset.table import TOPICS
+from mckibben.errors import UnitError
 from mckibben.units import Contraction, Force, Length, Pressure, SampleRate
 
 
@@ -20,6 +22,15 @@ def _check_pattern(pattern: str) -> str:
     if problem := pattern_problem(pattern):
         fail_validation(problem, "write a pattern such as 'L{length_mm}mm' for Muscle_L190mm.csv")
     return pattern
+
+
+def _check_clocks(text: str) -> str:
+    if text != ESTIMATED:
+        try:
+            Clock.parse(text)
+        except UnitError as error:
+            fail_validation(error.message, f"write {ESTIMATED}, '12.5 s' or '12.5 s, 0.01 %'")
+    return text
 
 
 def _as_tuple(value: object) -> object:
@@ -70,6 +81,9 @@ class Recipe(DocumentModel):
         Weights or forces [N] that hung on the muscle, one for each file, if no column has them: ``["2 kg", "50 N"]``.
     from_name
         Pattern of the files' names with a quantity in braces: ``"L{length_mm}mm"`` reads the length of L190mm.csv.
+    clocks
+        Of two recordings of one test by devices with clocks of their own: "estimated", from a quantity in both, or when
+        the second clock starts on the first: ``"12.5 s"``, with its drift ``"12.5 s, 0.01 %"``.
     accept
         Topics of questions that are answered with yes: `mckibben.dataset.TOPICS` lists them.
 
@@ -101,6 +115,7 @@ class Recipe(DocumentModel):
     from_name: Annotated[str, AfterValidator(_check_pattern)] | None = None
     joint: str | None = None
     lever: Length | None = None
+    clocks: Annotated[str, AfterValidator(_check_clocks)] | None = None
     loads: Annotated[tuple[Annotated[Force, BeforeValidator(_as_weight)], ...], BeforeValidator(_as_tuple)] = ()
     accept: Annotated[tuple[Annotated[str, OneOf(tuple(TOPICS))], ...], BeforeValidator(_as_tuple)] = ()
 

@@ -111,8 +111,8 @@ class Table:
         Length of the deflated muscle [m], and force up to which it counts as slack [N], if they are known.
     interval
         Sampling interval [s] that the file states.
-    clock
-        Header of a clock that is not understood.
+    clock, joined
+        Header of a clock that is not understood, and how the clock of another file was joined, as text.
     """
 
     path: Path
@@ -130,6 +130,7 @@ class Table:
     slack_force: float | None = None
     interval: float | None = None
     clock: str = ""
+    joined: str = ""
 
     def __str__(self) -> str:
         """The `rows` as text under their heading; last the number of rows."""

@@ -122,8 +122,10 @@ class _Reader:
         for entry in chosen:
             self._convert(entry)
         if self.recipe.joint is not None:
-            needed = needed_at_joint(table.columns, self.recipe.lever)
-            self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
+            at_joint = needed_at_joint(table.columns, self.recipe.lever)
+            if "torque" not in needed:
+                needed = at_joint
+                self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
@@ -174,6 +176,7 @@ class _Reader:
                 text = f"{show(chosen, 'mm', 5)} is given, but the file states {show(stated, 'mm', 5)}"
                 self.ask(text, "words", field=key)
             setattr(table, key, stated if chosen is None else chosen)
+        table.joined = said.get("clocks", "")
         table.preprocessing = unquote(said.get("preprocessing", "none"))
         table.repairs += unquote(said.get("repairs", "")).splitlines()
         table.specimen = recipe.specimen or unquote(said.get("specimen", ""))

@@ -15,6 +15,7 @@ from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
+from mckibben.identification.torque import TorqueFit, identify_torque
 from mckibben.identification.validation import ErrorStatistics, Validation, validate
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
 
@@ -38,6 +39,7 @@ __all__ = [
     "RankedLaw",
     "Ranking",
     "SensorDrift",
+    "TorqueFit",
     "Validation",
     "design_matrix",
     "find_outliers",
@@ -45,6 +47,7 @@ __all__ = [
     "identify_hysteresis",
     "identify_pooled",
     "identify_pressure_creep",
+    "identify_torque",
     "identify_with_friction",
     "inverse_table",
     "rank",

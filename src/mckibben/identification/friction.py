@@ -18,7 +18,7 @@ from mckibben.identification.fitting import check_law_type, fit_law
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
 from mckibben.identification.grouping import held_values, measured_weights
 from mckibben.identification.least_squares import UnitCube
-from mckibben.identification.loading_path import DriftBasis, LoadingPaths, clipped, loop_half_width
+from mckibben.identification.loading_path import DriftBasis, LoadingPaths, loop_half_width
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.summary import DatasetSummary, Outlier, domain_of, left_out
 from mckibben.muscle import ForceLaw, MaxwellSlip
@@ -231,7 +231,7 @@ def identify_hysteresis(
     rate = paths.rate(means)
     # Friction that varies with the rate is not an outlier.
     outliers = find_outliers(means) if robust and rate is None else ()
-    used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
+    used = taut | (bases[-1].points.shape[1] > 1)  # slack points determine the zero
     used &= (rate is None) | ~paths.at_reversal(means)
     used &= means.table["direction"].to_numpy() != ""  # of others the friction is not known
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
@@ -303,12 +303,10 @@ def _with_drift(
     free: tuple[str, ...],
     *,
     level: float = 0.01,
-    most: float = 0.01,
 ) -> tuple[PathDependentModel, PathSolution]:
     """Solution with the drift if its mean rate is significant and Schwarz's criterion lower, else without.
 
-    `level` is the probability of a false detection. Without slack points, whose force is zero, a drift of more than the
-    share `most` of the range of the force per test counts as structure that the model lacks, and is left out.
+    `level` is the probability of a false detection.
     """
     from scipy.special import stdtr
 
@@ -319,8 +317,6 @@ def _with_drift(
         drifting = trial.solve(solution.values, free)
         rate, error, freedom = _drift_rate(trial, drifting)
         significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < level
-        if not basis.has_offset:
-            significant &= bool(abs(rate) * np.ptp(basis.points) <= most * np.ptp(model.means.force[model.used]))
         gain = count * np.log(solution.minimum.cost / drifting.minimum.cost)
         if significant and gain > len(basis.slope) * np.log(count):
             return trial, drifting

@@ -114,9 +114,12 @@ class PathDependentModel:
 
     @property
     def shortest(self) -> float:
-        """Logarithm of the presliding length [m] that reverses within one step: shorter ones are equivalent."""
+        """Logarithm of the presliding length [m] that reverses within half a step: shorter ones are equivalent.
+
+        Where it reverses within just one step, the residuals have a kink.
+        """
         share, stiffness = polygon(MaxwellSlip.elements)
-        return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
+        return float(np.log(self.paths.step / (4 * (share / stiffness).max())))
 
     def missing(self, form: FrictionForm) -> str:
         """Data that a form needs and the points lack; empty if there are all."""
@@ -217,7 +220,7 @@ class PathDependentModel:
         rate = self.rate[:, None]
         return force + np.clip(viscous * (rate + asymmetry * np.abs(rate)), -most, most)
 
-    def fit(self, start: Mapping[str, float], free: tuple[str, ...], *, evaluations: int = 200) -> PathSolution:
+    def fit(self, start: Mapping[str, float], free: tuple[str, ...], *, evaluations: int = 1000) -> PathSolution:
         """Bounded least squares from a start; the drift amplitudes are always free."""
         count = len(free)
         lower, upper = self.bounds(free)

@@ -228,23 +228,22 @@ class DriftBasis:
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, and a knot for each path with slack points, which determine the zero unless clipped, or a line."""
+        """No drift and, of two paths or more with slack points, unless they are clipped, a knot for each.
+
+        Without them, a line if each level is visited again later: else a drift is not told from what the model lacks.
+        """
         none = cls(np.empty((len(means), 0)), np.empty(0))
         if "time" not in means.table or not np.ptp(means.table["time"].to_numpy()):
             return [none]
         time, slack = means.table["time"].to_numpy(), means.slack & (not clipped(means))
         knots = np.unique([float(time[path][slack[path]].mean()) for path in paths.rows if slack[path].any()])
         if len(knots) < 2:
-            return [none, cls((time - time.min())[:, None], np.ones(1))]
+            levels = np.unique([held_values(means)[path[0]] for path in paths.rows], return_counts=True)[1]
+            return [none, cls((time - time.min())[:, None], np.ones(1))][: 1 + bool(levels.min() > 1)]
         from scipy.interpolate import make_interp_spline  # takes 0.3 s to import
 
         centred, hats = knots - knots.mean(), make_interp_spline(knots, np.eye(len(knots)), k=1)
         return [none, cls(hats(time), centred / (centred @ centred))]
-
-    @property
-    def has_offset(self) -> bool:
-        """True if the basis has a constant term, which only slack points determine."""
-        return self.points.shape[1] > 1
 
 
 def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:

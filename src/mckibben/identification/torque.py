@@ -1,0 +1,260 @@
+"""Identification of the law of two equal muscles from the torque of their joint, with friction of muscles and joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from mckibben.component.calls import checked_call
+from mckibben.dataset.at_joint import JointPaths
+from mckibben.dataset.preprocessing import one_way_parts
+from mckibben.dataset.table import Table
+from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    Ints,
+    condition_number,
+    robust_errors,
+    t_quantile,
+    unidentifiable,
+)
+from mckibben.identification.fitting import check_law_type
+from mckibben.identification.least_squares import FitProblem, design_matrix, grid_search, solve
+from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.muscle.slopes import unphysical
+from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.units import factor, kPa
+
+FRICTION = {"half_width": "N", "joint_friction": "N*m"}
+"""Friction of each muscle, and of the joint."""
+_ROUNDS = 10  # until the same muscles are slack
+_STEP = 10 * kPa  # of the pressure between two paths
+
+
+class TorqueFit(Result):
+    """Law of both muscles of a joint, by `identify_torque`.
+
+    Attributes
+    ----------
+    law
+        Law of each muscle; its domain is the range of the contractions and pressures of both.
+    estimates, standard_errors
+        By parameter, in SI: those of the law, then ``half_width`` [N] of the friction of each muscle and
+        ``joint_friction`` [N*m], if the angle reverses; errors are robust to those common to a stroke. If the sum of
+        the moment arms is constant, all friction counts as that of the joint.
+    intervals
+        95 % intervals by parameter.
+    rmse
+        Root mean square residual of the torque [N*m].
+    force_error
+        Standard error of the force amid the contractions and pressures [N]: a force that both muscles have alike hardly
+        shows in the torque, unless one is vented.
+    """
+
+    law: ForceLaw
+    estimates: dict[str, float]
+    standard_errors: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
+    rmse: float = column("N*m", "RMS residual of the torque", digits=3)
+    force_error: float = column("N", "standard error of the force of a muscle", digits=2)
+    points: int = column("", "points used")
+    initial_length: float = column("m", "initial length", "mm")
+    notes: tuple[Remark, ...] = ()
+
+    def verdict(self) -> str:
+        """Return the error of the torque, and the friction."""
+        friction = [
+            f"{name.replace('_', ' ')} {self.estimates[name]:.3g} +- {self.standard_errors[name]:.2g} {unit}"
+            for name, unit in FRICTION.items()
+            if name in self.estimates
+        ]
+        text = f"{type(self.law).__name__} of both muscles describes {self.points} torques to {self.rmse:.3g} N*m"
+        return "; ".join([text, *friction])
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the notes."""
+        return self.notes
+
+    def listings(self) -> Iterable[Listing]:
+        """Return the parameters with their errors and intervals."""
+        yield from super().listings()
+        shown = {p.name: p.shown for p in type(self.law).parameters()} | FRICTION
+        units = {p.name: p.unit for p in type(self.law).parameters()} | FRICTION
+        sizes = {name: factor(shown[name], units[name]) for name in self.estimates}
+        columns = {
+            "parameter": (Column(), list(self.estimates)),
+            "estimate": (Column(digits=4), [value / sizes[name] for name, value in self.estimates.items()]),
+            "standard error": (Column(digits=2), [self.standard_errors[name] / sizes[name] for name in self.estimates]),
+            "95 % from": (Column(digits=4), [self.intervals[name][0] / sizes[name] for name in self.estimates]),
+            "to": (Column(digits=4), [self.intervals[name][1] / sizes[name] for name in self.estimates]),
+            "unit": (Column(), [shown[name] for name in self.estimates]),
+        }
+        yield Listing("parameters", columns)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueProblem(FitProblem):
+    r"""Least squares of torques: the points are those of muscle 1, then of muscle 2.
+
+    .. math:: \tau = d_2 F(\varepsilon_2, p_2) - d_1 F(\varepsilon_1, p_1) - s (h (d_1 + d_2) + \tau_j)
+
+    with moment arms d, the direction s of the motion, and the friction h of each muscle and of the joint; a slack
+    muscle has neither. The parameters of friction are the last linear ones.
+    """
+
+    arms: Floats = field(default_factory=lambda: np.empty((2, 0)), repr=False)
+    torque: Floats = field(default_factory=lambda: np.empty(0), repr=False)
+    friction: Floats = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    friction_names: tuple[str, ...] = ()
+    taut: Bools = field(default_factory=lambda: np.empty(0, bool), repr=False)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Linear parameters of the law, those of friction, and the shape of the law."""
+        of_law = [p.name for p in self.law_type.parameters()]
+        linear = len(self.law_type.linear_parameters)
+        return (*of_law[:linear], *self.friction_names, *of_law[linear:])
+
+    @cached_property
+    def linear(self) -> int:
+        """Number of linear parameters."""
+        return len(self.law_type.linear_parameters) + len(self.friction_names)
+
+    def law(self, values: Floats) -> ForceLaw:
+        """Law of each muscle."""
+        points = self.contraction, self.pressure, self.force, self.selected, self.weights
+        return FitProblem(self.law_type, *points).law(values[self._of_law])
+
+    @property
+    def _of_law(self) -> Bools:
+        return np.array([name not in FRICTION for name in self.names])
+
+    def columns_and_residuals(self, values: Floats) -> Floats:
+        """Design matrix of the torque transposed, above the residuals [N*m], shape (parameters + 1, n)."""
+        rows = super().columns_and_residuals(values[self._of_law])
+        first, second = np.split(rows * self.taut, 2, axis=1)  # the residual is minus the force
+        columns = self.arms[1] * second - self.arms[0] * first
+        linear = len(self.law_type.linear_parameters)
+        torque = -columns[-1] + values[linear : self.linear] @ self.friction
+        return np.concatenate([columns[:linear], self.friction, columns[linear:-1], [self.torque - torque]])
+
+    def response(self, values: Floats) -> tuple[Floats, Floats]:
+        """Residuals [N*m], shape (n,), and Jacobian of the torque."""
+        rows = self.columns_and_residuals(values)
+        return rows[-1], rows[:-1].T
+
+
+@checked_call
+def identify_torque(
+    law_type: type[ForceLaw], table: Table, geometry: JointPaths, *, initial_length: float
+) -> TorqueFit:
+    """Identify the law of two equal muscles from torques of their joint at known angles and pressures.
+
+    Parameters
+    ----------
+    table
+        Columns ``angle``, ``torque``, ``pressure1`` and ``pressure2``, by `read_torques`, in the order of the test.
+    initial_length
+        Length of each muscle at contraction 0 [m].
+
+    Raises
+    ------
+    IdentificationError
+        If the points do not determine the parameters; the error names them.
+    """
+    check_law_type(law_type)
+    angle, torque, *pressures = (table.columns[name].values for name in ("angle", "torque", "pressure1", "pressure2"))
+    lengths, arms = (np.array([np.asarray(side) for side in pair]) for pair in geometry.paths_and_arms(angle))
+    contraction, pressure = 1 - lengths / initial_length, np.array(pressures)
+    side, strokes = _motion(angle, pressure)
+    notes, taut = [], (pressure > 0) | (contraction < 0)
+    for _ in range(_ROUNDS):  # which muscle is slack follows from the law
+        names, columns = tuple(FRICTION), np.array([-side * np.sum(arms * taut, axis=0), -side])
+        if not (np.any(side > 0) and np.any(side < 0)):
+            names, columns = (), columns[:0]
+        elif not condition_number(columns.T) < CONDITION_LIMIT:
+            names, columns = names[1:], columns[1:]
+        problem = TorqueProblem(
+            law_type,
+            contraction.ravel(),
+            pressure.ravel(),
+            np.zeros(contraction.size),
+            np.ones(contraction.size, bool),
+            np.ones(contraction.size),
+            arms=arms,
+            torque=torque,
+            friction=columns,
+            friction_names=names,
+            taut=taut.ravel(),
+        )
+        if len(torque) <= len(problem.names):
+            text = f"{len(torque)} torques cannot determine {len(problem.names)} parameters"
+            raise IdentificationError(text, remedy="measure more points")
+        solution = solve(problem, grid_search(problem))
+        before, taut = taut, forces(problem.law(solution.values), contraction, pressure) > 0
+        if np.array_equal(before, taut):
+            break
+    if not names:
+        notes.append(Remark.note("joint_friction", "the angle does not reverse: friction is not identified"))
+    elif len(names) < len(FRICTION):
+        text = "the friction of muscles and joint is not told apart: the sum of the moment arms is constant"
+        remedy = "all of it is given as that of the joint; measure also with one muscle vented"
+        notes.append(Remark.warning("joint_friction", text, remedy))
+    residuals, jacobian = problem.response(solution.values)
+    inside = ~solution.at_bound
+    if not condition_number(jacobian[:, inside]) < CONDITION_LIMIT:
+        named = np.array(problem.names)[inside].tolist()
+        raise IdentificationError(
+            f"the torques do not determine {', '.join(unidentifiable(jacobian[:, inside], named))}",
+            remedy="measure at more angles, and also with one muscle vented: a force of both alike gives no torque",
+        )
+    model = robust_errors(jacobian[:, inside], residuals, strokes)
+    variance, freedom = model.variance(np.eye(inside.sum()))
+    errors, half = np.full(len(inside), np.nan), np.full(len(inside), np.nan)
+    errors[inside] = np.sqrt(variance)
+    half[inside] = t_quantile(0.95, freedom) * errors[inside]
+    ends = [float(bound(values)) for values in (contraction, pressure) for bound in (np.min, np.max)]
+    law = replace(problem.law(solution.values), domain=Domain(*ends))
+    amid = np.zeros((1, len(inside)))
+    of_law = [name for name in problem.names if name not in FRICTION]
+    middle = [np.atleast_1d(np.mean(values)) for values in (contraction, pressure)]
+    amid[:, problem._of_law] = design_matrix(law, of_law, *middle)
+    if wrong := unphysical(law):
+        remedy = "look for wrong signs, units and pressures of the wrong muscle"
+        notes.append(Remark.severe("law", f"the law is not that of a muscle: {wrong}", remedy))
+    values = solution.values
+    unclear = [name for name in names if abs(values[problem.names.index(name)]) < half[problem.names.index(name)]]
+    if unclear and len(names) > 1:
+        text = f"{' and '.join(unclear)} may be 0: the data hardly tell friction of the muscles from that of the joint"
+        notes.append(Remark.warning("joint_friction", text.replace("_", " "), "measure at more angles"))
+    return TorqueFit(
+        law=law,
+        estimates=dict(zip(problem.names, values.tolist(), strict=True)),
+        standard_errors=dict(zip(problem.names, errors.tolist(), strict=True)),
+        intervals={
+            name: (float(value - width), float(value + width))
+            for name, value, width in zip(problem.names, values, half, strict=True)
+        },
+        rmse=float(np.sqrt(np.mean(residuals**2))),
+        force_error=float(np.sqrt(model.variance(amid[:, inside])[0][0])),
+        points=len(torque),
+        initial_length=initial_length,
+        notes=tuple(notes),
+    )
+
+
+def _motion(angle: Floats, pressure: Floats) -> tuple[Floats, Ints]:
+    """Direction of the motion, 1 where the angle rises, and number of the stroke of each point, at equal pressures."""
+    side, strokes, count = np.zeros(len(angle)), np.zeros(len(angle), np.int64), 0
+    changes = np.flatnonzero(np.any(np.abs(np.diff(pressure)) > _STEP, axis=0)) + 1
+    for rows in np.split(np.arange(len(angle)), changes):
+        for part, word in one_way_parts(angle[rows]):
+            side[rows[part]], strokes[rows[part]] = (1.0 if word == "unloading" else -1.0), count
+            count += 1
+        count += 1
+    return side, np.unique(strokes, return_inverse=True)[1]

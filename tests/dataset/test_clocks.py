@@ -1,0 +1,68 @@
+"""Two recordings of one test whose clocks differ: a testing machine, and a board that measures the pressure."""
+
+import numpy as np
+import pytest
+
+from mckibben.dataset import read_dataset, read_recording
+from mckibben.errors import DatasetError
+
+OFFSET, DRIFT = 7.3, 4e-4
+
+
+def written(folder, *, repeats=False, shared=True, still=False):
+    """Files of the machine (s, length, force) and of the board (ms, pressure, and perhaps a force of another scale)."""
+    rng, time = np.random.default_rng(0), np.arange(0, 120, 0.02)
+    other = np.arange(0, 80, 0.05)
+    at = OFFSET + (1 + DRIFT) * other
+
+    def contraction(t):
+        return 0.06 * (1 - np.cos(0.5 * t if repeats else 0.02 * t**1.6))
+
+    def pressure(t):
+        return np.array([2.0, 3.0, 4.0, 3.0])[(np.asarray(t) // 30).astype(int) % 4]
+
+    def force(t):
+        return 150 * pressure(t) * (1 - contraction(t) / 0.3) ** 2 if not (repeats or still) else 100 * contraction(t)
+
+    noise = rng.normal(0, 0.2, len(time))
+    machine = np.transpose([time, 200 * (1 - contraction(time)), force(time) + noise])
+    board = [1e3 * other, pressure(at) + rng.normal(0, 0.002, len(other))]
+    header = "millis [ms],pressure_bar"
+    if shared:
+        board.append(0.02 * (0 * at if still else force(at)) + 1)
+        header += ",force_V"
+    np.savetxt(folder / "machine.csv", machine, "%.5f", ",", header="time_s,length_mm,force_N", comments="")
+    np.savetxt(folder / "board.csv", np.transpose(board), "%.5f", ",", header=header, comments="")
+    return [folder / "machine.csv", folder / "board.csv"], (at, pressure)
+
+
+NAMES = {"force_V": "50*(x-1) force_N"}
+
+
+def test_the_second_clock_is_estimated_from_a_force_that_both_measured(tmp_path):
+    paths, (at, pressure) = written(tmp_path)
+    recording = read_recording(paths, clocks="estimated", columns=NAMES, initial_length=0.2)
+    assert recording.time[0] == pytest.approx(OFFSET, abs=0.03) and recording.time[-1] == pytest.approx(
+        at[-1], abs=0.03
+    )
+    off = np.abs(recording.pressure / 1e5 - pressure(recording.time)) > 0.02
+    assert np.count_nonzero(off) <= 2 * 4  # samples at the steps
+    stated = read_recording(
+        paths, clocks=f"{OFFSET} s, {100 * DRIFT} %", columns=NAMES | {"force_V": "ignore"}, initial_length=0.2
+    )
+    both = np.interp(stated.time, recording.time, recording.pressure)
+    assert np.mean(np.abs(stated.pressure - both) > 2e3) < 0.01
+    points = read_dataset(paths, clocks="estimated", columns=NAMES, initial_length=0.2)
+    assert "second clock" in points.table.attrs["preprocessing"]
+
+
+@pytest.mark.parametrize(
+    ("how", "why"), [({"shared": False}, "no quantity"), ({"repeats": True}, "repeat"), ({"still": True}, "not move")]
+)
+def test_clocks_that_the_data_do_not_determine_are_asked_about(tmp_path, how, why):
+    paths, _ = written(tmp_path, **how)
+    columns = NAMES if how.get("shared", True) else {}
+    with pytest.raises(DatasetError) as caught:
+        read_recording(paths, clocks="estimated", columns=columns, initial_length=0.2)
+    (problem,) = caught.value.problems
+    assert problem.field == "clocks" and why in problem.message and "clocks=12.5 s" in problem.remedy
