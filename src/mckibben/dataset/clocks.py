@@ -104,7 +104,7 @@ def join_clocks(
 
 def _rows(column: RawColumn, inside: np.ndarray) -> Floats | list[str]:
     cells = column.cells
-    return cells[inside] if isinstance(cells, np.ndarray) else [cells[row] for row in np.flatnonzero(inside)]
+    return cells[inside] if isinstance(cells, np.ndarray) else [cells[row] for row in np.flatnonzero(inside).tolist()]
 
 
 def _header(column: RawColumn, mapping: Mapping[str, str]) -> Header:

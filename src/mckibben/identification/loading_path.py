@@ -239,7 +239,8 @@ class DriftBasis:
         knots = np.unique([float(time[path][slack[path]].mean()) for path in paths.rows if slack[path].any()])
         if len(knots) < 2:
             levels = np.unique([held_values(means)[path[0]] for path in paths.rows], return_counts=True)[1]
-            return [none, cls((time - time.min())[:, None], np.ones(1))][: 1 + bool(levels.min() > 1)]
+            line = cls((time - time.min())[:, None], np.ones(1))
+            return [none, line] if levels.min() > 1 else [none]
         from scipy.interpolate import make_interp_spline  # takes 0.3 s to import
 
         centred, hats = knots - knots.mean(), make_interp_spline(knots, np.eye(len(knots)), k=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -113,6 +113,34 @@ class TorqueProblem(FitProblem):
     friction_names: tuple[str, ...] = ()
     taut: Bools = field(default_factory=lambda: np.empty(0, bool), repr=False)
 
+    @classmethod
+    def at(
+        cls,
+        law_type: type[ForceLaw],
+        contraction: Floats,
+        pressure: Floats,
+        arms: Floats,
+        torque: Floats,
+        side: Floats,
+        taut: Bools,
+    ) -> TorqueProblem:
+        """Problem of both muscles, shape (2, n), and the torque and its direction, shape (n,).
+
+        Raises an `IdentificationError` if there are fewer torques than parameters.
+        """
+        names, columns = tuple(FRICTION), np.array([-side * np.sum(arms * taut, axis=0), -side])
+        if not (np.any(side > 0) and np.any(side < 0)):
+            names, columns = (), columns[:0]
+        elif not condition_number(columns.T) < CONDITION_LIMIT:
+            names, columns = names[1:], columns[1:]
+        count, size = len(names) + len(law_type.parameters()), contraction.size
+        if len(torque) <= count:
+            text = f"{len(torque)} torques cannot determine {count} parameters"
+            raise IdentificationError(text, remedy="measure more points")
+        places = contraction.ravel(), pressure.ravel(), np.zeros(size), np.ones(size, bool), np.ones(size)
+        friction = {"friction": columns, "friction_names": names}
+        return cls(law_type, *places, arms=arms, torque=torque, **friction, taut=taut.ravel())
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Linear parameters of the law, those of friction, and the shape of the law."""
@@ -128,15 +156,16 @@ class TorqueProblem(FitProblem):
     def law(self, values: Floats) -> ForceLaw:
         """Law of each muscle."""
         points = self.contraction, self.pressure, self.force, self.selected, self.weights
-        return FitProblem(self.law_type, *points).law(values[self._of_law])
+        return FitProblem(self.law_type, *points).law(values[self.of_law])
 
     @property
-    def _of_law(self) -> Bools:
+    def of_law(self) -> Bools:
+        """Mask of the parameters of the law."""
         return np.array([name not in FRICTION for name in self.names])
 
     def columns_and_residuals(self, values: Floats) -> Floats:
         """Design matrix of the torque transposed, above the residuals [N*m], shape (parameters + 1, n)."""
-        rows = super().columns_and_residuals(values[self._of_law])
+        rows = super().columns_and_residuals(values[self.of_law])
         first, second = np.split(rows * self.taut, 2, axis=1)  # the residual is minus the force
         columns = self.arms[1] * second - self.arms[0] * first
         linear = len(self.law_type.linear_parameters)
@@ -172,41 +201,16 @@ def identify_torque(
     lengths, arms = (np.array([np.asarray(side) for side in pair]) for pair in geometry.paths_and_arms(angle))
     contraction, pressure = 1 - lengths / initial_length, np.array(pressures)
     side, strokes = _motion(angle, pressure)
-    notes, taut = [], (pressure > 0) | (contraction < 0)
-    for _ in range(_ROUNDS):  # which muscle is slack follows from the law
-        names, columns = tuple(FRICTION), np.array([-side * np.sum(arms * taut, axis=0), -side])
-        if not (np.any(side > 0) and np.any(side < 0)):
-            names, columns = (), columns[:0]
-        elif not condition_number(columns.T) < CONDITION_LIMIT:
-            names, columns = names[1:], columns[1:]
-        problem = TorqueProblem(
-            law_type,
-            contraction.ravel(),
-            pressure.ravel(),
-            np.zeros(contraction.size),
-            np.ones(contraction.size, bool),
-            np.ones(contraction.size),
-            arms=arms,
-            torque=torque,
-            friction=columns,
-            friction_names=names,
-            taut=taut.ravel(),
-        )
-        if len(torque) <= len(problem.names):
-            text = f"{len(torque)} torques cannot determine {len(problem.names)} parameters"
-            raise IdentificationError(text, remedy="measure more points")
+    taut = (pressure > 0) | (contraction < 0)
+    rounds = 0
+    while True:  # which muscle is slack follows from the law
+        problem = TorqueProblem.at(law_type, contraction, pressure, arms, torque, side, taut)
         solution = solve(problem, grid_search(problem))
-        before, taut = taut, forces(problem.law(solution.values), contraction, pressure) > 0
-        if np.array_equal(before, taut):
+        before, taut, rounds = taut, forces(problem.law(solution.values), contraction, pressure) > 0, rounds + 1
+        if np.array_equal(before, taut) or rounds == _ROUNDS:
             break
-    if not names:
-        notes.append(Remark.note("joint_friction", "the angle does not reverse: friction is not identified"))
-    elif len(names) < len(FRICTION):
-        text = "the friction of muscles and joint is not told apart: the sum of the moment arms is constant"
-        remedy = "all of it is given as that of the joint; measure also with one muscle vented"
-        notes.append(Remark.warning("joint_friction", text, remedy))
-    residuals, jacobian = problem.response(solution.values)
-    inside = ~solution.at_bound
+    values, inside = solution.values, ~solution.at_bound
+    residuals, jacobian = problem.response(values)
     if not condition_number(jacobian[:, inside]) < CONDITION_LIMIT:
         named = np.array(problem.names)[inside].tolist()
         raise IdentificationError(
@@ -218,34 +222,41 @@ def identify_torque(
     errors, half = np.full(len(inside), np.nan), np.full(len(inside), np.nan)
     errors[inside] = np.sqrt(variance)
     half[inside] = t_quantile(0.95, freedom) * errors[inside]
-    ends = [float(bound(values)) for values in (contraction, pressure) for bound in (np.min, np.max)]
-    law = replace(problem.law(solution.values), domain=Domain(*ends))
+    ends = [float(bound(quantity)) for quantity in (contraction, pressure) for bound in (np.min, np.max)]
+    law = replace(problem.law(values), domain=Domain(*ends))
     amid = np.zeros((1, len(inside)))
-    of_law = [name for name in problem.names if name not in FRICTION]
-    middle = [np.atleast_1d(np.mean(values)) for values in (contraction, pressure)]
-    amid[:, problem._of_law] = design_matrix(law, of_law, *middle)
-    if wrong := unphysical(law):
-        remedy = "look for wrong signs, units and pressures of the wrong muscle"
-        notes.append(Remark.severe("law", f"the law is not that of a muscle: {wrong}", remedy))
-    values = solution.values
-    unclear = [name for name in names if abs(values[problem.names.index(name)]) < half[problem.names.index(name)]]
-    if unclear and len(names) > 1:
-        text = f"{' and '.join(unclear)} may be 0: the data hardly tell friction of the muscles from that of the joint"
-        notes.append(Remark.warning("joint_friction", text.replace("_", " "), "measure at more angles"))
+    middle = [np.atleast_1d(np.mean(quantity)) for quantity in (contraction, pressure)]
+    amid[:, problem.of_law] = design_matrix(law, [name for name in problem.names if name not in FRICTION], *middle)
+    intervals = np.transpose([values - half, values + half])
     return TorqueFit(
         law=law,
         estimates=dict(zip(problem.names, values.tolist(), strict=True)),
         standard_errors=dict(zip(problem.names, errors.tolist(), strict=True)),
-        intervals={
-            name: (float(value - width), float(value + width))
-            for name, value, width in zip(problem.names, values, half, strict=True)
-        },
+        intervals={name: (float(low), float(high)) for name, (low, high) in zip(problem.names, intervals, strict=True)},
         rmse=float(np.sqrt(np.mean(residuals**2))),
         force_error=float(np.sqrt(model.variance(amid[:, inside])[0][0])),
         points=len(torque),
         initial_length=initial_length,
-        notes=tuple(notes),
+        notes=tuple(_notes(law, problem, intervals)),
     )
+
+
+def _notes(law: ForceLaw, problem: TorqueProblem, intervals: Floats) -> Iterator[Remark]:
+    """Remarks on friction that is not identified or not told apart, and on a law that no muscle has."""
+    names = problem.friction_names
+    unclear = [name.replace("_", " ") for name in names if np.prod(intervals[problem.names.index(name)]) <= 0]
+    if not names:
+        yield Remark.note("joint_friction", "the angle does not reverse: friction is not identified")
+    elif len(names) < len(FRICTION):
+        text = "the friction of muscles and joint is not told apart: the sum of the moment arms is constant"
+        remedy = "all of it is given as that of the joint; measure also with one muscle vented"
+        yield Remark.warning("joint_friction", text, remedy)
+    elif unclear:
+        text = f"{' and '.join(unclear)} may be 0: the data hardly tell friction of the muscles from that of the joint"
+        yield Remark.warning("joint_friction", text, "measure at more angles")
+    if wrong := unphysical(law):
+        remedy = "look for wrong signs, units and pressures of the wrong muscle"
+        yield Remark.severe("law", f"the law is not that of a muscle: {wrong}", remedy)
 
 
 def _motion(angle: Floats, pressure: Floats) -> tuple[Floats, Ints]:
