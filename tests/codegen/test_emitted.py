@@ -30,7 +30,8 @@ def elementwise(x):
         jnp.floor(x) + jnp.ceil(x) + jnp.round(3 * x) + jnp.sign(x) + x**3 + y**-2 + lax.rem(x, y),
         jnp.where((x > 0) & ~(y < 1) | (x == y), x, -y) + jnp.clip(x, -0.5, 0.5) + jax.nn.sigmoid(x),
         (x > 0) ^ (y > 1),
-        jnp.where(x > 0, 2, 3) + jnp.maximum(whole, 2) + jnp.abs(whole) // 3 + jnp.minimum(whole, 20_000_001),
+        jnp.stack([jnp.maximum(x > 0, y > 1), jnp.minimum(x > 0, y > 1), (x > 0) < (y > 1), (x > 0) >= (y > 1)]),
+        jnp.where(x > 0, 2, 3) + jnp.maximum(whole, 2) + jnp.abs(whole) // 3 + (~jnp.minimum(whole, 2**24 + 1) >> 1),
         lax.reduce_precision(x, 8, 23) + lax.reduce_precision(y, 11, 52),
     )
 

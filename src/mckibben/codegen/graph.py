@@ -203,6 +203,7 @@ FOLDED: dict[str, Callable[..., Any]] = {
     "rem": np.fmod,
     "shift_left": operator.lshift,
     "shift_right": operator.rshift,
+    "shift_word": operator.rshift,
     "is_finite": np.isfinite,
     "bits": lambda x: np.float64(x).view(np.int64),
     "from_bits": lambda x: np.int64(x).view(np.float64),
@@ -288,6 +289,7 @@ class Graph:
         kind
             Kind of the result.
         """
+        name, arguments = self._plain(name, arguments)
         if (simple := self._simplified(name, kind, arguments)) is not None:
             return simple
         if self.reciprocals and name == "div" and kind is Kind.REAL:
@@ -299,6 +301,15 @@ class Graph:
         key = (name, kind, *map(id, arguments))
         uniform = name == "any" or all(argument.uniform for argument in arguments)
         return self._known(key, scope, lambda: Value(name, kind, arguments, scope, None, uniform))
+
+    def _plain(self, name: str, arguments: tuple[Value, ...]) -> tuple[str, tuple[Value, ...]]:
+        """The operation without orders of booleans and complements of integers, which languages write differently."""
+        kind = arguments[0].kind
+        if name == "not" and kind is Kind.INTEGER:
+            return "sub", (self.constant(-1, kind), *arguments)
+        if kind is Kind.BOOLEAN and name in ("lt", "le", "gt", "ge"):
+            arguments = tuple(self.operation("integer", Kind.INTEGER, x) for x in arguments)
+        return {"max": "or", "min": "and"}.get(name, name) if kind is Kind.BOOLEAN else name, arguments
 
     def _place(self, arguments: Sequence[Value]) -> Scope:
         """The outermost scope that contains all arguments, within the innermost branch."""

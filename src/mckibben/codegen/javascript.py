@@ -41,7 +41,7 @@ def write_js(module: SourceModule, comment: str = "") -> str:
     return filled("module.js", values)
 
 
-_BITS = {"and", "or", "xor", "shift_left", "shift_right", "bits", "from_bits", "from_bits_32", "single"}
+_BITS = {"and", "or", "xor", "shift_left", "shift_right", "shift_word", "bits", "from_bits", "from_bits_32", "single"}
 
 
 class _Writer(Writer):

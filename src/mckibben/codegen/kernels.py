@@ -20,12 +20,6 @@ THREADS = 128
 
 _BLOCKS = {"double": 4, "float": 2}  # per multiprocessor, as is fastest on an H100: 128 and 255 registers per thread
 _MOST = 8192  # constants: the device has 64 KiB for them
-_OF_INTEGERS = {
-    "abs": "{0} < 0 ? -{0} : {0}",
-    "rem": "{0} % {1}",
-    "max": "{0} > {1} ? {0} : {1}",
-    "min": "{0} < {1} ? {0} : {1}",
-}
 
 
 def _language(real: str) -> Language:
@@ -119,10 +113,3 @@ class KernelWriter(Writer):
             self._known[id(argument)] = len(self.constants)
             self.constants.append(argument)
         return f"known[{self._known[id(argument)]}]", ATOM
-
-    def _operation(self, value: Value) -> Text:
-        """Text of an operation; C has no functions for maximum, minimum, remainder and magnitude of integers."""
-        if value.kind is Kind.INTEGER and value.operation in _OF_INTEGERS:
-            texts = (f"({self.text(argument)})" for argument in value.arguments)
-            return f"({_OF_INTEGERS[value.operation].format(*texts)})", ATOM
-        return super()._operation(value)

@@ -26,7 +26,7 @@ _UNROLLED = 300  # equations: loops with fewer in total are unrolled
 _RENAMED = {
     "add_any": "add",
     "shift_right_arithmetic": "shift_right",
-    ("shift_right_logical", "uint32"): "shift_right",  # words are never negative
+    ("shift_right_logical", "uint32"): "shift_word",  # never negative, but in vectors of 32 bits
 }
 _OWN = {"bits", "from_bits", "from_bits_32", "single", "real", "integer", "boolean"}  # not primitives of JAX
 _ELEMENTWISE = FOLDED.keys() - _OWN - {"round"}

@@ -23,7 +23,6 @@ _PATTERNS = {
     ("eq", Kind.BOOLEAN): "(~({0} ^ {1}))",
     ("ne", Kind.BOOLEAN): "(({0} ^ {1}))",
     ("not", Kind.BOOLEAN): "(~{0})",
-    ("not", Kind.INTEGER): "(~{0})",
     ("max", Kind.INTEGER): "pick_integer({0} > {1}, {0}, {1})",
     ("min", Kind.INTEGER): "pick_integer({0} < {1}, {0}, {1})",
     ("rem", Kind.INTEGER): "({0} % {1})",
@@ -35,7 +34,7 @@ _PATTERNS = {
 _OF_64_BITS = {("from_bits", Kind.INTEGER): "((V){0})"}
 _OF_32_BITS = {
     ("from_bits_32", Kind.INTEGER): "((V){0})",
-    ("shift_right", Kind.INTEGER): "((I)((U){0} >> (U){1}))",  # of random bits and positive numbers
+    ("shift_word", Kind.INTEGER): "((I)((U){0} >> (U){1}))",
 }
 
 

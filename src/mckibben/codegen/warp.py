@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import literals
@@ -80,6 +80,7 @@ class _Writer(Writer):
     Warp would take it for a constant otherwise.
     """
 
+    of_integers: Mapping[str, str] = {}  # Warp has functions
     end = ""
     branch_heads = "if {}:", "else:"  # pyrefly: ignore[bad-override]
     block_end = ()

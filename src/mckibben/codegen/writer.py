@@ -27,8 +27,16 @@ _INFIX = {
     "xor": ("!=", _COMPARISON),
     "shift_left": ("<<", _COMPARISON),
     "shift_right": (">>", _COMPARISON),
+    "shift_word": (">>", _COMPARISON),
 }
 _BITWISE = {"and": "&", "or": "|", "xor": "^"}
+_OF_INTEGERS = {
+    "abs": "{0} < 0 ? -{0} : {0}",
+    "rem": "{0} % {1}",
+    "max": "{0} > {1} ? {0} : {1}",
+    "min": "{0} < {1} ? {0} : {1}",
+    "sign": "({0} > 0) - ({0} < 0)",
+}
 Text = tuple[str, int]
 """Text of an expression, and the precedence of its outermost operator."""
 
@@ -259,6 +267,7 @@ class Writer:
                 lines.append(f"{indent}    {assigned}")
         return lines + [f"{indent}{line}" for line in self.block_end]
 
+    of_integers: Mapping[str, str] = _OF_INTEGERS  # for which C has no functions
     end = ";"
     branch_heads = "if ({}) {{", "}} else {{"
     block_end: Sequence[str] = ("}",)
@@ -344,6 +353,8 @@ class Writer:
         if name == "select":
             condition, yes, no = texts
             return f"{_bound(condition, _CHOICE + 1)} ? {_bound(yes, _CHOICE + 1)} : {_bound(no, _CHOICE)}", _CHOICE
+        if name in self.of_integers and kind is Kind.INTEGER:
+            return f"({self.of_integers[name].format(*(_bound(text, ATOM) for text in texts))})", ATOM
         if name in _BITWISE and kind is Kind.INTEGER:
             return f"{_bound(texts[0], ATOM)} {_BITWISE[name]} {_bound(texts[1], ATOM)}", _OR
         if name in _INFIX:
