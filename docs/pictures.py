@@ -13,7 +13,7 @@ from PIL import Image
 
 import mckibben as mk
 from mckibben.report.style import save
-from mckibben.robot.foot_pressures import solve_foot_stiffness
+from mckibben.robot.statics import solve_statics
 from mckibben.scenario import run_scenario
 from mckibben.units import bar, deg, mm
 
@@ -110,7 +110,7 @@ def _robot() -> None:
     assert stiffness is not None
     posture = robot.robot.posture_angles(stiffness.posture)
     figures = {
-        "leg-foot-stiffness": mk.report.foot_ellipses(robot.robot, posture, found=solve_foot_stiffness(robot)),
+        "leg-foot-stiffness": mk.report.point_ellipses(robot.robot, posture, found=solve_statics(robot)[1]),
         "leg-landing": mk.report.landing_forces(mk.robot.study_landing(robot)),
         "leg-jump": mk.report.jump_traces(jumps),
     }

@@ -6,7 +6,7 @@ A leg of two joints drops on its foot. How stiff should its knee be, and how doe
 """
 
 import mckibben as mk
-from mckibben.robot import RobotScenario, attainable_foot_stiffness, study_landing
+from mckibben.robot import RobotScenario, attainable_point_stiffness, study_landing
 
 robot = RobotScenario.parse(
     """
@@ -32,6 +32,6 @@ figure = mk.report.landing_forces(study)
 # %%
 # The attainable stiffness of the foot without joint torque: along the leg it is about 80 times that across.
 
-figure = mk.report.foot_ellipses(robot.robot, study.angles)
-softest = attainable_foot_stiffness(robot.robot, study.angles, [0.0, 0.0])[0]
+figure = mk.report.point_ellipses(robot.robot, study.angles)
+softest = attainable_point_stiffness(robot.robot, study.angles, [0.0, 0.0])[0]
 print([round(value) for value in softest.principal], "N/m")

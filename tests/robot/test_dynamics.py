@@ -11,7 +11,7 @@ from scipy.optimize import approx_fprime, fsolve
 import mckibben as mk
 from mckibben import catalog
 from mckibben.numerics.spatial import ZERO
-from mckibben.robot import Body, Ground, Joint, Place, Robot, RobotPlant, attainable_foot_stiffness, foot_stiffness
+from mckibben.robot import Body, Ground, Joint, Place, Robot, RobotPlant, attainable_point_stiffness, point_stiffness
 from mckibben.robot.dynamics import Posture, Velocity, acceleration, motion
 from mckibben.robot.ground import compliant_force
 from mckibben.robot.jumping import standing_torques
@@ -134,8 +134,8 @@ def test_foot_stiffness_under_a_force_is_that_of_the_bent_robot(plant, force):
     def bent(by):
         return fsolve(lambda q: stiffness * (q - rest) - foot_jacobian(robot, q).T @ (force + by), angles, xtol=1e-13)
 
-    found = foot_stiffness(robot, angles, stiffness, force=force).compliance
-    assert not np.allclose(found, foot_stiffness(robot, angles, stiffness).compliance, rtol=0.02)
+    found = point_stiffness(robot, angles, stiffness, force=force).compliance
+    assert not np.allclose(found, point_stiffness(robot, angles, stiffness).compliance, rtol=0.02)
     for more in (np.array([1e-3, 0.0]), np.array([0.0, 1e-3])):
         moved = (foot_of(robot, bent(more)) - foot_of(robot, bent(-more))) / 2
         assert moved == pytest.approx(found @ more, rel=1e-4, abs=1e-9)
@@ -143,14 +143,14 @@ def test_foot_stiffness_under_a_force_is_that_of_the_bent_robot(plant, force):
 
 def test_foot_stiffness_is_that_of_small_displacements(plant):
     robot, angles, stiffness = plant.robot, (0.02, -0.2), (18.0, 14.0)
-    found = foot_stiffness(robot, angles, stiffness)
+    found = point_stiffness(robot, angles, stiffness)
     force = np.array([0.3, -0.2]) * 1e-3
     jacobian = approx_fprime(np.array(angles), lambda at: foot_of(robot, at), 1e-7)
     bent = np.array(angles) + (jacobian.T @ force) / stiffness
     assert foot_of(robot, bent) - foot_of(robot, np.array(angles)) == pytest.approx(found.compliance @ force, rel=1e-3)
     assert found.principal[0] < found.principal[1]
     low, high = robot.pair(1).attainable_stiffness(-0.2, 0.0)
-    attainable = attainable_foot_stiffness(robot, angles, (0.0, 0.0), levels=3)
+    attainable = attainable_point_stiffness(robot, angles, (0.0, 0.0), levels=3)
     assert len(attainable) == 9 and float(low) < float(high)
     softest = min(one.principal[0] for one in attainable)
     assert softest < max(one.principal[0] for one in attainable)

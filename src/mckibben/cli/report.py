@@ -15,7 +15,11 @@ class Report(Result):
     files: ClassVar = (
         *("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "fits"),
         "robot.yaml",
-        *(f"{name}.{end}" for name in ("fit", "bands", "loops", "ranking", "foot_stiffness") for end in ("png", "svg")),
+        *(
+            f"{name}.{end}"
+            for name in ("fit", "bands", "loops", "ranking", "point_stiffness")
+            for end in ("png", "svg")
+        ),
     )
 
     text: str

@@ -71,15 +71,21 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
 
 def _stiffness(read: RobotScenario, source: str) -> Report:
     from mckibben import report
-    from mckibben.report.robot import foot_ellipses
-    from mckibben.robot.foot_pressures import solve_foot_stiffness
+    from mckibben.report.robot import point_ellipses
+    from mckibben.robot.statics import attainable_listing, solve_statics
 
-    solved = solve_foot_stiffness(read, source=source)
-    assert read.stiffness is not None
-    angles = read.robot.posture_angles(read.stiffness.posture)
+    attainable, solved = solve_statics(read, source=source)
+    tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"
+    numbers: dict[str, object] = {"attainable": {name: row._asdict() for name, row in attainable.items()}}
+    if read.stiffness is not None:
+        text = "what is attainable in the posture of the file"
+    if solved is not None:
+        tables, text, numbers = (solved.listing(), *tables), solved.describe(), solved.record() | numbers
 
     def write(folder: Path) -> None:
         read.to_yaml(folder / "robot.yaml")
-        report.save(foot_ellipses(read.robot, angles, found=solved), folder, "foot_stiffness")
+        if solved is not None and read.stiffness is not None and solved.stiffness is not None:
+            angles, point = read.robot.posture_angles(read.stiffness.posture), read.stiffness.point
+            report.save(point_ellipses(read.robot, angles, found=solved, point=point), folder, "point_stiffness")
 
-    return Report(solved.describe(), (solved.listing(read.robot),), (), write, solved.record(read.robot))
+    return Report(text, tables, (), write, numbers)

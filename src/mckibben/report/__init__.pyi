@@ -22,9 +22,9 @@ from .muscle import law_comparison as law_comparison
 from .muscle import measured_muscles as measured_muscles
 from .muscle import recording as recording
 from .page import write_report as write_report
-from .robot import foot_ellipses as foot_ellipses
 from .robot import jump_traces as jump_traces
 from .robot import landing_forces as landing_forces
+from .robot import point_ellipses as point_ellipses
 from .study import planned as planned
 from .study import sweep as sweep
 from .study import tuning as tuning

@@ -11,17 +11,18 @@ from matplotlib.figure import Figure
 
 from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
 from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
-from mckibben.robot.attainable import attainable_foot_stiffness
+from mckibben.robot.attainable import attainable_point_stiffness
 from mckibben.robot.dynamics import at_rest, frames, posture_of
-from mckibben.robot.foot import stiffness_of
 from mckibben.robot.landing import EDGES, LandingStudy
+from mckibben.robot.point_stiffness import stiffness_of
 from mckibben.units import bar, mm, ms
 
 if TYPE_CHECKING:
-    from mckibben.robot.foot import FootStiffness
-    from mckibben.robot.foot_pressures import FootPressures
+    from mckibben.robot.bodies import BodyPoint, Foot
     from mckibben.robot.jumping import JumpStudy
     from mckibben.robot.mechanism import Robot
+    from mckibben.robot.point_stiffness import PointStiffness
+    from mckibben.robot.statics import StaticPressures
 
 
 _LOOKS = ((VERMILLION, "-"), (BLUE, (0, (4, 2))))
@@ -71,10 +72,15 @@ def landing_forces(study: LandingStudy) -> Figure:
 
 
 @styled
-def foot_ellipses(
-    robot: Robot, angles: Sequence[float], *, force: float = 1.0, found: FootPressures | None = None
+def point_ellipses(
+    robot: Robot,
+    angles: Sequence[float],
+    *,
+    force: float = 1.0,
+    found: StaticPressures | None = None,
+    point: BodyPoint | Foot | None = None,
 ) -> Figure:
-    """Posture of a robot, and displacements of its foot [mm] under a force in all directions of a plane.
+    """Posture of a robot, and displacements of a point [mm] under a force in all directions of a plane.
 
     The plane is that of walking, and for a robot in space also that across it. Grey: all attainable stiffness, at zero
     torque or at the torques that are held; coloured: the softest and the stiffest on average over the directions, or
@@ -87,13 +93,16 @@ def foot_ellipses(
     force
         Magnitude of the force [N].
     found
-        Pressures for a stiffness of the foot, which is drawn in place of the extremes.
+        Pressures for a stiffness of the point, which is drawn in place of the extremes.
+    point
+        Point of a body. Default: the foot.
     """
     torques, held = ([0.0] * len(angles), None)
     if found is not None:
         torques, held = [float(torque) for torque in robot.torques(angles, found.pressures)], found.force
-    attainable = attainable_foot_stiffness(robot, angles, torques, levels=9 if robot.is_planar else 4, force=held)
-    if found is None:
+    levels, point = 9 if robot.is_planar else 4, point or robot.foot
+    attainable = attainable_point_stiffness(robot, angles, torques, levels=levels, force=held, point=point)
+    if found is None or found.stiffness is None or found.wanted is None:
         ordered = sorted(attainable, key=lambda stiffness: np.trace(stiffness.compliance))
         shown = {"softest": ordered[-1], "stiffest": ordered[0]}
     else:
@@ -101,19 +110,20 @@ def foot_ellipses(
     planes = _planes(robot)
     figure = blank(DOUBLE * (0.8 if robot.is_planar else 1.0), 3.0)
     posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
-    posture = posture_of(robot, angles)
-    links = frames(robot, posture, at_rest(posture))[1:]
-    feet = [] if robot.foot is None else [robot.foot]
-    points = [*(link.position for link in links), *(links[-1].point(foot.place.vector)[0] for foot in feet)]
-    x, z = (np.array([float(point[i]) for point in points]) / mm for i in (0, 2))
-    posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
-    posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
+    placed = frames(robot, posture := posture_of(robot, angles), at_rest(posture))
+    bones = [(placed[parent].position, at.position) for parent, at in zip(robot.parents, placed[1:], strict=True)]
+    assert point is not None  # else nothing is attainable
+    carrying = placed[robot.frame_names.index(point.body)]
+    bones.append((carrying.position, carrying.point(point.place.vector)[0]))
+    for bone in bones:
+        posture_axes.plot(*([float(end[i]) / mm for end in bone] for i in (0, 2)), "o-", color=BLACK, linewidth=3)
+    posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the base [mm]")
     posture_axes.margins(x=0.6, y=0.1)
     letter(posture_axes, 0, "posture")
     for number, (axes, (along, plane)) in enumerate(zip(others, planes.items(), strict=True), 1):
         _ellipses(axes, plane, attainable, shown, force)
         axes.set(xlabel=f"{along} [mm]", ylabel="up [mm]" if number == 1 else "")
-        letter(axes, number, f"foot under {force:g} N" + (" in all directions" if robot.is_planar else ""))
+        letter(axes, number, f"point under {force:g} N" + (" in all directions" if robot.is_planar else ""))
     legend_above(figure, *others)
     return figure
 
@@ -127,8 +137,8 @@ def _planes(robot: Robot) -> dict[str, tuple[int, int]]:
 def _ellipses(
     axes: Axes,
     plane: tuple[int, int],
-    attainable: Sequence[FootStiffness],
-    shown: Mapping[str, FootStiffness],
+    attainable: Sequence[PointStiffness],
+    shown: Mapping[str, PointStiffness],
     force: float,
 ) -> None:
     """Displacements of the foot in a plane: grey what is attainable, and two in colours, the second dashed."""

@@ -1,6 +1,6 @@
 """Robots with air muscles: bodies on hinges, muscles, ground contact; landing and jumping."""
 
-from mckibben.robot.attainable import attainable_foot_stiffness
+from mckibben.robot.attainable import attainable_point_stiffness
 from mckibben.robot.bodies import Body, BodyPoint, Foot, Joint, Place
 from mckibben.robot.control import (
     CoupledControl,
@@ -10,8 +10,6 @@ from mckibben.robot.control import (
     RobotReference,
     TimedReference,
 )
-from mckibben.robot.foot import FootStiffness, foot_stiffness
-from mckibben.robot.foot_pressures import FootPressures, foot_matrix, pressures_for_foot_stiffness
 from mckibben.robot.ground import Ground
 from mckibben.robot.jumping import JumpStudy, study_jump
 from mckibben.robot.landing import LandingStudy, study_landing
@@ -19,9 +17,19 @@ from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import EnergyBalance, RobotMetrics
 from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
+from mckibben.robot.point_stiffness import PointStiffness, point_stiffness
 from mckibben.robot.reading import ReadRobot, read_mjcf
 from mckibben.robot.scenario import RobotScenario, read_robot
 from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
+from mckibben.robot.statics import (
+    JointRange,
+    StaticPressures,
+    attainable_statics,
+    holding_torques,
+    pressures_for_joint_stiffness,
+    pressures_for_point_stiffness,
+    stiffness_matrix,
+)
 
 __all__ = [
     "Body",
@@ -29,10 +37,9 @@ __all__ = [
     "CoupledControl",
     "EnergyBalance",
     "Foot",
-    "FootPressures",
-    "FootStiffness",
     "Ground",
     "Joint",
+    "JointRange",
     "JointwiseControl",
     "JumpStudy",
     "LandingStudy",
@@ -41,6 +48,7 @@ __all__ = [
     "OverJoint",
     "PathMuscle",
     "Place",
+    "PointStiffness",
     "PressureSchedule",
     "ReadRobot",
     "Robot",
@@ -53,16 +61,20 @@ __all__ = [
     "RobotScenario",
     "RobotStart",
     "RobotState",
+    "StaticPressures",
     "TimedReference",
-    "attainable_foot_stiffness",
-    "foot_matrix",
-    "foot_stiffness",
-    "pressures_for_foot_stiffness",
+    "attainable_point_stiffness",
+    "attainable_statics",
+    "holding_torques",
+    "point_stiffness",
+    "pressures_for_joint_stiffness",
+    "pressures_for_point_stiffness",
     "read_mjcf",
     "read_robot",
     "robot_metrics",
     "simulate_robot",
     "simulate_robots",
+    "stiffness_matrix",
     "study_jump",
     "study_landing",
 ]

@@ -1,4 +1,4 @@
-"""The attainable stiffness of the foot at a posture."""
+"""The attainable stiffness of a point in a posture."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from mckibben.errors import UnreachableError
-from mckibben.robot.foot import Floats, FootStiffness, foot_jacobian, movable, stiffness_through
-from mckibben.robot.foot_pressures import check_torques, pressure_ranges
+from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.stiffness_map import is_affine, map_at
+from mckibben.robot.point_stiffness import Floats, PointStiffness, movable, point_jacobian, stiffness_through
+from mckibben.robot.statics import HeldPosture, is_affine
 from mckibben.units import bar
 
 
-def attainable_foot_stiffness(
+def attainable_point_stiffness(
     robot: Robot,
     angles: Sequence[float],
     torques: Sequence[float],
     *,
     levels: int = 9,
     force: Sequence[float] | None = None,
-) -> list[FootStiffness]:
-    """Return stable values of the stiffness of the foot over what the joints can attain.
+    point: BodyPoint | Foot | None = None,
+) -> list[PointStiffness]:
+    """Return stable values of the stiffness of a point over what the joints can attain.
 
     They are those of a grid, `levels` of each joint from the softest to the stiffest. With muscles over two joints, and
     laws that are affine in pressure, the attainable matrices are a polytope: half of as many values as the grid has are
@@ -33,8 +34,10 @@ def attainable_foot_stiffness(
     ----------
     angles, torques
         Angles [rad] and static torques [N*m] of the joints.
+    point
+        Point of a body. Default: the foot.
     force
-        Static force [N] of the ground on the foot, as in `foot_stiffness`. Default: none.
+        Static force [N] on the point, as in `point_stiffness`. Default: none.
 
     Raises
     ------
@@ -43,13 +46,13 @@ def attainable_foot_stiffness(
         joints cannot be taut; or if none of the values is stable.
     """
     corners = len(robot.all_muscles) > 2 * len(robot.pairs) and is_affine(robot)
-    count = levels ** len(robot.joints)
+    count = levels ** min(len(robot.joints), 3)
     matrices = _between_corners(robot, angles, torques, count) if corners else _grid(robot, angles, torques, levels)
-    (jacobian, geometric), free = foot_jacobian(robot, angles, force), movable(robot)
+    (jacobian, geometric), free = point_jacobian(robot, angles, force, point), movable(robot)
     inner = np.ix_(free, free)
     stable = [one for one in matrices if np.linalg.eigvalsh((one - geometric)[inner]).min(initial=np.inf) > 0]
     if not stable:
-        raise UnreachableError("the foot is unstable at every stiffness of the joints that was tried")
+        raise UnreachableError("the point is unstable at every stiffness of the joints that was tried")
     return [stiffness_through(jacobian, geometric, free, one) for one in stable]
 
 
@@ -68,17 +71,14 @@ def _between_corners(robot: Robot, angles: Sequence[float], torques: Sequence[fl
     """Stiffness matrices [N*m/rad] of the joints at corners of what is attainable, and between them."""
     from scipy.optimize import linprog
 
-    affine, free, rng = map_at(robot, angles), movable(robot), np.random.default_rng(0)
-    low, high, _ = pressure_ranges(robot, affine, [one.domain for one in robot.all_muscles], np.inf, 1.0)
-    equal, held = affine.torque[1][free] * bar, np.asarray(torques, float)[free] - affine.torque[0][free]
-    check_torques(robot, equal, held, low / bar, high / bar)
-    slopes = affine.stiffness[1][np.ix_(free, free)] * bar
+    setting, rng = HeldPosture.of(robot, angles, np.asarray(torques)), np.random.default_rng(0)
+    slopes = setting.stiffness()[1]
     corners = []
     aims = max(count // 2, 1)
     for direction in rng.normal(size=(aims, *slopes.shape[:2])):
         goal = np.einsum("ij,ijm->m", direction + direction.T, slopes)
-        found = linprog(goal, A_eq=equal, b_eq=held, bounds=np.stack([low, high], axis=-1) / bar)
-        corners.append(affine.stiffness_at(found.x * bar))
+        found = linprog(goal, A_eq=setting.equal, b_eq=setting.held, bounds=setting.bounds)
+        corners.append(setting.affine.stiffness_at(found.x * bar))
     first, second = (rng.integers(aims, size=count - aims) for _ in range(2))
     parts = rng.uniform(size=first.size)
     return [*corners, *(p * corners[i] + (1 - p) * corners[j] for p, i, j in zip(parts, first, second, strict=True))]

@@ -12,11 +12,12 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import ComponentField, parse_component
 from mckibben.config.document import to_text
-from mckibben.config.fields import Title
+from mckibben.config.fields import Flag, Title
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import quoted, suggest
 from mckibben.muscle import SpringLaw
 from mckibben.plant import PerfectSensors
+from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.plant import RobotPlant
@@ -39,7 +40,7 @@ from mckibben.units import (
     mm,
 )
 
-FootStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
+PointStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
 DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Spread = Annotated[float, Percent("1", "%", 0, 50)]
 Correlation = Annotated[float, Quantity("1", "1", -1, 1)]
@@ -141,13 +142,23 @@ class JumpSettings(ConfigModel):
 
 
 class StiffnessSettings(ConfigModel):
-    """A stiffness of the foot at a posture, as its main axes; see `foot_matrix`."""
+    """A stiffness in a posture: of a point, as its main axes (see `stiffness_matrix`), or of joints."""
 
-    principal: tuple[FootStiffnessValue, FootStiffnessValue]
+    principal: tuple[PointStiffnessValue, PointStiffnessValue] | None = None
     direction: Angle = 0.0
-    sideways: FootStiffnessValue | None = None
+    sideways: PointStiffnessValue | None = None
     posture: Angles = Field(default_factory=dict)
-    force: tuple[SignedForce, ...] | None = None  # of the ground: forwards and up, or forwards, to the left and up
+    point: Annotated[BodyPoint, ComponentField(BodyPoint)] | None = None  # default: the foot
+    force: tuple[SignedForce, ...] | None = None  # on the point: forwards and up, or forwards, to the left and up
+    joints: dict[str, Stiffness] = Field(default_factory=dict)  # in place of a point
+    gravity: Flag = False  # whether the muscles hold the weight, the base held
+
+    @model_validator(mode="after")
+    def _of_a_point_or_of_joints(self) -> StiffnessSettings:
+        if self.joints and self.principal is not None:
+            remedy = "give principal, for a point, or joints"
+            fail_validation("has a stiffness of a point and of joints", remedy, field="joints")
+        return self
 
 
 class RobotScenario(RunSettings):
@@ -202,6 +213,13 @@ class RobotScenario(RunSettings):
         if value is None or robot is None:
             return value
         directions = 2 if robot.is_planar else 3
+        for name in value.joints:
+            if name not in [joint.name for joint in robot.joints]:
+                fail_validation(*_unknown_joint(robot, name), field=f"joints.{name}")
+        if value.principal is None:
+            return value
+        if value.point is None and robot.foot is None:
+            fail_validation("the robot has no foot", "give the `point`: its body and place", field="point")
         if (value.sideways is None) != robot.is_planar:
             remedy = "leave sideways out" if robot.is_planar else "give sideways, the stiffness to the side"
             fail_validation(f"the robot moves in {directions} directions", remedy)

@@ -1,4 +1,4 @@
-"""Stiffness of the foot: the ellipse or ellipsoid of a posture and of the stiffness of its joints."""
+"""Stiffness of a point: the ellipse or ellipsoid of a posture and of the stiffness of the joints."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import jit
+from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.dynamics import at_rest, frames, posture_of
 from mckibben.robot.mechanism import Robot
 
 Floats = NDArray[np.float64]
 
 
-class FootStiffness(NamedTuple):
-    """Stiffness of the foot with the base held.
+class PointStiffness(NamedTuple):
+    """Stiffness of a point with the base held.
 
     Attributes
     ----------
@@ -51,28 +52,29 @@ class FootStiffness(NamedTuple):
         return self.compliance[:, plane] @ (force * np.stack([np.cos(angle), np.sin(angle)]))
 
 
-def stiffness_of(compliance: NDArray[np.floating]) -> FootStiffness:
+def stiffness_of(compliance: NDArray[np.floating]) -> PointStiffness:
     """Return the principal stiffness and axes of a compliance [m/N]."""
     values, vectors = np.linalg.eigh(compliance)
     values, axes = values[::-1], vectors[:, ::-1]
     with np.errstate(divide="ignore"):
         principal = 1 / np.where(values > 1e-15, values, 0.0)
     own: Floats = np.asarray(compliance, np.float64)
-    return FootStiffness(own, tuple(principal.tolist()), axes * np.where(axes[0] < 0, -1.0, 1.0))
+    return PointStiffness(own, tuple(principal.tolist()), axes * np.where(axes[0] < 0, -1.0, 1.0))
 
 
-def foot_stiffness(
+def point_stiffness(
     robot: Robot,
     angles: Sequence[float],
     stiffness: ArrayLike | Sequence[float],
     *,
+    point: BodyPoint | Foot | None = None,
     force: Sequence[float] | None = None,
-) -> FootStiffness:
-    r"""Return the stiffness of the foot from that of the joints.
+) -> PointStiffness:
+    r"""Return the stiffness of a point from that of the joints.
 
     .. math:: C = J K_q^{-1} J^\top, \qquad K_q = K - \frac{\partial}{\partial q} J^\top f
 
-    with the Jacobian J of the foot, and the force f of the ground on it: N. Hogan, "The mechanics of multi-joint
+    with the Jacobian J of the point, and the force f on it: N. Hogan, "The mechanics of multi-joint
     posture and movement control", Biological Cybernetics 52 (1985).
 
     Parameters
@@ -82,8 +84,10 @@ def foot_stiffness(
     stiffness
         Stiffness [N*m/rad] of the joints, or their stiffness matrix, with the coupling by muscles over several joints;
         locked joints do not yield.
+    point
+        Point of a body. Default: the foot.
     force
-        Force of the ground [N], forwards and up, or in space forwards, to the left and up. Default: none.
+        Force on it [N], forwards and up, or in space forwards, to the left and up. Default: none.
 
     Raises
     ------
@@ -96,13 +100,13 @@ def foot_stiffness(
 
     >>> from mckibben.robot import read_robot
     >>> robot = read_robot("lei-leg-planar")
-    >>> found = foot_stiffness(robot, (0.0, 0.0), (20.0, 15.0))
+    >>> found = point_stiffness(robot, (0.0, 0.0), (20.0, 15.0))
     >>> [round(one) for one in found.principal], round(found.direction, 3)
     ([28, 1988], -0.056)
 
     In space it is softest to the side:
 
-    >>> found = foot_stiffness(read_robot("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
+    >>> found = point_stiffness(read_robot("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
     >>> [round(one) for one in found.principal], [round(abs(one), 3) for one in found.axes[:, 0].tolist()]
     ([27, 28, 1988], [0.0, 1.0, 0.0])
     """
@@ -116,11 +120,13 @@ def foot_stiffness(
             remedy="give one of each for each joint, in their order, or the stiffness matrix",
         )
     joints = np.diag(given) if given.ndim == 1 else given
-    return stiffness_through(*foot_jacobian(robot, angles, force), movable(robot), joints)
+    return stiffness_through(*point_jacobian(robot, angles, force, point), movable(robot), joints)
 
 
-def stiffness_through(jacobian: Floats, geometric: Floats, free: NDArray[np.bool_], stiffness: Floats) -> FootStiffness:
-    """Return the stiffness of the foot by the stiffness matrix [N*m/rad] of the joints, of which some are free."""
+def stiffness_through(
+    jacobian: Floats, geometric: Floats, free: NDArray[np.bool_], stiffness: Floats
+) -> PointStiffness:
+    """Return the stiffness of a point by the stiffness matrix [N*m/rad] of the joints, of which some are free."""
     yielding = (stiffness - geometric)[np.ix_(free, free)]
     if free.any() and np.linalg.eigvalsh((yielding + yielding.T) / 2).min() <= 0:
         raise RangeError(
@@ -139,11 +145,22 @@ def movable(robot: Robot) -> NDArray[np.bool_]:
     return np.array([joint.locked is None for joint in robot.joints])
 
 
-def foot_jacobian(robot: Robot, angles: Sequence[float], force: Sequence[float] | None = None) -> tuple[Floats, Floats]:
-    """Return the Jacobian [m/rad] of the foot, and the derivative [N*m/rad] of the torques by a force [N] on it.
+def point_jacobian(
+    robot: Robot,
+    angles: Sequence[float],
+    force: Sequence[float] | None = None,
+    point: BodyPoint | Foot | None = None,
+) -> tuple[Floats, Floats]:
+    """Return the Jacobian [m/rad] of a point, and the derivative [N*m/rad] of the torques by a force [N] on it.
 
-    The foot moves in the plane of walking, or in space. `RangeError` unless the force has one number per direction.
+    It moves in the plane, or in space. `RangeError` unless the force has one number per direction, and for a point of
+    an unknown body, or none if the robot has no foot.
     """
+    point = point or robot.foot
+    if point is None or point.body not in robot.frame_names:
+        remedy = f"name a point of {', '.join(robot.frame_names)}"
+        value = None if point is None else point.body
+        raise RangeError("the robot has no such point, and no foot", field="point.body", value=value, remedy=remedy)
     directions = 2 if robot.is_planar else 3
     pushed = (0.0,) * directions if force is None else tuple(force)
     if len(pushed) != directions:
@@ -153,19 +170,17 @@ def foot_jacobian(robot: Robot, angles: Sequence[float], force: Sequence[float] 
             value=list(pushed),
             remedy="give it forwards and up" if robot.is_planar else "give it forwards, to the left and up",
         )
-    jacobian, geometric = _jacobian(robot, tuple(angles), pushed)
+    jacobian, geometric = _jacobian(robot, BodyPoint(point.body, point.place), tuple(angles), pushed)
     return np.asarray(jacobian), np.asarray(geometric)
 
 
 @jit
 def _jacobian(
-    robot: Robot, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
+    robot: Robot, point: BodyPoint, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
 ) -> tuple[Float[Array, "d n"], Float[Array, "n n"]]:
-    """Jacobian of the foot, and the derivative of the torques that balance a force."""
-    point = robot.foot
-    assert point is not None
+    """Jacobian of a point, and the derivative of the torques that balance a force."""
 
-    def foot(q: Array) -> Array:
+    def placed(q: Array) -> Array:
         posture = posture_of(robot, tuple(q))
         frame = frames(robot, posture, at_rest(posture))[robot.frame_names.index(point.body)]
         place, _ = frame.point(point.place.vector)
@@ -173,4 +188,4 @@ def _jacobian(
 
     q = jnp.stack([jnp.asarray(one) for one in angles])
     pushed = jnp.stack([jnp.asarray(one) for one in force])
-    return jax.jacfwd(foot)(q), jax.jacfwd(lambda x: jax.jacfwd(foot)(x).T @ pushed)(q)
+    return jax.jacfwd(placed)(q), jax.jacfwd(lambda x: jax.jacfwd(placed)(x).T @ pushed)(q)

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,18 +12,26 @@ from typer.testing import CliRunner
 
 import mckibben as mk
 from mckibben.cli import app
+from mckibben.component.schema import read_component
 from mckibben.errors import RangeError, ScenarioError, UnreachableError
+from mckibben.muscle import Muscle
 from mckibben.robot import (
+    BodyPoint,
+    Place,
     RobotPlant,
     RobotScenario,
-    attainable_foot_stiffness,
-    foot_matrix,
-    foot_stiffness,
-    pressures_for_foot_stiffness,
+    attainable_point_stiffness,
+    attainable_statics,
+    holding_torques,
+    point_stiffness,
+    pressures_for_joint_stiffness,
+    pressures_for_point_stiffness,
+    read_mjcf,
     read_robot,
+    stiffness_matrix,
 )
-from mckibben.robot.foot import foot_jacobian
-from mckibben.robot.stiffness_map import map_at
+from mckibben.robot.point_stiffness import point_jacobian
+from mckibben.robot.statics import map_at, solve_statics
 from mckibben.units import bar, deg
 from tests.robot.conftest import over_two, with_unit
 
@@ -61,20 +70,19 @@ def test_an_attainable_stiffness_is_exact(name, force):
     pressures[::2] += 0.3e5
     affine = map_at(robot, angles)
     torques = affine.torque_at(pressures)
-    target = foot_stiffness(robot, angles, affine.stiffness_at(pressures), force=force)
+    target = point_stiffness(robot, angles, affine.stiffness_at(pressures), force=force)
     wanted = np.linalg.inv(target.compliance)
-    found = pressures_for_foot_stiffness(robot, angles, wanted, force=force, torques=torques)
+    found = pressures_for_point_stiffness(robot, angles, wanted, force=force, torques=torques)
     assert found.exact and not found.limits and found.least <= found.error
     np.testing.assert_allclose(found.stiffness.compliance, target.compliance, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(robot.torques(angles, found.pressures), torques, atol=1e-7)
-    np.testing.assert_allclose(found.joint_stiffness, found.wanted_joint_stiffness, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.slow
 def test_a_force_is_held_by_the_muscles():
     robot, angles = read_robot("lei-leg-planar"), POSTURES["lei-leg-planar"]
-    found = pressures_for_foot_stiffness(robot, angles, foot_matrix((40.0, 600.0), -0.2), force=(2.0, 15.0))
-    jacobian, _ = foot_jacobian(robot, angles)
+    found = pressures_for_point_stiffness(robot, angles, stiffness_matrix((40.0, 600.0), -0.2), force=(2.0, 15.0))
+    jacobian, _ = point_jacobian(robot, angles)
     np.testing.assert_allclose(robot.torques(angles, found.pressures), -jacobian.T @ [2.0, 15.0], atol=1e-7)
 
 
@@ -85,13 +93,13 @@ def test_a_force_is_held_by_the_muscles():
 def test_no_point_of_a_grid_is_nearer(principal, direction):
     """The two pairs at rest, over all their co-contractions, by the forward map alone."""
     robot, angles = read_robot("lei-leg-planar"), (0.0, -0.3)
-    wanted = foot_matrix(principal, direction)
-    found = pressures_for_foot_stiffness(robot, angles, wanted, minimum_tension=0.0)
+    wanted = stiffness_matrix(principal, direction)
+    found = pressures_for_point_stiffness(robot, angles, wanted, minimum_tension=0.0)
     values, vectors = np.linalg.eigh(wanted)
     root = vectors @ np.diag(values**-0.5) @ vectors.T
 
     def error(stiffness):
-        own = np.linalg.inv(foot_stiffness(robot, angles, stiffness).compliance)
+        own = np.linalg.inv(point_stiffness(robot, angles, stiffness).compliance)
         return float(np.linalg.norm(root @ own @ root - np.eye(2)))
 
     ranges = [np.linspace(*robot.pair(index).attainable_stiffness(at, 0.0), 13) for index, at in enumerate(angles)]
@@ -104,8 +112,8 @@ def test_no_point_of_a_grid_is_nearer(principal, direction):
 
 def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space():
     robot, angles = with_rectus("lei-leg"), POSTURES["lei-leg"]
-    wanted = foot_matrix((60.0, 400.0), -0.6, sideways=30.0)
-    found = pressures_for_foot_stiffness(robot, angles, wanted)
+    wanted = stiffness_matrix((60.0, 400.0), -0.6, sideways=30.0)
+    found = pressures_for_point_stiffness(robot, angles, wanted)
     affine = map_at(robot, angles)
     null = np.linalg.svd(affine.torque[1])[2][len(angles) :]
     rng = np.random.default_rng(1)
@@ -114,7 +122,7 @@ def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space():
     inside = ((tensions >= 1) & (tried >= 0) & (tried <= 6e5)).all(axis=1)
     values, vectors = np.linalg.eigh(wanted)
     root = vectors @ np.diag(values**-0.5) @ vectors.T
-    compliances = [foot_stiffness(robot, angles, affine.stiffness_at(one)).compliance for one in tried[inside]]
+    compliances = [point_stiffness(robot, angles, affine.stiffness_at(one)).compliance for one in tried[inside]]
     errors = [np.linalg.norm(root @ np.linalg.inv(one) @ root - np.eye(3)) for one in compliances]
     assert len(errors) > 10
     assert min(errors) >= found.least - 1e-9
@@ -136,14 +144,14 @@ def test_the_attainable_set_holds_what_random_pressures_attain(name):
     strongest = [float(one.specimen.force_limit) for one in robot.all_muscles]
     inside = tried[((tensions >= 1) & (tensions <= strongest) & (tried >= 0) & (tried <= highest)).all(axis=1)]
     assert len(inside) > 100
-    moved, _ = foot_jacobian(robot, angles)
+    moved, _ = point_jacobian(robot, angles)
 
     def joints(foot):
         return moved.T @ np.linalg.inv(foot) @ moved
 
     levels = 9 if robot.is_planar else 5
     found = np.array(
-        [joints(one.compliance) for one in attainable_foot_stiffness(robot, angles, torques, levels=levels)]
+        [joints(one.compliance) for one in attainable_point_stiffness(robot, angles, torques, levels=levels)]
     )
     random = np.array([affine.stiffness_at(one) for one in inside])
     assert np.ptp(found[:, -1, -2]) > 1  # the coupling varies
@@ -156,8 +164,8 @@ def test_the_attainable_set_holds_what_random_pressures_attain(name):
 def test_a_limit_that_is_relaxed_reduces_the_error():
     """The supply limits the stiffness of stiff joints: with more of it the error falls."""
     robot, angles = with_rectus("lei-leg-planar"), POSTURES["lei-leg-planar"]
-    wanted = 1.5 * np.linalg.inv(foot_stiffness(robot, angles, (18.0, 17.0)).compliance)
-    low, high = (pressures_for_foot_stiffness(robot, angles, wanted, supply=one) for one in (4.5 * bar, 5.5 * bar))
+    wanted = 1.5 * np.linalg.inv(point_stiffness(robot, angles, (18.0, 17.0)).compliance)
+    low, high = (pressures_for_point_stiffness(robot, angles, wanted, supply=one) for one in (4.5 * bar, 5.5 * bar))
     assert low.limits
     limiting = dict(low.limits)
     assert set(limiting.values()) <= {"lowest pressure", "highest pressure", "slack", "rated force"}
@@ -172,22 +180,22 @@ def test_a_limit_that_is_relaxed_reduces_the_error():
 
 def test_what_is_not_possible_is_refused():
     robot, angles = read_robot("lei-leg-planar"), POSTURES["lei-leg-planar"]
-    wanted = foot_matrix((30.0, 800.0), -0.2)
+    wanted = stiffness_matrix((30.0, 800.0), -0.2)
     locked = dataclasses.replace(robot, joints=(robot.joints[0], dataclasses.replace(robot.joints[1], locked=-0.3)))
     spring = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
     for call, kind, field in (
-        (lambda: pressures_for_foot_stiffness(robot, angles, -wanted), RangeError, "wanted"),
-        (lambda: pressures_for_foot_stiffness(robot, angles, np.eye(3)), RangeError, "wanted"),
-        (lambda: pressures_for_foot_stiffness(robot, (0.0, 30 * deg), wanted), RangeError, "angles"),
-        (lambda: pressures_for_foot_stiffness(robot, (0.0, -1.0), wanted), RangeError, "angle"),
-        (lambda: pressures_for_foot_stiffness(locked, angles, wanted), RangeError, "joints"),
+        (lambda: pressures_for_point_stiffness(robot, angles, -wanted), RangeError, "wanted"),
+        (lambda: pressures_for_point_stiffness(robot, angles, np.eye(3)), RangeError, "wanted"),
+        (lambda: pressures_for_point_stiffness(robot, (0.0, 30 * deg), wanted), RangeError, "angles"),
+        (lambda: pressures_for_point_stiffness(robot, (0.0, -1.0), wanted), RangeError, "angle"),
+        (lambda: pressures_for_point_stiffness(locked, angles, wanted), RangeError, "joints"),
         (
-            lambda: pressures_for_foot_stiffness(with_unit(robot, 0, tendon=spring), angles, wanted),
+            lambda: pressures_for_point_stiffness(with_unit(robot, 0, tendon=spring), angles, wanted),
             RangeError,
             "muscle",
         ),
-        (lambda: pressures_for_foot_stiffness(robot, angles, wanted, force=(1.0, 2.0, 3.0)), RangeError, "force"),
-        (lambda: pressures_for_foot_stiffness(robot, angles, wanted, force=(0.0, 500.0)), UnreachableError, ""),
+        (lambda: pressures_for_point_stiffness(robot, angles, wanted, force=(1.0, 2.0, 3.0)), RangeError, "force"),
+        (lambda: pressures_for_point_stiffness(robot, angles, wanted, force=(0.0, 500.0)), UnreachableError, ""),
     ):
         with pytest.raises(kind) as caught:
             call()
@@ -202,16 +210,16 @@ def test_a_slack_return_spring_cannot_hold_a_torque():
         spring = mk.muscle.return_spring(5000.0, path + longer)
         one = with_unit(robot, 1, muscle2=spring)
         if kind is None:
-            assert pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15)).tensions[3] > 0
+            assert pressures_for_point_stiffness(one, angles, stiffness_matrix((20.0, 900.0), -0.15)).tensions[3] > 0
             continue
         with pytest.raises(kind) as caught:
-            pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15))
+            pressures_for_point_stiffness(one, angles, stiffness_matrix((20.0, 900.0), -0.15))
         assert caught.value.value < caught.value.lower and caught.value.remedy
 
 
 def test_the_direction_is_that_in_the_plane_where_the_foot_is_softest_to_the_side():
-    space = foot_stiffness(read_robot("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
-    plane = foot_stiffness(read_robot("lei-leg-planar"), (0.0, 0.0), (20.0, 15.0))
+    space = point_stiffness(read_robot("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
+    plane = point_stiffness(read_robot("lei-leg-planar"), (0.0, 0.0), (20.0, 15.0))
     assert space.direction == pytest.approx(plane.direction, abs=1e-6)
 
 
@@ -225,8 +233,8 @@ def test_a_pushed_foot_in_mujoco_yields_as_computed(name, tmp_path):
     from mckibben.export.robot_mjcf import robot_files
 
     robot, angles = with_rectus(name), POSTURES[name]
-    wanted = foot_matrix((30.0, 700.0), -0.25, None if robot.is_planar else 30.0)
-    found = pressures_for_foot_stiffness(robot, angles, wanted)
+    wanted = stiffness_matrix((30.0, 700.0), -0.25, None if robot.is_planar else 30.0)
+    found = pressures_for_point_stiffness(robot, angles, wanted)
     joints = tuple(dataclasses.replace(one, damping=2.0) for one in robot.joints)
     plant = RobotPlant(dataclasses.replace(robot, base="fixed", joints=joints), mk.FirstOrderValve(0.02), gravity=0.0)
     start = plant.init_state(angles, found.pressures, clearance=0.5)
@@ -272,13 +280,13 @@ def test_the_command_prints_and_keeps_the_pressures(tmp_path):
     result = CliRunner().invoke(app, ["robot", "stiffness", str(file), "--json", "--out", str(out)])
     assert result.exit_code == 0, result.output
     numbers = json.loads(result.stdout)
-    found = pressures_for_foot_stiffness(
-        read_robot("lei-leg-planar"), (0.0, -17 * deg), foot_matrix((25, 800), -9 * deg)
+    found = pressures_for_point_stiffness(
+        read_robot("lei-leg-planar"), (0.0, -17 * deg), stiffness_matrix((25, 800), -9 * deg)
     )
     assert numbers["error"] == pytest.approx(found.error)
     assert list(numbers["pressures_bar"].values()) == pytest.approx([one / bar for one in found.pressures])
     assert json.loads((out / "results.json").read_text()) == numbers
-    assert (out / "foot_stiffness.svg").stat().st_size > 1000
+    assert (out / "point_stiffness.svg").stat().st_size > 1000
     shown = CliRunner().invoke(app, ["robot", "stiffness", str(file)])
     assert shown.exit_code == 0 and "knee2" in shown.output
 
@@ -297,3 +305,75 @@ def test_mistakes_in_a_file_have_lines(before, after, line):
     with pytest.raises(ScenarioError) as caught:
         RobotScenario.parse(TEXT.replace(before, after))
     assert caught.value.problems[0].line in (line, 3) and caught.value.problems[0].remedy
+
+
+def neck_along_its_line(count=4001):
+    """A neck of two joints and three muscles, and all pressures of taut muscles that hold its head, on one line."""
+    robot, angles = RobotScenario.read("examples/robot/neck.yaml").robot, (0.05, -0.03)
+    torques = holding_torques(robot, angles)
+    affine = map_at(robot, angles)
+    null = np.linalg.svd(affine.torque[1])[2][-1]
+    base = np.linalg.lstsq(affine.torque[1], torques - affine.torque[0], rcond=None)[0]
+    tried = base + np.linspace(-3e6, 3e6, count)[:, None] * null
+    tensions = affine.tension[0] + affine.tension[1] * tried
+    inside = tried[((tensions >= 1) & (tensions <= 630) & (tried >= 0) & (tried <= 6e5)).all(axis=1)]
+    return robot, angles, torques, inside, np.array([affine.stiffness_at(one).diagonal() for one in inside])
+
+
+def test_what_a_neck_attains_is_what_its_line_of_pressures_has():
+    robot, angles, torques, inside, stiffness = neck_along_its_line()
+    assert len(inside) > 100
+    found = attainable_statics(robot, angles, torques=torques, supply=6e5)
+    for column, row in zip(stiffness.T, found.values(), strict=True):
+        np.testing.assert_allclose(row.stiffness, (column.min(), column.max()), rtol=2e-3)
+        assert row.torque[0] < 0 < row.torque[1] and all(row.limits)
+    np.testing.assert_allclose(robot.torques(angles, inside[0]), torques, atol=1e-6)
+
+
+@pytest.mark.parametrize("wanted", [(8.0, 8.0), (None, 9.0), (20.0, 3.0)])
+def test_no_pressures_of_a_neck_are_nearer_to_a_stiffness_of_its_joints(wanted):
+    robot, angles, torques, _, stiffness = neck_along_its_line()
+    columns = [i for i, number in enumerate(wanted) if number is not None]
+    errors = np.linalg.norm([stiffness[:, i] / wanted[i] - 1 for i in columns], axis=0)
+    found = pressures_for_joint_stiffness(robot, angles, wanted, torques=torques, supply=6e5)
+    assert found.least <= found.error <= errors.min() * (1 + 1e-9) + 1e-9
+    assert found.error == pytest.approx(errors.min(), rel=0.01, abs=2e-3)
+    assert found.least == pytest.approx(found.error, rel=1e-5, abs=1e-6)
+    np.testing.assert_allclose(robot.torques(angles, found.pressures), torques, atol=1e-6)
+
+
+def test_a_hand_that_more_joints_move_than_it_has_directions_gets_its_stiffness():
+    """The wanted stiffness is that of some pressures; a push on the arm at those that are found yields as wanted."""
+    from scipy.optimize import fsolve
+
+    muscle = read_component(Muscle, Path("examples/robot/arm-muscle.yaml"))
+    robot, angles = read_mjcf(Path("examples/robot/arm.xml"), muscle).robot, np.array([0.1, -0.1, 0.1, 0.2])
+    hand = BodyPoint("hand", Place(0.03, 0.0, -0.08))
+    pressures = np.array([3.0, 3.4, 3.2, 3.0, 2.5, 3.0, 3.0, 3.5]) * bar
+    torques, joints = map_at(robot, angles).torque_at(pressures), map_at(robot, angles).stiffness_at(pressures)
+    compliance = point_stiffness(robot, angles, joints, point=hand).compliance
+    found = pressures_for_point_stiffness(robot, angles, np.linalg.inv(compliance), point=hand, torques=torques)
+    assert found.error < 1e-5 and found.least == 0.0
+    jacobian, _ = point_jacobian(robot, angles, point=hand)
+    push = np.array([0.02, -0.03, 0.01]) / 20
+
+    def unbalanced(at):
+        pull = point_jacobian(robot, at, point=hand)[0].T @ push
+        return np.array(robot.torques(at, found.pressures), float) - torques + pull
+
+    moved = jacobian @ (fsolve(unbalanced, angles, xtol=1e-12) - angles)
+    np.testing.assert_allclose(moved, compliance @ push, rtol=2e-3, atol=1e-7)
+
+
+def test_a_file_asks_for_the_stiffness_of_joints_with_the_weight_held():
+    text = Path("examples/robot/neck.yaml").read_text()
+    wish = "stiffness: {posture: {nod: 2 deg}, joints: {side: 25 N*m/rad}, gravity: true}\n"
+    scenario = RobotScenario.parse(text + wish, folder=Path("examples/robot"))
+    attainable, found = solve_statics(scenario)
+    low, high = attainable["side"].stiffness
+    assert low < 25.0 < high and found.exact
+    assert solve_statics(RobotScenario.parse(text, folder=Path("examples/robot")))[1] is None
+    for change, field in (("side: 25", "neck: 25"), ("joints:", "principal: [1 N/m, 2 N/m], joints:")):
+        with pytest.raises(ScenarioError) as caught:
+            RobotScenario.parse(text + wish.replace(change, field), folder=Path("examples/robot"))
+        assert "joints" in str(caught.value.problems[0].field)

@@ -1,0 +1,766 @@
+"""Statics: what torques and stiffness taut muscles attain in a posture, and the pressures for them.
+
+In a posture, torques and stiffness of the joints are affine in the pressures of taut muscles with laws that are affine
+in pressure. What they attain is a linear program, and the pressures for a stiffness are a linear least-squares problem
+with bounds: exact where it is attainable, otherwise the nearest, with a certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.component.checks import check_count, check_within
+from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
+from mckibben.joint import RigidTendon
+from mckibben.muscle import PressureAffineLaw
+from mckibben.numerics.compiled import jit
+from mckibben.result import Column, Listing
+from mckibben.robot.bodies import BodyPoint, Foot
+from mckibben.robot.dynamics import joint_equations
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.muscles import check_contractions
+from mckibben.robot.point_stiffness import PointStiffness, movable, point_jacobian, stiffness_of, stiffness_through
+from mckibben.units import bar, deg
+
+if TYPE_CHECKING:
+    from mckibben.robot.scenario import RobotScenario
+
+Floats = NDArray[np.float64]
+
+EXACT = 1e-6
+"""Relative error of a stiffness below which it is exact."""
+_WEIGHT = 1e5
+"""Weight of the torques, which are constraints, relative to the errors of the stiffness."""
+_CENTRED = 1e-6
+"""Weight of the distance of a pressure from the middle of its range: it selects among equal solutions."""
+_SINGULAR = 1e-6
+_STARTS, _MARGIN = 8, 0.1
+"""Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
+_SURE = 0.01
+"""Relative difference of error and bound below which the error is called the least possible."""
+
+
+class StaticsMap(NamedTuple):
+    """Torques, stiffness and tensions at a posture, affine in the pressures of taut muscles: offset + slope p.
+
+    Torques [N*m] of the joints, (joints,) and (joints, muscles); stiffness matrix [N*m/rad], minus the derivative of
+    the torques, (joints, joints) and (joints, joints, muscles); tensions [N], (muscles,), each by its own pressure.
+    """
+
+    torque: tuple[Floats, Floats]
+    stiffness: tuple[Floats, Floats]
+    tension: tuple[Floats, Floats]
+
+    def torque_at(self, pressures: ArrayLike) -> Floats:
+        """Return the torques [N*m] at gauge pressures [Pa]."""
+        return self.torque[0] + self.torque[1] @ np.asarray(pressures, float)
+
+    def stiffness_at(self, pressures: ArrayLike) -> Floats:
+        """Return the stiffness matrix [N*m/rad] at gauge pressures [Pa]."""
+        return self.stiffness[0] + self.stiffness[1] @ np.asarray(pressures, float)
+
+
+def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
+    """Return the map at angles [rad] of a robot that `check_affine` accepts."""
+    (torque, gain, offset, slope), (stiffness, coupling) = _affine(robot, tuple(map(float, angles)))
+    return StaticsMap(
+        (np.asarray(torque), np.asarray(gain)),
+        (-np.asarray(stiffness), -np.asarray(coupling).transpose(0, 2, 1)),
+        (np.asarray(offset), np.asarray(slope)),
+    )
+
+
+def check_affine(robot: Robot) -> None:
+    """Raise `RangeError` unless laws are affine in pressure and tendons rigid."""
+    for name, kind in _not_affine(robot):
+        raise RangeError(
+            f"{name}: with a {kind} the stiffness is not affine in the pressures",
+            field="muscle",
+            value=kind,
+            remedy="give it a law that is affine in pressure, and a rigid tendon",
+        )
+
+
+def is_affine(robot: Robot) -> bool:
+    """Whether laws are affine in pressure and tendons rigid."""
+    return not any(_not_affine(robot))
+
+
+def _not_affine(robot: Robot) -> Iterator[tuple[str, str]]:
+    """Muscles, and the class of what is not affine in them."""
+    for name, muscle, tendon in zip(robot.muscle_names, robot.all_muscles, robot.tendons, strict=True):
+        for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
+            if not isinstance(part, kind):
+                yield name, type(part).__name__
+
+
+@jit
+def _affine(robot: Robot, angles: tuple[ArrayLike, ...]) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
+    """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles."""
+
+    def terms(q: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        units = robot.routed_muscles(robot.held(tuple(q)))
+        pairs = [
+            unit.muscle.force_law.pressure_terms(unit.muscle.specimen.contraction_at(unit.path))  # type: ignore
+            for unit in units
+        ]
+        offset, gain = (jnp.stack([jnp.asarray(one) for one in column]) for column in zip(*pairs, strict=True))
+        zero = jnp.zeros(())
+        arms = jnp.stack(
+            [jnp.stack([-unit.slopes.get(joint, zero) for unit in units]) for joint in range(len(robot.joints))]
+        )
+        return (arms @ offset, arms * gain), (offset, gain)
+
+    q = jnp.stack([jnp.asarray(one) for one in angles])
+    (torque, gain), (offset, slope) = terms(q)
+    stiffness, coupling = jax.jacfwd(lambda x: terms(x)[0])(q)
+    return (torque, gain, offset, slope), (stiffness, coupling)
+
+
+class HeldPosture(NamedTuple):
+    """A posture with its map, the movable joints, the limits of the pressures, and the torques that are held.
+
+    Pressures are in bar here, so that the problems are well scaled. `equal` and `held` are the equations of the torques
+    of the movable joints.
+    """
+
+    robot: Robot
+    affine: StaticsMap
+    free: NDArray[np.bool_]
+    low: Floats
+    high: Floats
+    names: list[tuple[str, str]]
+    equal: Floats
+    held: Floats
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        angles: Sequence[float],
+        torques: ArrayLike | None,
+        supply: float = np.inf,
+        minimum_tension: float = 1.0,
+    ) -> HeldPosture:
+        """Raises as `pressures_for_joint_stiffness` does."""
+        check_affine(robot)
+        check_count("angles", len(angles), len(robot.joints), "joint")
+        _check_angles(robot, angles)
+        affine, free = map_at(robot, angles), movable(robot)
+        torques = np.zeros(len(free)) if torques is None else np.asarray(torques, float)
+        low, high, names = _pressure_ranges(robot, affine, supply, minimum_tension)
+        equal, held = affine.torque[1][free] * bar, torques[free] - affine.torque[0][free]
+        setting = cls(robot, affine, free, low / bar, high / bar, names, equal, held)
+        setting.check_torques()
+        return setting
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest pressure of each muscle [bar]."""
+        return np.stack([self.low, self.high], axis=-1)
+
+    def stiffness(self) -> tuple[Floats, Floats]:
+        """Return offset and slopes per bar of the stiffness matrix of the movable joints."""
+        inner = np.ix_(self.free, self.free)
+        return self.affine.stiffness[0][inner], self.affine.stiffness[1][inner] * bar
+
+    def check_torques(self) -> None:
+        """Raise `UnreachableError` unless pressures within the limits give the torques."""
+        from scipy.optimize import linprog
+
+        equal, held = self.equal, self.held
+        if linprog(np.zeros(self.low.size), A_eq=equal, b_eq=held, bounds=self.bounds).status == 0:
+            return
+        names = [joint.name for joint in self.robot.joints if joint.locked is None]
+        for name, row, torque in zip(names, equal, held, strict=True):
+            least, most = (np.where(row * sign > 0, self.low, self.high) @ row for sign in (1, -1))
+            if not least <= torque <= most:
+                raise UnreachableError(
+                    f"{name}: its torque is outside what taut muscles can hold, by "
+                    f"{max(least - torque, torque - most):.3g} N*m",
+                    value=float(torque),
+                    lower=float(least),
+                    upper=float(most),
+                    unit="N*m",
+                    remedy="choose another posture or less force",
+                )
+        raise UnreachableError(
+            "no pressures hold the torques of all joints at once",
+            unit="N*m",
+            remedy="choose another posture, less force or weaker muscles over several joints",
+        )
+
+    def extreme(self, goal: Floats, equal: Floats, held: Floats) -> tuple[float, str]:
+        """Return the least value of a goal over the pressures, and the muscle whose limit keeps it from being less."""
+        from scipy.optimize import linprog
+
+        found = linprog(goal, A_eq=equal, b_eq=held, bounds=self.bounds)
+        multipliers = -(found.lower.marginals + found.upper.marginals)
+        limits = self.limits(multipliers)
+        return float(found.fun), " at ".join(limits[0]) if limits else ""
+
+    def limits(self, multipliers: Floats) -> tuple[tuple[str, str], ...]:
+        """Return muscles whose limits keep a value from being smaller, and these limits, the strongest first."""
+        strength = np.abs(multipliers)
+        order = np.argsort(-strength, kind="stable")
+        counted = [i for i in order if strength[i] > EXACT * max(1.0, float(strength.max()))]
+        names = self.robot.muscle_names
+        return tuple((names[i], self.names[i][1 if multipliers[i] > 0 else 0]) for i in counted)
+
+    def nearest(self, factors: Floats, target: Floats) -> Floats:
+        """Return the pressures [bar] whose ``factors @ pressures`` are nearest to a target."""
+        from scipy.optimize import lsq_linear
+
+        scale = _WEIGHT / np.linalg.norm(self.equal, axis=1)
+        centred = _CENTRED / np.maximum(self.high - self.low, 1e-9)
+        rows = np.concatenate([factors, scale[:, None] * self.equal, np.diag(centred)])
+        right = np.concatenate([target, scale * self.held, centred * (self.low + self.high) / 2])
+        bounds = self.low - 1e-12, self.high + 1e-12  # not empty for a spring, whose pressure is 0
+        return lsq_linear(rows, right, bounds, method="bvls", tol=1e-15, max_iter=100).x
+
+
+class JointRange(NamedTuple):
+    """What the muscles attain at a joint, with the torques of the others held, and the muscles that limit it.
+
+    Attributes
+    ----------
+    torque
+        Least and greatest torque [N*m].
+    stiffness
+        Least and greatest stiffness [N*m/rad] at the torques that are held.
+    limits
+        Muscle and limit for each of these four: "lowest pressure", "highest pressure", "slack" or "rated force".
+    """
+
+    torque: tuple[float, float]
+    stiffness: tuple[float, float]
+    limits: tuple[str, str, str, str]
+
+
+def attainable_statics(
+    robot: Robot,
+    angles: Sequence[float],
+    *,
+    torques: ArrayLike | None = None,
+    supply: float = np.inf,
+    minimum_tension: float = 1.0,
+) -> dict[str, JointRange]:
+    """Return the attainable torques and stiffness of each movable joint in a posture, by its name.
+
+    Arguments and errors are those of `pressures_for_joint_stiffness`.
+
+    Examples
+    --------
+    >>> from mckibben.robot import read_robot
+    >>> knee = attainable_statics(read_robot("lei-leg-planar"), (0.0, 0.0))["knee"]
+    >>> [round(number, 1) for number in knee.stiffness], knee.limits[3]
+    ([9.5, 20.1], 'knee1 at highest pressure')
+    """
+    setting = HeldPosture.of(robot, angles, torques, supply, minimum_tension)
+    offset, slopes = setting.stiffness()
+    names = [joint.name for joint, free in zip(robot.joints, setting.free, strict=True) if free]
+    found = {}
+    for index, name in enumerate(names):
+        others = np.arange(len(names)) != index
+        row, own = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
+        rest = setting.equal[others], setting.held[others]
+        goals = (row, *rest), (slopes[index, index], setting.equal, setting.held)
+        ends = [setting.extreme(sign * goal, *equations) for goal, *equations in goals for sign in (1, -1)]
+        (least, by1), (most, by2), (softest, by3), (stiffest, by4) = ends
+        at = float(offset[index, index])
+        found[name] = JointRange((own + least, own - most), (at + softest, at - stiffest), (by1, by2, by3, by4))
+    return found
+
+
+def holding_torques(robot: Robot, angles: Sequence[float], gravity: float = 9.81) -> Floats:
+    """Return the torques [N*m] with which the muscles hold a posture, the base held; 0 of locked joints."""
+    torques, free = np.zeros(len(robot.joints)), movable(robot)
+    torques[free] = np.array(joint_equations(robot, tuple(angles), (0.0,) * len(angles), gravity).bias, float)
+    return torques
+
+
+class StaticPressures(NamedTuple):
+    """Pressures for a stiffness of joints or of a point.
+
+    Attributes
+    ----------
+    muscles
+        Names of the muscles.
+    pressures, tensions
+        Gauge pressures [Pa] and tensions [N] of all muscles.
+    joint_stiffness
+        Stiffness matrix [N*m/rad] of the joints at these pressures.
+    error
+        Of joints: the root of the sum of squares of the relative errors. Of a point: the norm of
+        W^(-1/2) K W^(-1/2) - 1 (Frobenius), with the stiffness K and the wanted one W: the root of the sum of squares
+        of the relative errors along the axes, and of what turns them.
+    least
+        Certificate: no pressures within the limits have a smaller error. 0, none, for a point that more joints move
+        than it has directions, whose stiffness is not affine in the pressures.
+    limits
+        What keeps the error from being smaller: pairs of muscle and "lowest pressure", "highest pressure", "slack"
+        (the lowest tension) or "rated force", the strongest limit first. Empty if the stiffness is exact, or if other
+        pressures outside the limits would not be better.
+    stiffness, wanted
+        Stiffness of the point, and the matrix [N/m] that was wanted.
+    force
+        Static force [N] on the point.
+    """
+
+    muscles: tuple[str, ...]
+    pressures: tuple[float, ...]
+    tensions: tuple[float, ...]
+    joint_stiffness: Floats
+    error: float
+    least: float
+    limits: tuple[tuple[str, str], ...]
+    stiffness: PointStiffness | None = None
+    wanted: Floats | None = None
+    force: tuple[float, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Whether the stiffness is that wanted."""
+        return self.error <= EXACT
+
+    def record(self) -> dict[str, Any]:
+        """Return the results as plain data."""
+        found: dict[str, Any] = {
+            "pressures_bar": dict(zip(self.muscles, (one / bar for one in self.pressures), strict=True)),
+            "tensions": dict(zip(self.muscles, self.tensions, strict=True)),
+            "exact": self.exact,
+            "error": self.error,
+            "least_error": self.least,
+            "limits": dict(self.limits),
+            "joint_stiffness": self.joint_stiffness.tolist(),
+        }
+        if self.stiffness is not None and self.wanted is not None:
+            found |= {
+                "principal": list(self.stiffness.principal),
+                "direction_deg": self.stiffness.direction / deg,
+                "wanted_direction_deg": stiffness_of(np.linalg.inv(self.wanted)).direction / deg,
+                "axes": self.stiffness.axes.T.tolist(),
+                "wanted": self.wanted.tolist(),
+                "attained": np.linalg.inv(self.stiffness.compliance).tolist(),
+            }
+        return found
+
+    def listing(self) -> Listing:
+        """Table of the muscles."""
+        limits = dict(self.limits)
+        columns: dict[str, tuple[Column, Any]] = {
+            "muscle": (Column(), list(self.muscles)),
+            "pressure": (Column("Pa", "pressure", "bar"), list(self.pressures)),
+            "tension": (Column("N", "tension"), list(self.tensions)),
+            "limit": (Column("", "limited by"), [limits.get(name, "") for name in self.muscles]),
+        }
+        return Listing("Muscles", columns)
+
+    def describe(self) -> str:
+        """Return stiffness and error as text."""
+        text = "stiffness of the joints: "
+        if self.stiffness is not None and self.wanted is not None:
+            found, wanted = _axes_text(self.stiffness), _axes_text(stiffness_of(np.linalg.inv(self.wanted)))
+            text = f"main axes {found}, wanted {wanted}: "
+        if self.exact:
+            return text + "exact"
+        text += f"relative error {self.error:.3g}"
+        if self.least >= (1 - _SURE) * self.error:
+            text += f", the least possible (bound {self.least:.3g})"
+        elif self.least > 0:  # 0 without a certificate
+            text += f"; no pressures have less than {self.least:.3g}"
+        return text if self.limits else text + ", within the limits or beyond them"
+
+
+def _axes_text(stiffness: PointStiffness) -> str:
+    numbers = ", ".join(f"{one:.4g}" for one in stiffness.principal)
+    return f"{numbers} N/m (softest at {stiffness.direction / deg:.1f} deg)"
+
+
+def pressures_for_joint_stiffness(
+    robot: Robot,
+    angles: Sequence[float],
+    stiffness: Sequence[float | None],
+    *,
+    torques: ArrayLike | None = None,
+    supply: float = np.inf,
+    minimum_tension: float = 1.0,
+) -> StaticPressures:
+    """Return the pressures with which the stiffness of the joints is nearest to a wanted one.
+
+    Muscles stay taut, within their rated pressures and forces. Of pressures with equal errors, those nearest to the
+    middle of their ranges are taken.
+
+    Parameters
+    ----------
+    angles
+        Angles [rad] of the joints.
+    stiffness
+        Stiffness [N*m/rad] of each joint, the others held; None for any.
+    torques
+        Static torques [N*m] of the muscles on the joints. Default: none.
+    supply
+        Highest gauge pressure of the supply [Pa].
+    minimum_tension
+        Lowest tension [N] of each muscle.
+
+    Raises
+    ------
+    RangeError
+        If an angle is beyond a stop of its joint, a stiffness is not positive, or a law is not affine in pressure.
+    UnreachableError
+        If no pressures give the torques; with the joint and its attainable range.
+
+    Examples
+    --------
+    >>> from mckibben.robot import read_robot
+    >>> found = pressures_for_joint_stiffness(read_robot("lei-leg-planar"), (0.0, 0.0), (None, 15.0))
+    >>> found.exact, round(float(found.joint_stiffness[1, 1]), 6)
+    (True, 15.0)
+    """
+    setting = HeldPosture.of(robot, angles, torques, supply, minimum_tension)
+    check_count("stiffness", len(stiffness), len(robot.joints), "joint, None for any")
+    free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
+    rows = [(place, stiffness[index]) for place, index in enumerate(free) if stiffness[index] is not None]
+    for _, number in rows:
+        check_within("stiffness", 0.0, np.inf, "N*m/rad", remedy="give a positive one", stiffness=float(number or 0.0))
+    offset, slopes = setting.stiffness()
+    places, wanted = [place for place, _ in rows], np.array([number for _, number in rows], float)
+    factors = slopes[places, places] / wanted[:, None]
+    return _solved(setting, factors, 1 - offset[places, places] / wanted)
+
+
+def _solved(
+    setting: HeldPosture, factors: Floats, target: Floats, found: Floats | None = None, **others: Any
+) -> StaticPressures:
+    """Nearest pressures, or given ones [bar], for a stiffness whose errors are ``factors @ pressures - target``."""
+    certain = found is None
+    found = setting.nearest(factors, target) if found is None else found
+    residual = factors @ found - target
+    least, multipliers = _certificate(setting, found, factors.T @ residual, residual)
+    error = float(np.linalg.norm(residual))
+    pressures = np.clip(found, setting.low, setting.high) * bar
+    affine = setting.affine
+    return StaticPressures(
+        setting.robot.muscle_names,
+        tuple(pressures.tolist()),
+        tuple(np.maximum(affine.tension[0] + affine.tension[1] * pressures, 0.0).tolist()),
+        affine.stiffness_at(pressures),
+        error,
+        min(least, error) if certain else 0.0,
+        () if error <= EXACT else setting.limits(multipliers),
+        **others,
+    )
+
+
+def pressures_for_point_stiffness(
+    robot: Robot,
+    angles: Sequence[float],
+    wanted: ArrayLike,
+    *,
+    point: BodyPoint | Foot | None = None,
+    force: Sequence[float] | None = None,
+    torques: ArrayLike | None = None,
+    supply: float = np.inf,
+    minimum_tension: float = 1.0,
+) -> StaticPressures:
+    r"""Return the pressures with which the stiffness of a point is nearest to a wanted one, the base held.
+
+    Where more joints move the point than it has directions, its stiffness
+
+    .. math:: K = (J K_q^{-1} J^\top)^{-1} = N^\top K_q N, \qquad N = K_q^{-1} J^\top K
+
+    is not affine in the pressures; as the derivative of N has no effect, it is linearised about each solution until
+    that stays. The result is then a local one.
+
+    Parameters
+    ----------
+    angles, supply, minimum_tension
+        As for `pressures_for_joint_stiffness`.
+    wanted
+        Stiffness matrix of the point [N/m], positive definite: forwards and up, or in space forwards, to the left and
+        up.
+    point
+        Point of a body. Default: the foot.
+    force
+        Static force [N] on the point. Default: none.
+    torques
+        Static torques [N*m] of the muscles on the joints. Default: those that hold the force, without gravity.
+
+    Raises
+    ------
+    RangeError, UnreachableError
+        As for `pressures_for_joint_stiffness`; if the matrix is not positive definite, fewer joints move than the point
+        has directions, or the robot is stretched.
+
+    Examples
+    --------
+    Muscles over one joint cannot turn the ellipse as wanted, and two of them are at a limit:
+
+    >>> from mckibben.robot import read_robot
+    >>> robot = read_robot("lei-leg-planar")
+    >>> found = pressures_for_point_stiffness(robot, (0.0, -0.3), stiffness_matrix((20.0, 900.0), -0.15))
+    >>> found.exact, round(found.error, 2), round(found.least, 2), [round(one) for one in found.stiffness.principal]
+    (False, 0.3, 0.3, [17, 887])
+    >>> found.limits
+    (('hip1', 'slack'), ('knee1', 'highest pressure'))
+    """
+    from scipy.linalg import sqrtm
+
+    check_affine(robot)
+    _check_angles(robot, angles)
+    jacobian, geometric = point_jacobian(robot, angles, force, point)
+    wanted = _checked(wanted, len(jacobian))
+    pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
+    free = movable(robot)
+    moved, bent = _check_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
+    setting = HeldPosture.of(
+        robot, angles, -jacobian.T @ pushed if torques is None else torques, supply, minimum_tension
+    )
+    root = np.linalg.inv(np.real(sqrtm(wanted)))
+    offset, slopes = setting.stiffness()
+    upper = np.triu_indices(len(wanted))
+    twice = np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0))  # both off-diagonal elements
+
+    def problem(inverse: Floats) -> tuple[Floats, Floats]:
+        """Errors of the stiffness in the norm, as factors @ pressures - target, for an N."""
+        to_point = root @ inverse.T
+        factors = twice[:, None] * np.einsum("ai,ijm,bj->abm", to_point, slopes, to_point)[upper]
+        return factors, twice * (np.eye(len(wanted)) - to_point @ (offset - bent) @ to_point.T)[upper]
+
+    others = {"wanted": wanted, "force": tuple(pushed.tolist())}
+    if moved.shape[0] == moved.shape[1]:
+        found = _solved(setting, *problem(np.asarray(np.linalg.inv(moved), float)), **others)
+    else:
+        inverse, at = _settled(setting, moved, bent, problem)
+        found = _solved(setting, *problem(inverse), at, **others)
+    return found._replace(stiffness=stiffness_through(jacobian, geometric, free, found.joint_stiffness))
+
+
+def _settled(
+    setting: HeldPosture, moved: Floats, bent: Floats, problem: Callable[[Floats], tuple[Floats, Floats]]
+) -> tuple[Floats, Floats]:
+    """N at the pressures [bar] that solve the problem linearised about them, and these."""
+    from scipy.optimize import linprog
+
+    offset, slopes = setting.stiffness()
+
+    def yielding(pressures: Floats) -> tuple[Floats, float]:
+        """Stiffness matrix of the joints under the force, and its least eigenvalue."""
+        matrix = offset + slopes @ pressures - bent
+        return matrix, float(np.linalg.eigvalsh((matrix + matrix.T) / 2).min())
+
+    def inverse_at(pressures: Floats) -> Floats:
+        compliant = np.linalg.solve(yielding(pressures)[0], moved.T)
+        return compliant @ np.linalg.inv(moved @ compliant)
+
+    def error(pressures: Floats, margin: float = 0.0) -> float:
+        """Error of the stiffness, infinite where the least eigenvalue is not above a margin."""
+        if not yielding(pressures)[1] > margin:
+            return np.inf
+        factors, target = problem(inverse_at(pressures))
+        return float(np.linalg.norm(factors @ pressures - target))
+
+    def settled(at: Floats) -> Floats:
+        before = error(at)
+        while np.isfinite(before):
+            step, part = setting.nearest(*problem(inverse_at(at))) - at, 1.0
+            margin = _MARGIN * yielding(at)[1]
+            while part > EXACT and not error(at + part * step, margin) < before:
+                part /= 2
+            gained = before - error(at + part * step, margin)
+            if not gained > EXACT * before:
+                break
+            at, before = at + part * step, before - gained
+        return at
+
+    rng, size = np.random.default_rng(0), slopes.shape[-1]
+    goals = [-np.trace(slopes), *rng.normal(size=(_STARTS, size))]  # the stiffest on average, and others
+    found = [linprog(goal, A_eq=setting.equal, b_eq=setting.held, bounds=setting.bounds).x for goal in goals]
+    middle = np.mean(found, axis=0)
+    at = min((settled(start) for start in (middle, *found)), key=error)
+    if not np.isfinite(error(at)):
+        remedy = "give less force, or another posture"
+        raise RangeError("the posture is not stable at any pressures that were tried", field="force", remedy=remedy)
+    inverse = inverse_at(at)
+    return inverse, at
+
+
+def solve_statics(scenario: RobotScenario, *, source: str = "") -> tuple[dict[str, JointRange], StaticPressures | None]:
+    """Return what is attainable in the posture of the section `stiffness` of a file, and the pressures for it.
+
+    Without that section the posture is that of all angles as near 0 as they can be.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be solved.
+    """
+    wanted, source, robot = scenario.stiffness, source or scenario.name, scenario.robot
+    supply = float(getattr(scenario.valve, "supply", None) or np.inf)
+    angles = robot.posture_angles({} if wanted is None else wanted.posture)
+    held = None if wanted is None or not wanted.gravity else holding_torques(robot, angles)
+    try:
+        if wanted is None or wanted.principal is None:
+            attainable = attainable_statics(robot, angles, torques=held, supply=supply)
+            if wanted is None or not wanted.joints:
+                return attainable, None
+            rows = [wanted.joints.get(joint.name) for joint in robot.joints]
+            return attainable, pressures_for_joint_stiffness(robot, angles, rows, torques=held, supply=supply)
+        matrix = stiffness_matrix(wanted.principal, wanted.direction, wanted.sideways)
+        if wanted.force is not None:
+            pushing = -point_jacobian(robot, angles, wanted.force, wanted.point)[0].T @ np.asarray(wanted.force)
+            held = pushing if held is None else held + pushing
+        found = pressures_for_point_stiffness(
+            robot, angles, matrix, point=wanted.point, force=wanted.force, torques=held, supply=supply
+        )
+        return attainable_statics(robot, angles, torques=held, supply=supply), found
+    except McKibbenError as error:
+        raise ScenarioError(source, [Problem.of(error, field="stiffness")]) from error
+
+
+def attainable_listing(attainable: dict[str, JointRange]) -> Listing:
+    """Return a table of what is attainable at each joint."""
+    rows = list(attainable.values())
+
+    def column(name: str, unit: str, title: str, values: list[float], limit: int) -> dict[str, tuple[Column, Any]]:
+        by = [row.limits[limit] for row in rows]
+        return {name: (Column(unit, title, digits=3), values), f"{name}_limit": (Column("", "limited by"), by)}
+
+    columns: dict[str, tuple[Column, Any]] = {"joint": (Column(), list(attainable))}
+    columns |= column("least_torque", "N*m", "least torque", [row.torque[0] for row in rows], 0)
+    columns |= column("greatest_torque", "N*m", "greatest torque", [row.torque[1] for row in rows], 1)
+    columns |= column("softest", "N*m/rad", "least stiffness", [row.stiffness[0] for row in rows], 2)
+    columns |= column("stiffest", "N*m/rad", "greatest stiffness", [row.stiffness[1] for row in rows], 3)
+    return Listing("Attainable at each joint", columns)
+
+
+def stiffness_matrix(principal: Sequence[float], direction: float, sideways: float | None = None) -> Floats:
+    """Return the stiffness matrix [N/m] of a point with principal stiffness [N/m] in the plane of x and z.
+
+    Parameters
+    ----------
+    principal
+        Along the first axis, and across it.
+    direction
+        Angle [rad] of the first axis from the forward direction.
+    sideways
+        Stiffness to the side [N/m], for a robot in space.
+    """
+    along = np.array([np.cos(direction), np.sin(direction)])
+    across = np.array([-along[1], along[0]])
+    plane = principal[0] * np.outer(along, along) + principal[1] * np.outer(across, across)
+    if sideways is None:
+        return plane
+    matrix = np.diag([0.0, sideways, 0.0])
+    matrix[np.ix_([0, 2], [0, 2])] = plane
+    return matrix
+
+
+def _checked(wanted: ArrayLike, directions: int) -> Floats:
+    matrix = np.asarray(wanted, float)
+    if matrix.shape != (directions, directions) or not np.allclose(matrix, matrix.T):
+        raise RangeError(
+            f"a stiffness of the point with the shape {matrix.shape}",
+            field="wanted",
+            value=matrix.tolist(),
+            remedy=f"give a symmetric matrix with {directions} rows",
+        )
+    if not np.linalg.eigvalsh(matrix).min() > 0:
+        raise RangeError(
+            "the stiffness of the point is not positive in all directions",
+            field="wanted",
+            value=matrix.tolist(),
+            remedy="give a positive definite matrix",
+        )
+    return matrix
+
+
+def _check_angles(robot: Robot, angles: Sequence[float]) -> None:
+    """Raise `RangeError` for a posture beyond stops, and for contractions outside the domains of the muscles."""
+    for joint, angle in zip(robot.joints, angles, strict=True):
+        if joint.locked is None:
+            low, high = joint.lower - 1e-9, joint.upper + 1e-9
+            remedy = "choose an angle between its stops"
+            check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
+    for name, unit in zip(robot.muscle_names, robot.routed_muscles(robot.held(angles)), strict=True):
+        check_contractions(name, unit.muscle, jnp.reshape(unit.path, (1,)), ["this posture"])
+
+
+def _check_jacobian(jacobian: Floats) -> Floats:
+    """Return the Jacobian of the movable joints; `RangeError` unless they move the point in all directions."""
+    directions, joints = jacobian.shape
+    if directions > joints:
+        raise RangeError(
+            f"{joints} joints can move, and the point has {directions} directions",
+            field="joints",
+            value=joints,
+            remedy="unlock joints, or give the stiffness of the joints",
+        )
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    if values[-1] < _SINGULAR * values[0]:
+        raise RangeError(
+            "the robot is stretched: along it the point does not yield",
+            field="angles",
+            remedy="bend it",
+        )
+    return jacobian
+
+
+def _pressure_ranges(
+    robot: Robot, affine: StaticsMap, supply: float, minimum_tension: float
+) -> tuple[Floats, Floats, list[tuple[str, str]]]:
+    """Lowest and highest pressure [Pa] of each taut muscle, and what limits it below and above."""
+    lows, highs, names = [], [], []
+    muscles = zip(robot.muscle_names, robot.all_muscles, *affine.tension, strict=True)
+    for name, muscle, offset, slope in muscles:
+        domain = muscle.domain
+        below = {"lowest pressure": float(domain.pressure_min)}
+        above = {"highest pressure": min(float(domain.pressure_max), supply)}
+        if slope > 0:
+            below["slack"] = float((minimum_tension - offset) / slope)
+            above["rated force"] = float((muscle.specimen.force_limit - offset) / slope)
+        elif offset < minimum_tension:
+            raise UnreachableError(
+                f"{name}: it is slack, and pressure does not tighten it",
+                value=float(offset),
+                lower=minimum_tension,
+                unit="N",
+                remedy="choose a posture that stretches it more, or a shorter spring",
+            )
+        lower, upper = max(below, key=lambda key: below[key]), min(above, key=lambda key: above[key])
+        low, high = below[lower], above[upper]
+        if low > high:
+            raise UnreachableError(
+                f"{name}: no pressure within its limits holds it taut",
+                value=low,
+                upper=high,
+                unit="Pa",
+                remedy="choose a posture that stretches it more",
+            )
+        lows.append(low)
+        highs.append(high)
+        names.append((lower, upper))
+    return np.array(lows), np.array(highs), names
+
+
+def _certificate(setting: HeldPosture, at: Floats, gradient: Floats, residual: Floats) -> tuple[float, Floats]:
+    """Lower bound of the error within the limits, and the multipliers of the bounds, above 0 of the upper ones.
+
+    The squared error is convex: it lies above its tangent, whose least value is a linear program.
+    """
+    from scipy.optimize import linprog
+
+    bounds = setting.bounds + np.array([-1e-12, 1e-12])
+    found = linprog(gradient, A_eq=setting.equal, b_eq=setting.held, bounds=bounds)
+    if found.status != 0:
+        return 0.0, np.zeros(at.size)
+    square = residual @ residual + 2 * (found.fun - gradient @ at)
+    return float(np.sqrt(max(square, 0.0))), -(found.lower.marginals + found.upper.marginals)
