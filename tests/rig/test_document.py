@@ -198,14 +198,3 @@ def test_a_card_and_its_wiring(tmp_path):
     backend = check(test).setup.backend
     assert [channel.where for channel in backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
     assert backend.inputs[0].high == 800 and backend.inputs[1].high < 1e6  # before the end of the converter
-
-
-def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):
-    path = tmp_path / "p.yaml"
-    path.write_text(STEPS.replace("times: 3", "times: 10000").replace("{times: 2, ", "{times: 10000, "))
-    test, document = read_test(path)
-    with pytest.raises(ScenarioError) as found:
-        check(test, document, source="p.yaml")
-    (problem,) = found.value.problems
-    assert (problem.line, problem.field) == (17, "protocol.steps[9].repeat.times")
-    assert "100020009 steps" in problem.message and "1000000" in problem.message

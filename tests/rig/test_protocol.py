@@ -3,7 +3,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import RangeError
-from mckibben.muscle import ChouLaw, Domain, Muscle
+from mckibben.muscle import ChouLaw, Muscle
 from mckibben.rig import IsobaricProtocol, boundaries
 from mckibben.units import bar, mm, percent
 
@@ -59,26 +59,6 @@ def test_a_pressure_without_any_force_keeps_its_slack_plateaus():
     assert len(rows.time) == 6
 
 
-def test_numbers_without_meaning_are_refused_together():
-    with pytest.raises(RangeError) as error:
-        IsobaricProtocol(
-            pressures=[1e5, 1e5],
-            step=0,
-            speed=float("nan"),
-            dwell=-1,
-            samples=10.5,
-            repeats=0,
-            force_reserve=5,
-        )  # type: ignore[arg-type]
-    text = str(error.value)
-    assert text.startswith("isobaric protocol: 7 problems\n")
-    assert "pressures: one is given twice" in text and "samples: is 10.5" in text
-    assert "step: is 0 m" in text and "speed: is nan m/s" in text and "dwell: is -1 s" in text
-    assert "repeats: is 0" in text and "force_reserve: is 5" in text and "5 % is 0.05" in text
-    with pytest.raises(RangeError, match="give at least one"):
-        IsobaricProtocol(pressures=[])
-
-
 def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
     protocol = IsobaricProtocol(pressures=[6 * bar, 9 * bar, -1 * bar], contraction_min=-6.5 * percent)
     with pytest.raises(RangeError) as error:
@@ -92,15 +72,3 @@ def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
     for use in (protocol.plateaus, lambda of: boundaries(of, protocol)):
         with pytest.raises(RangeError, match="2 problems"):
             use(MUSCLE)
-
-
-def test_strokes_that_are_none_are_refused():
-    with pytest.raises(RangeError, match="a step of 100 mm does not fit into the stroke"):
-        IsobaricProtocol(step=100 * mm).check(SPECIMEN)
-    with pytest.raises(RangeError, match="does not fit"):
-        IsobaricProtocol(contraction_min=0.2, contraction_max=0.1).check(SPECIMEN)
-    with pytest.raises(RangeError, match=r"at 5, 5.5, 6 bar the force exceeds 598.5 N over the whole stroke; leave"):
-        boundaries(MUSCLE, IsobaricProtocol(contraction_max=-1 * percent))
-    endless = type(SPECIMEN)("free", 0.18, 0.01, 0.4, 630.0, Domain())
-    with pytest.raises(RangeError, match="free has no range; give the end of the stroke"):
-        IsobaricProtocol().check(endless)

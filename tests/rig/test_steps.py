@@ -151,17 +151,6 @@ def test_the_cycle_has_to_fit_into_the_patience():
     assert problem.field == "recording.cycle" and problem.remedy
 
 
-def test_a_huge_test_is_counted():
-    nested = Repeat(times=1000, steps=(Repeat(times=900, steps=(Vent(),)), Pressurise(pressure=2 * bar)))
-    found = dry_run([nested], BENCH)
-    assert not found.problems and found.duration == pytest.approx(1000 * 901 * 1.5)
-
-
-def test_the_default_samples_are_those_of_the_default_rate():
-    for protocol in (IsometricProtocol(contractions=[0.0]), IsotonicProtocol(forces=[100.0])):
-        assert protocol.samples / protocol.acquisition == BENCH.rate
-
-
 def test_a_problem_of_many_steps_is_reported_once():
     far = Move(to=60 * percent)
     assert len(dry_run([far, Dwell(duration=1.0), far, far], BENCH).problems) == len(dry_run([far], BENCH).problems) > 0
@@ -197,12 +186,6 @@ def test_more_steps_or_points_than_a_test_may_have_are_refused_before_they_are_l
     back = Repeat(times=10_000, steps=(Walk(to=None, step=0.0025 * mm),))  # leads back only every other time
     (problem,) = dry_run([Move(to=0.1), Walk(to=0.12, step=0.0025 * mm), back], BENCH).problems
     assert problem.field == "[2].repeat.steps[0].walk"
-
-
-@pytest.mark.parametrize("changed", [{"step": 1e-12}, {"repeats": 10_000, "step": 0.01 * mm}])
-def test_a_whole_test_of_too_many_plateaus_is_refused(changed):
-    with pytest.raises(RangeError, match=r"step: .* plateaus, and 100000 at most"):
-        steps_of(IsobaricProtocol(**changed), MUSCLE)
 
 
 def test_a_walk_back_returns_to_where_the_one_before_began():
