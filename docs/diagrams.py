@@ -103,6 +103,27 @@ WORKFLOWS: Mapping[str, tuple[Mapping[str, Box], Sequence[tuple[str, str]]]] = {
 }
 """Boxes and arrows of each diagram."""
 
+TEST_RIG: tuple[Mapping[str, Box], Sequence[tuple[str, str]]] = (
+    {
+        "test": (0, 0.5, "test,\nsafety monitor", OURS),
+        "backend": (1, 0.5, "card, or\nsimulated rig", OTHER),
+        "valve": (2, 0, "pressure\nregulator", OTHER),
+        "motor": (2, 1, "motor,\nreducer, screw", OTHER),
+        "muscle": (3, 0.5, "muscle", OTHER),
+        "sensors": (2, 2, "force and\npressure sensors", OTHER),
+    },
+    [
+        ("test", "backend"),
+        ("backend", "valve"),
+        ("backend", "motor"),
+        ("valve", "muscle"),
+        ("motor", "muscle"),
+        ("muscle", "sensors"),
+        ("sensors", "backend"),
+    ],
+)
+"""Fig. 2 of the paper, for its report."""
+
 _COLUMN, _ROW, _WIDTH, _HEIGHT = 1.75, 0.72, 1.25, 0.44  # inches
 SUM = 0.09  # radius of a summing point [inches]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from diagrams import WORKFLOWS, draw_control_loop, draw_workflow
+from diagrams import TEST_RIG, WORKFLOWS, draw_control_loop, draw_workflow
 from PIL import Image
 
 import mckibben as mk
@@ -47,7 +47,7 @@ def main() -> None:
     for name, figure in drawings.items():
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
-    of_report = {"fig2-test-rig": draw_workflow(*WORKFLOWS["rig-hardware"]), "fig5-control-loop": draw_control_loop()}
+    of_report = {"fig2-test-rig": draw_workflow(*TEST_RIG), "fig5-control-loop": draw_control_loop()}
     for name, figure in of_report.items():
         png, _ = save(figure, ROOT / "src" / "mckibben" / "report", name)
         png.unlink()
