@@ -30,13 +30,13 @@ def test_the_readme_is_short_and_its_python_gives_a_figure(monkeypatch, tmp_path
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
-OTHER_OPTIONS = {"--extension", "--from", "--only"}  # of mckibben itself, uvx, and benchmarks/run.py
+OTHER_OPTIONS = {"--extension", "--from", "--help-all", "--install-completion", "--only"}  # of all, uvx, benchmarks/run.py
 
 
 @pytest.mark.slow
 def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     text = README + "".join(p.read_text(encoding="utf-8") for p in sorted((ROOT / "docs").glob("*.md")))
-    named = {name for name in re.findall(r"\bmckibben ([a-z]+)", text) if name not in ("as", "import")}
+    named = {name for name in re.findall(r"\bmckibben ([a-z]+)", text) if name not in ("as", "import", "answers")}
     single = {command.name or command.callback.__name__ for command in app.registered_commands}
     groups = {group.typer_instance.info.name: group.typer_instance for group in app.registered_groups}
     assert {"identify", "validate", "simulate", "reproduce"} <= named <= single | groups.keys()
@@ -49,7 +49,7 @@ def test_the_commands_and_options_that_the_documentation_names_exist(cli):
         assert {f"{name} {word}" for word in re.findall(rf"\bmckibben {name} ([a-z]+)", text)} <= nested
     options: set[str] = set()
     for command in sorted(single | nested):
-        help_text = cli(*command.split(), "--help").out
+        help_text = cli(*command.split(), "--help-all").out
         for option in re.findall(rf"mckibben {command} [^`\n]*?(--[a-z-]+)", text):
             assert option in help_text, (command, option)
         options |= set(re.findall(r"--[a-z-]+", help_text))
