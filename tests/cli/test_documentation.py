@@ -30,7 +30,7 @@ def test_the_readme_is_short_and_its_python_gives_a_figure(monkeypatch, tmp_path
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
-OTHER_OPTIONS = {"--extension", "--from", "--help-all", "--install-completion", "--only"}  # of all, uvx, benchmarks/run.py
+OTHER_OPTIONS = {"--extension", "--from", "--help-all", "--install-completion", "--only"}  # of all; uvx; benchmarks
 
 
 @pytest.mark.slow
