@@ -187,7 +187,7 @@ def test_points_are_uploaded_fitted_downloaded_and_give_a_joint(tmp_path):
     expected = identify_with_friction(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
     text = workbench.START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
     found = Scenario.parse(text, folder=tmp_path).joint.muscle1
-    assert found.law == muscle.law == expected.fit.law
+    assert found.law == muscle.law == expected.law
     assert found.friction == muscle.friction
     assert float(found.friction.half_width) == pytest.approx(float(expected.friction.half_width), rel=1e-3)
 
@@ -319,7 +319,7 @@ def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
 
     def keep_muscle(*given):
         made = written(*given)
-        laws.append(type(given[0].fit.law))
+        laws.append(type(given[0].law))
         if cancel:
             state(identify.IdentificationState).jobs.cancel()
         return made

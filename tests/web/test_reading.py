@@ -39,6 +39,18 @@ def test_columns_are_chosen_until_nothing_is_open(tmp_path):
     assert ColumnChoice.of("Druck ist", table, fields.columns).quantity == ""
 
 
+def test_a_file_without_names_is_chosen_column_by_column_and_no_unit_is_guessed(tmp_path):
+    rows = "".join(f"{p},{100 * e:.0f},{100 * p * (1 - 3 * e):.2f}\n" for p in (1, 2) for e in (0, 0.1, 0.2))
+    for header, names in (("ch1,ch2,ch3\n", ["ch1", "ch2", "ch3"]), ("", ["1", "2", "3"])):
+        path, fields = tmp_path / "data-x.csv", reading.ReadingFields()
+        path.write_text(header + rows, encoding="utf-8")
+        (table,), data, questions = reading.read([path], fields)
+        assert data is None and questions and len(table.head) == 3 and not table.columns
+        fields.columns = dict(zip(names, ("pressure_bar", "contraction_percent", "force_N"), strict=True))
+        assert reading.read([path], fields).data.force.max() == 200
+    assert ColumnChoice("pressure", "bar").changed(quantity="force").name == "force"  # the page asks for the unit
+
+
 def test_the_files_of_a_test_give_their_pressures_by_name(tmp_path):
     paths = [tmp_path / f"data-m25_{p}bar.csv" for p in (1, 2, 3)]
     for p, path in enumerate(paths, start=1):

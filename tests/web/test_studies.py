@@ -69,8 +69,9 @@ def test_a_fit_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
     source.write_text(POINTS.replace("force_N", "pull"))
     fields, state = reading.ReadingFields(columns={"pull": "force_N"}), identify.IdentificationState()
     state.use("a file.csv", reading.read([source], fields), [source], fields)
-    fit = identify.identify_with_friction(identify.law_types()["ExponentialLaw"], state.data, friction=False)
-    presented = Presented.of(fit, state.steps("ExponentialLaw", friction=False, robust=False, inner="10 mm"))
+    law, options = identify.law_types()["ExponentialLaw"], {"friction": False, "robust": False}
+    fit = identify.identify_with_friction(law, state.data, **options)
+    presented = Presented.of(fit, state.steps("ExponentialLaw", **options, inner="10 mm"))
     page, command, program = repeated(presented, tmp_path, monkeypatch)
     for listing, other, third in zip(page["tables"], command["tables"], program["tables"], strict=True):
         assert listing["columns"] == other["columns"] == third["columns"]

@@ -95,8 +95,8 @@ class Table:
         phase, repeat, time and set_pressure.
     ignored
         Headers of the columns that are not read.
-    head
-        First cells of every column of the file, by its header, numbers or texts.
+    head, units
+        First cells of every column of the file, by its header, numbers or texts; and the unit that stands elsewhere.
     lines
         Shape (rows,): line of each row, or its number in a file of rows (`place`).
     questions
@@ -119,6 +119,7 @@ class Table:
     columns: dict[str, Column] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
     head: dict[str, Sequence[str] | np.ndarray] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
     lines: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     place: str = "line"
     questions: list[Question] = field(default_factory=list)

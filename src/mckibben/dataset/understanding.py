@@ -110,6 +110,7 @@ class _Reader:
         lines = np.asarray(raw.lines, np.int64)
         self.table = Table(path, place=raw.place, lines=lines, interval=raw.interval, questions=raw.questions)
         self.table.head = {column.name: column.cells[:4] for column in raw.columns}
+        self.table.units = {column.name: column.unit for column in raw.columns}
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
         self.asked_about: set[str] = set()

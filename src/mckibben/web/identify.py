@@ -126,16 +126,15 @@ class IdentificationState(JobState):
         names, read, recipe = list(files) or [self.name], [], ""
         if self.read_by is not None:
             files["recipe.yaml"], read = self.read_by.recipe().dumps().encode(), ["--read", "recipe.yaml"]
-            recipe = ", mk.Recipe.read('recipe.yaml')"
+            recipe = ", recipe=mk.Recipe.read('recipe.yaml')"
         options = [] if friction is None else ["--friction", "on" if friction else "off"]
         options += [*["--inner", inner] * bool(inner.strip()), *["--keep-outliers"] * (not robust)]
-        data = f"mk.read_dataset({names}{recipe})" if files else f"mk.catalog.dataset({self.name!r})"
-        call = f"mk.rank(data, robust={robust})"
-        if law != "all":
-            call = f"mk.identify_with_friction({law}, data, friction={friction}, robust={robust})"
-            data += f"\nfrom mckibben.muscle import {law}\n"
+        call = f"mk.identify({names if files else names[0]!r}, {law!r}, friction={friction}, robust={robust}{recipe})"
+        if law == "all":
+            data = f"mk.read_dataset({names}{recipe})" if files else f"mk.catalog.dataset({names[0]!r})"
+            call = f"mk.rank({data}, robust={robust})"
         words = ["identify", *names, *read, "--law", law, *options, "--out", "identified"]
-        return Repetition.of(words, f"data = {data}\nresult = {call}", files)
+        return Repetition.of(words, f"result = {call}", files)
 
     def show_first(self, name: str, result: Presented, heard: list[str]) -> None:
         """Replace a result, which is then the newest."""
@@ -259,6 +258,8 @@ class _Page(JobPage[IdentificationState]):
                 except ScenarioError as error:
                     ui.notify(printable(on_page(str(error)), 1000), type="negative", multi_line=True)
                     return
+        if self.state.sources and len(files) == len(event.files):  # names and answers are those of the file before
+            self.state.reading.columns, self.state.reading.accept = {}, ()
         if not files:
             self.options.value = True
             self.read()

@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -41,13 +40,6 @@ PAGES = {
 """Title and purpose of each page, in the order of work."""
 
 
-@dataclass
-class Look:
-    """Appearance of the pages of a session."""
-
-    dark: bool = False
-
-
 @contextmanager
 def frame(here: str) -> Iterator[None]:
     """Header with links to the pages, title, the columns of a page, and a link to the next page.
@@ -60,9 +52,9 @@ def frame(here: str) -> Iterator[None]:
     ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative=_RED, positive=GREEN)
     ui.add_css(resource("style.css"))
     ui.add_body_html(f"<script>{resource('starts/page.js')}</script>")
-    (title, purpose), look = PAGES[here], session().state(Look)
+    (title, purpose), look = PAGES[here], session().state(dict)
     ui.page_title(f"{title} - mckibben")
-    dark = ui.dark_mode(look.dark, on_change=lambda event: setattr(look, "dark", bool(event.value)))
+    dark = ui.dark_mode(look.get("dark", False), on_change=lambda event: look.update(dark=event.value))
     with ui.header().classes("items-center q-px-md q-py-sm").style("gap: 20px"):
         ui.label("mckibben").style("font-weight: 700; font-size: 16px")
         with ui.element("nav").classes("row").style("gap: 4px 18px").props('aria-label="pages"'):
@@ -76,10 +68,8 @@ def frame(here: str) -> Iterator[None]:
         quiet(purpose)
     with ui.element("div").classes("columns"):
         yield
-    order = list(PAGES)
-    if here != order[-1]:
-        following = order[order.index(here) + 1]
-        ui.link(f"Next: {PAGES[following][0]}", following).classes("next").mark("next")
+    if following := [*PAGES][[*PAGES].index(here) + 1 :]:
+        ui.link(f"Next: {PAGES[following[0]][0]}", following[0]).classes("next").mark("next")
 
 
 def heading(text: str, tag: str = "h2") -> ui.label:

@@ -64,8 +64,6 @@ class ColumnPicker:
             for question in asked[:3]:
                 at_column = question.topic in ("", "columns")
                 self.ask(question, self.answers(header, choice) if at_column else self.accepting(question))
-            if (more := len(asked) - 3) > 0:
-                quiet(f"and {more} more")
             for text in filter(None, self.ranges.get(name, ())):
                 quiet(text)
             ui.space()
@@ -88,6 +86,8 @@ class ColumnPicker:
 
     def set(self, header: str, choice: ColumnChoice) -> None:
         """Read a column as another choice says."""
+        if not self.table.columns:  # its header is found by these names alone
+            self.fields.columns = dict.fromkeys(self.table.head, "ignore") | self.fields.columns
         self.fields.columns[header] = choice.name
         self.changed()
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Self
 
 from mckibben.dataset import TOPICS, IsobaricDataset, Question, Recipe, Table, read_columns, read_dataset
 from mckibben.dataset.checks import questions_of
+from mckibben.dataset.text import NUMBER
 from mckibben.dataset.vocabulary import QUANTITIES, parse_header, parse_line
 from mckibben.errors import DatasetError, ScenarioError
 from mckibben.units import show
@@ -53,7 +55,7 @@ class ColumnChoice(NamedTuple):
         """The choice for a column of a file: that of the recipe, or as it was understood."""
         if (name := columns.get(header)) is not None:
             return cls("") if name == "ignore" else cls.of_name(name)
-        meant = parse_header(header)
+        meant = parse_header(header, table.units[header])
         for column in table.columns.values():
             if column.header == header:
                 return cls(column.quantity, column.unit, absolute=meant.absolute)
@@ -62,10 +64,9 @@ class ColumnChoice(NamedTuple):
         return cls(meant.quantity, meant.unit, absolute=meant.absolute) if known else cls("")
 
     def changed(self, **changes: object) -> Self:
-        """With another quantity, whose unit is then the usual one, or another unit, sign or reference."""
+        """With another quantity, unit, sign or reference; a unit that the quantity does not have is to be chosen."""
         made = self._replace(**changes)  # type: ignore[arg-type]
-        units = QUANTITIES.get(made.quantity, ())
-        unit = made.unit if made.unit in units else units[0] if units else ""
+        unit = made.unit if made.unit in QUANTITIES.get(made.quantity, ()) else ""
         return made._replace(unit=unit, absolute=made.absolute and "pressure" in made.quantity)
 
     @property
@@ -140,10 +141,10 @@ def read(paths: Sequence[Path], fields: ReadingFields) -> Read:
     try:
         data = read_dataset(paths, recipe.with_options({"accept": list(TOPICS)}))
     except DatasetError as error:
-        try:
-            table = read_columns(paths[0], recipe)
-        except DatasetError:
-            table = None
+        table = None
+        for columns in ({}, _unnamed(paths[0])):
+            with suppress(DatasetError):
+                table = table or read_columns(paths[0], recipe.with_options({"columns": columns | fields.columns}))
         if table is None:
             raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None
         asked = _open(table.questions, recipe) or tuple(Question(problem) for problem in error.problems)
@@ -153,6 +154,14 @@ def read(paths: Sequence[Path], fields: ReadingFields) -> Read:
         lines = list(itertools.chain.from_iterable(table.lines for table in data.lines))
         asked += tuple(questions_of(data, lines))
     return Read(data.lines, data, _open(asked, recipe))
+
+
+def _unnamed(path: Path) -> dict[str, str]:
+    """Columns of a text without a header that is understood, each to be chosen: by its name there, or its number."""
+    line = next(filter(str.strip, path.read_text(encoding="utf-8", errors="replace").splitlines()), "")
+    cells = [cell.strip(' "') for cell in max((line.split(separator) for separator in ",;\t"), key=len)]
+    numbered = all(NUMBER.fullmatch(cell) for cell in cells)
+    return dict.fromkeys([str(k) for k in range(1, len(cells) + 1)] if numbered else cells, "ignore")
 
 
 def _open(questions: Sequence[Question], recipe: Recipe) -> tuple[Question, ...]:
