@@ -76,12 +76,13 @@ def errors(answer):
     return float(angle) / deg, float(stiffness)
 
 
-def known_references(lags=(20 * ms, 100 * ms), duration=2.0):
+def known_references(lags=(20 * ms,), duration=1.5, names=tuple(REFERENCES)):
     """RMS errors with the reference extrapolated and known ahead, by reference and valves."""
     print("| reference, valves | decoupling | known ahead | predictive | known ahead |\n|---|---|---|---|---|")
     for lag in lags:
         plant = JointPlant(KNEE, LOAD, FirstOrderValve(lag))
-        for name, reference in REFERENCES.items():
+        for name in names:
+            reference = REFERENCES[name]
             pairs = zip(controllers(lag, False), controllers(lag, True), strict=True)
             runs = [
                 simulate(plant, one, reference, duration=duration, warn_infeasible=False) for p in pairs for one in p

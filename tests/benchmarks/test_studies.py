@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from pathlib import Path
 
@@ -30,6 +31,14 @@ def real_time(tool, folder):
     tool.print_runs(0.2, 2e-3)
 
 
+def known_reference(tool, folder):
+    """The solver against fatrop's, and a step that is known ahead."""
+    pytest.importorskip("casadi", reason="CasADi is not installed (make does it)")
+    with contextlib.chdir(folder):
+        tool.against_fatrop(3, names=("sine of 10 deg, 1 Hz",))
+    tool.known_references(lags=(0.02,), duration=0.1, names=("step of 10 deg",))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "run", "rows"),
@@ -38,6 +47,7 @@ def real_time(tool, folder):
         ("stiffness", stiffness_errors, 0),
         ("foreign_lab", foreign_files, 0),
         ("real_time", real_time, 5),
+        ("preview", known_reference, 7),
     ],
 )
 def test_a_study_prints_its_table(monkeypatch, tmp_path, capsys, name, run, rows):
