@@ -6,9 +6,11 @@ import contextlib
 import importlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mckibben.dataset import read_dataset
+from mckibben.muscle import ExponentialLaw
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -25,6 +27,13 @@ def stiffness_errors(tool, folder):
 def foreign_files(tool, folder):
     tool.files("servo", folder)
     assert len(read_dataset(folder / "muscle.csv")) > 100
+
+
+def kinds_of_test(tool, folder):
+    for kind in tool.KINDS:
+        tally = tool.tallied(kind, 1, ExponentialLaw, 0, folder)
+        assert not tally["refused"] and np.median(tally["error"]) < 0.01
+        assert all(tally["friction"]) == (kind is not tool.steps_of_pressure) and not any(tally["false drift"])
 
 
 def real_time(tool, folder):
@@ -48,6 +57,7 @@ def known_reference(tool, folder):
         ("foreign_lab", foreign_files, 0),
         ("real_time", real_time, 5),
         ("preview", known_reference, 7),
+        ("kinds_of_test", kinds_of_test, 0),
     ],
 )
 def test_a_study_prints_its_table(monkeypatch, tmp_path, capsys, name, run, rows):
