@@ -82,7 +82,7 @@ def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_
     setpoint = Setpoint(now.angle, jnp.asarray(15.0))
     following, expected = prompt.update(moving, setpoint, now, PERIOD)
     assert expected.angle == now.angle and expected.setpoint == setpoint
-    assert expected.estimates is following
+    assert expected.estimates.motion is following.motion
 
 
 def test_a_controller_that_predicts_itself_is_refused(knee, load):

@@ -155,7 +155,7 @@ class Writer:
             elif id(statement) not in self._needed or id(statement) in self._texts:
                 continue
             elif isinstance(statement, StoredArray):
-                texts = [self.text(element) for element in statement.elements]
+                texts = [self.converted(element, statement.uniform) for element in statement.elements]
                 lines += self._array(statement, texts, indent)
             else:
                 lines += self._value(statement, indent, stored)

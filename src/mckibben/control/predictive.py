@@ -303,7 +303,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         else:
             frequency_sq = jnp.clip(frequency_sq, 0.0, (jnp.pi / (stages * stage)) ** 2) / pole**2
             reference = extrapolate(scaled(estimates.reference), pole * stage, frequency_sq, stages)
-            setpoints = jnp.zeros(stages + 1)
+            setpoints = jnp.zeros_like(reference[0])
 
         def residuals(y: State, pressures: Pair, reference: State, change: Scalar) -> tuple[Scalar, ...]:
             isobaric = jnp.asarray(stiffness) + change / per_stiffness

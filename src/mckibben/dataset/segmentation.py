@@ -30,7 +30,7 @@ def usual_interval(steps: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]
     if not (forward := steps > 0).any():
         return 0.0, np.zeros(len(steps), bool)
     gaps = np.zeros(len(steps), bool)
-    gaps[forward] = steps[forward] > _GAP * median_filter(steps[forward], 2 * _PARTS + 1, mode="nearest")
+    gaps[forward] = steps[forward] > _GAP * median_filter(steps[forward], 2 * _PARTS + 1, mode="mirror")
     ranked = np.sort(steps[forward & ~gaps])
     return float(ranked[np.searchsorted(np.cumsum(ranked), ranked.sum() / 2)]), gaps
 
@@ -97,8 +97,8 @@ def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
 
     shift = -(window // 2)
     count = len(values) - window + 1
-    high = maximum_filter1d(values, window, origin=shift, mode="nearest")[:count]
-    low = minimum_filter1d(values, window, origin=shift, mode="nearest")[:count]
+    high = maximum_filter1d(values, window, origin=shift, mode="mirror")[:count]
+    low = minimum_filter1d(values, window, origin=shift, mode="mirror")[:count]
     return high, low
 
 

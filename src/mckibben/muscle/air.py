@@ -42,8 +42,11 @@ BLOCKED_FORCE = 8.2
 C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-102.
 """
 
-USUAL_DIAMETERS = (factor("lbf") ** -0.25, factor("lbf") ** 0.25)
-"""Usual ratios of the diameter that the force of a muscle implies to its own: else lbf is nearer than N, or kgf."""
+USUAL_DIAMETERS = (factor("lbf") ** -0.25, 2.0)
+"""Usual ratios of the diameter that the force of a muscle implies to its own, which may be the inner one of its hose.
+
+Below the first, lbf or kgf are nearer to the force than N.
+"""
 
 HEAT_CAPACITY_RATIO = 1.4
 """Ratio kappa of the specific heat capacities of air."""

@@ -31,7 +31,7 @@ def descriptions(kind: type) -> dict[str, str]:
 
     >>> from mckibben.control import PID
     >>> descriptions(PID)["filter_time"][:20]
-    'Time constant of the'
+    'Time constants [s] o'
     """
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):

@@ -140,7 +140,7 @@ class SimulatedBackend(Backend, abc.ABC):
         self.now = 0.0  # since it was first opened [s]
         self.is_open = False
         self._wall, self._sleep, self._buffer = wall, sleep, buffer
-        self._opened, self._origin = 0.0, wall()
+        self._opened, self._began = 0.0, wall()
         self._watchdog = Watchdog(self.patience)
         self._noise, self._random = np.random.default_rng(seed).spawn(2)
         self._schedule = sorted(faults, key=lambda fault: fault.at)
@@ -195,14 +195,14 @@ class SimulatedBackend(Backend, abc.ABC):
         self._rest()
         self._begin()
         self.is_open = True
-        self._opened, self._origin = self.now, self._wall()
+        self._opened, self._began = self.now, self._wall()
         self._watchdog.start(self.now)
         self._next = self._taken = 0
         self._overrun, self._waiting = False, []
         self._sample([self.now], [self._truth()])
 
     def clock(self) -> float:
-        return self._wall() - self._origin if self.paced else self.now - self._opened
+        return self._wall() - self._began if self.paced else self.now - self._opened
 
     def pass_time(self, duration: float) -> None:
         """Advance the time [s] without a host; samples are buffered."""
