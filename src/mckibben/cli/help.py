@@ -26,7 +26,7 @@ _MEANT = {
 
 
 class Helping:
-    """Of commands and groups: `--help` with everyday options and the first clause of each, `--help-all` with all."""
+    """Help of commands and groups: `--help` has everyday options with their first clause, `--help-all` all."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         """Return the arguments that are left; an error of usage names the option that is meant."""

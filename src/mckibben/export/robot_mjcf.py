@@ -97,7 +97,7 @@ def plant_and_start(scenario: RobotScenario) -> tuple[RobotPlant, RobotState]:
 
 
 class _Body:
-    """What a joint carries, or the base: its shapes in MJCF, points of muscles, and what hangs on it."""
+    """Body of a joint, or the base: its shapes in MJCF, points of muscles, and children."""
 
     def __init__(self, name: str, body: Body | None, joint: Joint | None) -> None:
         self.name, self.joint, self.below = name, joint, list[_Body]()

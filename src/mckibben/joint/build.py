@@ -34,7 +34,7 @@ def joint(muscle: Muscle, kind: str | Geometry | MusclePath = "pulley", **fields
     Raises
     ------
     ParameterError
-        If there is no class of this name.
+        If the name is not that of a class, or fields are given with an object.
 
     Examples
     --------

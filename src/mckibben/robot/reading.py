@@ -206,7 +206,7 @@ class _Reader:
         return Robot(tuple(bodies), tuple(joints), (), freedom, self._foot())
 
     def _freedom(self, body: int) -> Freedom:
-        """How the base moves, from the joints of the first body that moves in the world."""
+        """Kind of base, from the joints of the first body that moves in the world."""
         model, kinds = self._model, self._mujoco.mjtJoint
         numbers = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         types = [model.jnt_type[number] for number in numbers]

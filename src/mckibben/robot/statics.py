@@ -227,7 +227,7 @@ class HeldPosture(NamedTuple):
 
 
 class JointRange(NamedTuple):
-    """What the muscles attain at a joint, with the torques of the others held, and the muscles that limit it.
+    """Attainable torques and stiffnesses of a joint, with the torques of the others held, and the limiting muscles.
 
     Attributes
     ----------

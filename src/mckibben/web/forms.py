@@ -27,7 +27,7 @@ _ENTRY = re.compile(r"^(\w+(?:, \w+)*)\n((?: {4}.+\n?)+)", re.MULTILINE)
 
 @functools.cache
 def descriptions(kind: type) -> dict[str, str]:
-    """What the docstrings of a class and its bases say of its fields, by name.
+    """Descriptions of the fields of a class by name, from its docstring and those of its bases.
 
     >>> from mckibben.control import PID
     >>> descriptions(PID)["filter_time"][:20]
@@ -42,7 +42,7 @@ def descriptions(kind: type) -> dict[str, str]:
 
 
 def meaning(scenario: Scenario, parameter: ScenarioParameter) -> str:
-    """What the docstring of its component says of a parameter; empty if it says nothing."""
+    """Description of a parameter from the docstring of its component; empty without one."""
     (first, *others), owner = parameter.places[0], scenario
     part: object = getattr(owner, fields_by_key(type(owner)).get(first, first))
     for key in others[:-1]:

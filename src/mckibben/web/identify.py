@@ -121,7 +121,7 @@ class IdentificationState(JobState):
         self.reading_notes, self.notes = list(reading_notes), []
 
     def steps(self, law: str, *, friction: bool | None = None, robust: bool, inner: str = "") -> Repetition:
-        """How to identify the points again with a law, or "all" laws."""
+        """Command and program that identify the points with a law, or "all" laws."""
         files = {path.name.removeprefix("data-"): path.read_bytes() for path in self.sources}
         names, read, recipe = list(files) or [self.name], [], ""
         if self.read_by is not None:
@@ -395,7 +395,7 @@ class _Page(JobPage[IdentificationState]):
                 self.show_columns()
 
     def show_columns(self) -> None:
-        """What each column was read as, and the questions."""
+        """Quantity and unit of each column, and the questions."""
         state = self.state
         if not state.tables:
             return

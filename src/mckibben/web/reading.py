@@ -1,4 +1,4 @@
-"""How the page of muscles reads files: its fields, what a column is chosen to be, and the questions that remain."""
+"""Reader of the page of muscles: its fields, the choice for each column, and the remaining questions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WORDS = {
 
 
 class ColumnChoice(NamedTuple):
-    """What a column is read as: quantity ("" if it is not used), unit, sign and reference of a pressure.
+    """Meaning of a column: quantity ("" if it is not used), unit, sign and reference of a pressure.
 
     `line` is the line of a sensor in volts or counts, of a recipe.
 
@@ -115,7 +115,7 @@ class ReadingFields:
 
 
 class Read(NamedTuple):
-    """What was read of the files of a test.
+    """Table, columns and questions of the files of a test.
 
     Attributes
     ----------
