@@ -72,7 +72,7 @@ def attainable_stiffness(
         own = (references or {}).get(name, {})
         for (reference, result), color in zip(own.items(), (BLACK, ORANGE, VERMILLION), strict=False):
             desired = result["desired_angle"] / deg, result["desired_stiffness"]
-            axes.plot(*desired, ".", markersize=1.0, color=color, label=f"desired stiffness, {reference}", zorder=4)
+            axes.plot(*desired, color=color, linewidth=1.4, label=f"desired stiffness, {reference}", zorder=4)
         first, last = (limit / deg for limit in joint_map.static_range)
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
