@@ -20,7 +20,6 @@ from mckibben.component.checks import check_count, check_within
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
 from mckibben.joint import RigidTendon
 from mckibben.muscle import PressureAffineLaw
-from mckibben.numerics.compiled import jit
 from mckibben.result import Column, Listing
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.dynamics import joint_equations
@@ -101,9 +100,11 @@ def _not_affine(robot: Robot) -> Iterator[tuple[str, str]]:
                 yield name, type(part).__name__
 
 
-@jit
 def _affine(robot: Robot, angles: tuple[ArrayLike, ...]) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
-    """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles."""
+    """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles.
+
+    Not compiled as a whole: of an arm of 24 muscles XLA takes ten times as long for that as for the first posture.
+    """
 
     def terms(q: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         units = robot.routed_muscles(robot.held(tuple(q)))
