@@ -111,7 +111,7 @@ BUDGET = {
     "muscle": 1590,
     "numerics": 840,
     "paper": 740,
-    "plant": 520,
+    "plant": 530,
     "reachability": 1210,
     "report": 2250,
     "rig": 4980,

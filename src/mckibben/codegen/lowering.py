@@ -438,7 +438,7 @@ def _is_uniform(array: Array) -> bool:
 @functools.cache
 def _jaxpr_of(function: Callable[..., PyTree], shape: tuple[int, ...], dtype: DTypeLike) -> Jaxpr:
     """Jaxpr of a function of an array of a shape and type."""
-    return jax.make_jaxpr(function)(jnp.zeros(shape, dtype))
+    return jax.make_jaxpr(function)(jax.ShapeDtypeStruct(shape, dtype))
 
 
 def _equations(jaxpr: Jaxpr) -> int:

@@ -219,6 +219,10 @@ class Plant(Component, Generic[S]):
         """Return what a run records of a state at the start of a control period; by default the state."""
         return state
 
+    def telemetry(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike) -> dict[str, Array]:
+        """Return further quantities of a control period [s], at whose start commands [Pa] are sent, by name."""
+        return {}
+
     @property
     def has_ideal_io(self) -> bool:
         """Whether sensors are perfect and there is no disturbance."""
@@ -297,7 +301,8 @@ class Plant(Component, Generic[S]):
         end, held = valve.all_after(state.pressures, state.air, commands, step)
         middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
         state = state._replace(air=())
-        motion = self.integrator(rate, Motion.of(state), step, (state.pressures, middle, end))
+        rolled = self.integrator is rk4 and len(self.muscles) > 2  # as fast, and compiled in half the time
+        motion = self.integrator(rate, Motion.of(state), step, (state.pressures, middle, end), rolled=rolled)
         return self.project(motion.applied_to(state, end))._replace(air=held)
 
     def _step_with_air(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 from numpy.typing import NDArray
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes
@@ -135,6 +136,12 @@ class JointPlant(Plant[PlantState]):
         """Return the total stiffness [N*m/rad], of muscles (Eq. 8) and gravity, at an angle [rad] and pressures."""
         return self.joint.stiffness(angle, pressures) + self.load.gravity_stiffness(angle)
 
+    def telemetry(self, state: PlantState, commands: Sequence[ArrayLike], period: ArrayLike) -> dict[str, Array]:
+        found = self.valve.telemetry(state.air, self.arriving(state, commands, period), state.pressures)
+        if self.friction is not None:
+            found["joint_friction_torque"] = -self.friction.resisting_torque(state.friction, state.angle)
+        return found
+
     def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
         """Return the volumes of the air, dead volume included, at the velocity of a state."""
         dead1, dead2 = (self.valve.for_muscle(i).attached_volume for i in (0, 1))
@@ -216,7 +223,7 @@ def _fastest_mode(plant: JointPlant, angles: Angles, stiffness: ArrayLike | None
     total = float(np.nanmax(np.abs(np.asarray(stiffness, float)))) + abs(float(plant.load.gravity_moment))
     modes = [0.0]
     if plant.joint.has_friction or plant.joint.has_creep:
-        paths, arms = map(np.asarray, plant.joint.geometry.paths_and_arms(_extremes(angles)))
+        paths, arms, _ = _at_extremes(plant, angles)
         for muscle, arm, path in zip(plant.muscles, map(float, np.abs(arms).max(axis=1)), paths, strict=True):
             friction, creep = muscle.friction, muscle.creep
             if isinstance(friction, MaxwellSlip):
@@ -249,15 +256,21 @@ def _fastest_air(plant: JointPlant, angles: Angles) -> float:
     """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
     if not plant.valve.holds_air:
         return 0.0
-    lowest1, lowest2 = (muscle.domain.pressure_min for muscle in plant.muscles)
-    pairs = zip(plant.muscles, plant.joint.contractions(_extremes(angles), (lowest1, lowest2)), strict=True)
-    return plant.valve.fastest_rate_in(min(float(np.min(muscle.specimen.volume(at))) for muscle, at in pairs))
+    return plant.valve.fastest_rate_in(float(np.min([*_at_extremes(plant, angles)][2])))
 
 
-def _extremes(angles: Angles) -> NDArray[np.float64]:
-    """First, lowest and highest angle."""
+def _at_extremes(plant: JointPlant, angles: Angles) -> Iterator[NDArray]:
+    """Path lengths [m], moment arms [m] and air volumes [m^3] of both muscles at first, lowest and highest angle."""
     at = np.asarray(angles, float)
-    return np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])
+    extremes = np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])
+    return map(np.asarray, _geometry_at(plant.joint, extremes, volumes=plant.valve.holds_air))
+
+
+@jit
+def _geometry_at(joint: AntagonisticJoint, angles: ArrayLike, *, volumes: bool) -> PyTree:
+    lowest1, lowest2 = (muscle.domain.pressure_min for muscle in joint.muscles)
+    pairs = zip(joint.muscles, joint.contractions(angles, (lowest1, lowest2)), strict=True)
+    return *joint.geometry.paths_and_arms(angles), [muscle.specimen.volume(at) for muscle, at in pairs if volumes]
 
 
 @jit

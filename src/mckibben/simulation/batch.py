@@ -321,7 +321,7 @@ class _Runs(NamedTuple):
     def compute(self, lanes: SimulationProblem, substeps: int) -> tuple[dict[str, Array], str]:
         """Columns of a chunk of runs."""
         shared, varying, setpoints = self.begun(lanes)
-        constant = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
+        constant = *shared, np.asarray(self.period, float), self.asked, dynamic_steps(substeps)
         columns, used = _run(self.engine, constant, varying, self.asked.precision)
         return columns | {"_span": np.broadcast_to(np.ptp(setpoints.angle, axis=0), varying[-1].shape)}, used
 
@@ -333,7 +333,7 @@ class _Runs(NamedTuple):
 
         def solve(substeps: int, which: Runs) -> Positions:
             padded = full_vectors(which)
-            constant = *shared, jnp.asarray(self.period, float), np.asarray(substeps), every
+            constant = *shared, np.asarray(self.period, float), np.asarray(substeps), every
             positions, _ = _positions(self.engine, constant, jax.tree.map(lambda leaf: leaf[..., padded], varying))
             return np.stack(positions)[..., : which.size]
 

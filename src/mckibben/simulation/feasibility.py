@@ -130,7 +130,10 @@ def check_reference(
 def feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
     """Feasibility of setpoints of shape (periods,), from the attainable stiffness at them (`static_band`)."""
     angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
-    return Feasibility(times, angle, *others, cause=leaves_domain(plant.supplied_joint, angle, np.isnan(others[-1])))
+    unheld = np.isnan(others[-1])
+    return Feasibility(
+        times, angle, *others, cause=leaves_domain(plant.supplied_joint, angle, unheld) if unheld.any() else ""
+    )
 
 
 def attainable_band(

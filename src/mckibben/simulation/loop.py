@@ -58,7 +58,8 @@ def control_period(
     controller_state, wanted = controller.step(controller_state, setpoint, measurement, period)
     commands = plant.clip_commands(wanted)
     limited = functools.reduce(operator.or_, map(operator.ne, commands, wanted))
-    record = Record(plant.observe(plant_state), commands, limited, controller.telemetry(controller_state))
+    telemetry = controller.telemetry(controller_state) | plant.telemetry(plant_state, commands, period)
+    record = Record(plant.observe(plant_state), commands, limited, telemetry)
     return (plant.follow(plant_state, commands, period, substeps), controller_state), record
 
 

@@ -142,7 +142,9 @@ def simulate(
     if not reach.feasible and warn_infeasible:
         warnings.warn(reach.verdict(), ReachabilityWarning, stacklevel=user_level())
     if tension and reach.feasible:
-        limited = feasibility(plant, times, setpoints, static_band(plant, setpoints.angle, amplitude, tension))
+        limited = feasibility(
+            plant, times, setpoints, static_band(problem.plant, setpoints.angle, amplitude, tension, engine=engine)
+        )
         if not limited.feasible:
             text = f"with the controller's minimum tension of {float(tension):g} N {limited.verdict()}"
             warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=user_level())
@@ -263,11 +265,7 @@ def _result(
 ) -> SimulationResult:
     """Result of a run; much is computed when it is first asked for."""
     plant, setpoints, amplitude = run.plant, run.setpoints, run.controller.stiffness_amplitude
-    state, telemetry = record.state, dict(record.telemetry)
-    commands = plant.arriving(state, record.commands, run.control_period)
-    telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
-    if plant.friction is not None:
-        telemetry["joint_friction_torque"] = -plant.friction.resisting_torque(state.friction, state.angle)
+    state = record.state
 
     @functools.cache
     def derived() -> Trajectory:
@@ -281,7 +279,7 @@ def _result(
 
     columns = {name: functools.partial(lambda name: getattr(derived(), name), name) for name in Trajectory._fields}
     columns |= dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
-    columns |= {name: value for name, value in telemetry.items() if name != "saturated"}
+    columns |= {name: value for name, value in record.telemetry.items() if name != "saturated"}
     columns |= path_columns(plant.joint, state, amplitude)
     columns |= {
         "angle": state.angle,
