@@ -75,12 +75,14 @@ def test_a_screw_is_turned_to_each_contraction(tmp_path):
     np.testing.assert_allclose(data.contraction, [0.05, 0.02], atol=1e-5)
 
 
+CARD = "nidaqmx: {card: card.yaml, moved_by: weights}"
 BOARD, TERMINAL = "serial: {port: /dev/ttyACM0, moved_by: weights}", "modbus: {registers: terminal.yaml}"
 
 
-@pytest.mark.parametrize("rig", [BOARD, TERMINAL])
+@pytest.mark.parametrize("rig", [BOARD, TERMINAL, CARD])
 def test_such_benches_are_named_in_a_protocol(rig, tmp_path):
-    (tmp_path / "terminal.yaml").write_text((EXAMPLES / "terminal.yaml").read_text())
+    for name in ("terminal.yaml", "card.yaml"):
+        (tmp_path / name).write_text((EXAMPLES / name).read_text())
     text = f"""name: by hand
 muscle: {{specimen: MAS-10-180N-AA-MC-O}}
 rig: {{{rig}}}

@@ -20,7 +20,7 @@ from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import BLOCK, Runner, columns_of
 from mckibben.rig.safety import StopFlag
 from mckibben.rig.session import RigSession
-from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
+from mckibben.rig.simulated import Regulator, SimulatedRig
 from mckibben.rig.steps import (
     Acquire,
     Dwell,
@@ -211,7 +211,7 @@ def test_a_muscle_that_does_not_pull_as_its_law_tells_stops(tmp_path):
 
 
 def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_path):
-    twin = SimulatedRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
+    twin = faults.FaultyRig(MUSCLE, seed=3, faults=[faults.supply_lost(4.0)])
     with pytest.raises(StoppedError, match="the pressure does not follow"):
         run(tmp_path, [Pressurise(pressure=2 * bar), Dwell(duration=60.0)], twin=twin)
     assert twin.truth.time < 4.0 + 3.0

@@ -15,9 +15,10 @@ from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
 from mckibben.rig.session import RigSession
-from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
+from mckibben.rig.simulated import Regulator
 from mckibben.rig.steps import Dwell, Move, Pressurise
 from mckibben.units import bar, mm, percent
+from tests.rig.faults import FaultyRig, samples_stopped, supply_lost
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
@@ -57,7 +58,7 @@ def start(folder, rig, steps, **given):
 
 
 def twin(**given):
-    return SimulatedRig(MUSCLE, seed=3, regulator=Regulator(hysteresis=0.0, repeatability=0.0), **given)
+    return FaultyRig(MUSCLE, seed=3, regulator=Regulator(hysteresis=0.0, repeatability=0.0), **given)
 
 
 def empty(rig):
@@ -165,7 +166,7 @@ def test_what_the_watch_found_is_told_even_where_it_cannot_be_recorded(tmp_path,
 
 
 def test_a_supply_that_fails_in_a_long_ramp_is_found_within_it(tmp_path):
-    rig = twin(faults=[SupplyLost(30.0)])
+    rig = twin(faults=[supply_lost(30.0)])
     with pytest.raises(StoppedError, match="the pressure does not follow"):
         start(tmp_path, rig, [Pressurise(pressure=6 * bar, rate=0.1 * bar)])
     assert rig.truth.time < 40.0
@@ -179,7 +180,7 @@ def test_where_the_motor_stands_is_recorded_only_where_it_was_seen_to_stand(tmp_
     told = read_record(tmp_path / "1").events[-1]
     assert told.kind == "vented"
     assert told.data["pulses"] == pytest.approx(rig.drive.nearest(rig.truth.stretch), abs=9)  # the play of the nut
-    rig = twin(faults=[SamplesStopped(2.0)])
+    rig = twin(faults=[samples_stopped(2.0)])
     with pytest.raises(StoppedError) as stopped:
         start(tmp_path / "2", rig, steps)
     assert isinstance(stopped.value.__cause__, SilentError)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +18,13 @@ from mckibben.config.fields import Title
 from mckibben.config.model import DocumentModel, fail_validation, parse_model, read_text
 from mckibben.errors import RangeError
 from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
-from mckibben.rig.backend import MovingBackend, MuscleRig
-from mckibben.rig.bench import Bench, Drive, RigLimits
+from mckibben.rig.backend import Backend, MovingBackend, MuscleRig
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.by_hand import HandBench
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
-from mckibben.rig.ni import Card, NiRig
+from mckibben.rig.ni import Card, NiBackend
 from mckibben.rig.protocol import Protocol
-from mckibben.rig.simulated.parts import Regulator
+from mckibben.rig.simulated.rig import Regulator
 from mckibben.units import BoundedInt, Contraction, Strength
 
 
@@ -92,27 +93,39 @@ class SimulatedRigSettings(Checked, MuscleRig):
         return SimulatedRig(muscle, seed=self.seed + 1_000_003 * session, regulator=self.regulator, **settings)
 
 
-@dataclass(frozen=True, kw_only=True)
-class CardBench(Checked, MuscleRig):
-    """Sensors, a valve and a motor at a card of National Instruments, see `NiRig`."""
-
-    short_name = "nidaqmx"
-
-    card: Path
-    drive: Drive = Drive()
-
-    def backend(self, session: int = 0) -> MovingBackend:
-        """Return the card."""
-        return NiRig(Card.read(self.card), drive=self.drive)
-
-
 Moved = Literal["screw", "weights"]
 """Who has no motor: an operator turns a screw, or hangs weights on the muscle."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SerialBench(Checked, MuscleRig):
-    """Sensors and a valve at a microcontroller, see `SerialBackend`, and an operator, see `HandBench`.
+class HandMovedRig(Checked, MuscleRig, abc.ABC):
+    """Base of rigs of sensors and a valve whose muscle an operator moves, see `HandBench`."""
+
+    moved_by: Moved = "screw"
+
+    def backend(self, session: int = 0) -> MovingBackend:
+        return HandBench(self.connected(), weights=self.moved_by == "weights")
+
+    @abc.abstractmethod
+    def connected(self) -> Backend:
+        """Return the sensors and the valve, closed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardBench(HandMovedRig):
+    """Sensors and a valve at a card of National Instruments, see `NiBackend`."""
+
+    short_name = "nidaqmx"
+
+    card: Path
+
+    def connected(self) -> Backend:
+        return NiBackend(Card.read(self.card))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SerialBench(HandMovedRig):
+    """Sensors and a valve at a microcontroller, see `SerialBackend`.
 
     The muscle is one of the two of a joint's board, unless the firmware has the channels of a bench (0).
     """
@@ -121,31 +134,24 @@ class SerialBench(Checked, MuscleRig):
 
     port: str
     baud: Annotated[int, BoundedInt(1200, 10_000_000)] = 1_000_000
-    moved_by: Moved = "screw"
     muscle: Annotated[int, BoundedInt(0, 2)] = 1
 
-    def backend(self, session: int = 0) -> MovingBackend:
-        """Return the rig, once its firmware has said who it is."""
+    def connected(self) -> Backend:
         from mckibben.rig.serial_line import SerialBackend
 
-        return HandBench(
-            SerialBackend(self.port, baud=self.baud, muscle=self.muscle), weights=self.moved_by == "weights"
-        )
+        return SerialBackend(self.port, baud=self.baud, muscle=self.muscle)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModbusBench(Checked, MuscleRig):
-    """Sensors and a valve at a terminal, see `RegisterMap`, and an operator, see `HandBench`."""
+class ModbusBench(HandMovedRig):
+    """Sensors and a valve at a terminal, see `RegisterMap`."""
 
     short_name = "modbus"
 
     registers: Path
-    moved_by: Moved = "screw"
 
-    def backend(self, session: int = 0) -> MovingBackend:
-        """Return the rig."""
-        backend = ModbusBackend(RegisterMap.read(self.registers))
-        return HandBench(backend, weights=self.moved_by == "weights")
+    def connected(self) -> Backend:
+        return ModbusBackend(RegisterMap.read(self.registers))
 
 
 class RecordingSettings(section_of(Bench, partial=True)):

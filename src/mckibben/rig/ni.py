@@ -10,14 +10,13 @@ from importlib.metadata import version
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from mckibben.config.model import DocumentModel
 from mckibben.errors import RangeError, RigError, SilentError
-from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend, ScaledChannel, Watchdog
-from mckibben.rig.bench import Drive
+from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, ScaledChannel, Watchdog
 
+_LINES = "heartbeat", "hold"
 _TERMINAL = "correct the terminal"
 _REMEDIES = {
     -200284: "samples did not come in time: check the card, and reopen the rig",
@@ -140,8 +139,6 @@ class Card(DocumentModel):
         Line that toggles with each heartbeat; an external relay opens when it does not.
     hold
         Line that through this relay energises the spring-return vent valve: high = closed.
-    counter, direction
-        Counter of a motor's pulses, and line of its direction: high = stretching.
     rate
         Sampling rate of each input [Hz], which the card has to have exactly; on a joint, the control frequency is.
     patience
@@ -158,8 +155,6 @@ class Card(DocumentModel):
     outputs: dict[str, Terminal] = Field(min_length=1)
     heartbeat: str = Field("port0/line0", min_length=2)
     hold: str = Field("port0/line1", min_length=2)
-    counter: str = Field("ctr0", min_length=2)
-    direction: str = Field("port0/line2", min_length=2)
     rate: float = Field(1000.0, gt=0)
     patience: float = Field(gt=0)
 
@@ -167,7 +162,7 @@ class Card(DocumentModel):
     def wiring(self) -> dict[str, str]:
         """Terminals by name; `RangeError` if one is given twice."""
         channels = {name: channel.terminal for name, channel in (self.inputs | self.outputs).items()}
-        wiring = channels | {name: getattr(self, name) for name in ("heartbeat", "hold", "counter", "direction")}
+        wiring = channels | {name: getattr(self, name) for name in _LINES}
         given = [*wiring.values()]
         twice = [f"{name} at {where}" for name, where in wiring.items() if given.count(where) > 1]
         if twice:
@@ -200,7 +195,6 @@ class NiBackend(Backend):
         self._reader: Any = None
         self._writer: Any = None
         self._switch: Any = None
-        self._lines: tuple[str, ...] = ("heartbeat", "hold")
         self._levels: dict[str, bool] = {}  # of the lines
         self._taken = 0
         self._watchdog = Watchdog(self.patience)
@@ -249,7 +243,7 @@ class NiBackend(Backend):
         first, self._taken = self._taken, self._taken + count
         times = np.arange(first, self._taken) / self.rate
         values = [terminal.si(row) for row, terminal in zip(volts, self.card.inputs.values(), strict=True)]
-        return Block(first, times, np.stack(values, axis=1), self._counted(times))
+        return Block(first, times, np.stack(values, axis=1), np.zeros(count, np.int64))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Set the pressures of the valves [Pa]; one that is not at rest closes the vent valve again."""
@@ -309,9 +303,9 @@ class NiBackend(Backend):
     def _open_outputs(self, driver: Driver) -> None:
         """Open lines, which vent, then valves."""
         package = driver.package
-        self._levels = dict.fromkeys(self._lines, False)
+        self._levels = dict.fromkeys(_LINES, False)
         lines = self._new_task(driver)
-        for name in self._lines:
+        for name in _LINES:
             with driver.translated(f"{name} at {(where := self.wiring[name])}"):
                 lines.do_channels.add_do_chan(where, line_grouping=package.constants.LineGrouping.CHAN_PER_LINE)
         self._switch = package.stream_writers.DigitalMultiChannelWriter(lines.out_stream, auto_start=True)
@@ -370,114 +364,12 @@ class NiBackend(Backend):
         return driver
 
     def _missed(self) -> bool:
-        """Whether the watchdog has expired; the first time, rest."""
+        """Whether the watchdog has expired; the first time, vent."""
         if self._watchdog.expires(time.monotonic()):
-            self._rest()
+            self.vent()
         return self._watchdog.has_expired
-
-    def _rest(self) -> None:
-        self.vent()
 
     def _set(self, **levels: bool) -> None:
         """Write the digital lines, all at once."""
         self._levels |= levels
         self._switch.write_one_sample_one_line(np.array([*self._levels.values()], bool))
-
-    def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        return np.zeros(len(times), np.int64)
-
-
-class NiRig(NiBackend, MovingBackend):
-    """A card with a motor.
-
-    A counter sends the pulses of a move as one finite train, so that their number is exact. Their number at a time
-    follows from the rate and the start of the train, to within the latency of the host: less than a pulse at 80 Hz and
-    10 ms. After a `stop` during a move the count has that uncertainty.
-
-    A 62xx needs both of its counters for a finite train, ctr1 along with ctr0.
-
-    Parameters
-    ----------
-    card
-        As for `NiBackend`.
-    drive
-        Motor, reducer and lead screw; default: the paper's.
-    """
-
-    def __init__(self, card: Card, *, drive: Drive | None = None) -> None:
-        super().__init__(card)
-        self.drive = drive or Drive()
-        self._lines, self._counter = (*self._lines, "direction"), self.wiring["counter"]
-        self._train: Any = None
-        self._begin, self._rate = 0.0, 1.0  # of the train [s], [Hz]
-        self._pulses = self._position = 0  # of the train, and before it
-
-    def open(self) -> None:
-        """Open the card as `NiBackend`; the pulses of the motor count from here."""
-        self._position = self._pulses = 0
-        super().open()
-
-    def move(self, pulses: int, rate: float) -> None:
-        """As `MovingBackend.move`; `RigError` also if the watchdog has expired, or the card cannot send the pulses."""
-        driver = self._check_armed()
-        if self.moving:
-            raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
-        self._end(self._pulses)
-        if not pulses:
-            return
-        if not rate > 0:
-            raise RigError(f"the motor cannot run at {rate:g} pulses per second", value=rate, lower=0.0, unit="Hz")
-        finite = {"sample_mode": driver.package.constants.AcquisitionType.FINITE, "samps_per_chan": abs(int(pulses))}
-        self._train = driver.task()
-        try:
-            with driver.translated(f"the motor's pulses at {self._counter}"):
-                self._train.co_channels.add_co_pulse_chan_freq(self._counter, freq=float(rate), duty_cycle=0.5)
-                if abs(pulses) > 1:  # a single pulse needs no timing
-                    self._train.timing.cfg_implicit_timing(**finite)
-                self._set(direction=pulses > 0)
-                self._train.start()
-        except BaseException:
-            self._end(0)
-            raise
-        self._rate, self._pulses, self._begin = float(rate), int(pulses), self.clock()
-
-    @property
-    def moving(self) -> bool:
-        if self._train is None:
-            return False
-        with self._open().translated("the motor"):
-            return not self._train.is_task_done()
-
-    def stop(self) -> None:
-        if self._train is None:
-            return
-        sent = self._pulses
-        with contextlib.suppress(Exception):
-            if not self._train.is_task_done():
-                self._train.stop()
-                sent = int(self._sent(np.array([self.clock()]))[0])
-        self._end(sent)
-
-    def close(self) -> None:
-        self._rest()
-        super().close()
-
-    def _rest(self) -> None:
-        self.vent()  # first: the air is the greater hazard
-        self.stop()
-
-    def _end(self, sent: int) -> None:
-        """End a move after a number of pulses."""
-        with contextlib.suppress(Exception):
-            self._train.close()
-        self._train = None
-        self._position += sent
-        self._pulses = 0
-
-    def _sent(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Signed pulses of this move until times [s] of the card's clock."""
-        sent = np.clip(np.floor((times - self._begin) * self._rate + 1e-6), 0, abs(self._pulses))
-        return (np.sign(self._pulses) * sent).astype(np.int64)
-
-    def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        return self._position + self._sent(times)

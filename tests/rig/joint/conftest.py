@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from mckibben.plant import JointPlant, PlantState
-from mckibben.rig import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
+from mckibben.rig import PERFECT, ControlProgram, JointLimits, RunPlan, control
 from mckibben.rig.backend import Backend
 from mckibben.rig.compiled import PlantProgram, StepResult
 from mckibben.rig.joint_record import columns
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
+from tests.rig.faults import FaultyJoint
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "pre-contracted-step-pid.yaml"
 PERIOD = 1 * ms
@@ -78,7 +79,7 @@ class Knee(NamedTuple):
 
     def joint(self, *, vented=False, sensing=PERFECT, **changes):
         start = None if vented else self.start
-        return SimulatedJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
+        return FaultyJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
 
     def plan(self, periods=100, raising=0, settling=0, reference=None):
         times = np.arange(periods) * PERIOD

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mckibben.rig.ni import NiBackend
-from mckibben.rig.simulated.faults import SamplesStopped
 from mckibben.units import bar, ms
+from tests.rig.faults import samples_stopped
 
 from .conftest import PERIOD
 
@@ -49,7 +49,7 @@ def test_on_a_card_a_run_is_the_one_without(stiff, on_card):
 
 
 def test_a_card_that_falls_silent_is_vented(stiff, on_card):
-    joint = stiff.joint(patience=1.0, faults=[SamplesStopped(20 * PERIOD)])
+    joint = stiff.joint(patience=1.0, faults=[samples_stopped(20 * PERIOD)])
     outcome, kept = stiff.run(on_card(joint), plan=stiff.plan(60))
     assert outcome.kind == "silent"
     assert kept.columns["sample"].size >= 20

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from mckibben.rig.joint_record import Phase
-from mckibben.rig.simulated.faults import SensorDisconnected, SupplyLost
-from mckibben.rig.simulated.joint import SimulatedJoint
 from mckibben.units import bar, deg
+from tests.rig.faults import FaultyJoint, disconnected, supply_lost
 
 from .conftest import StiffJoint
 
@@ -25,7 +24,7 @@ class Turning(StiffJoint):
         return state
 
 
-class Miswired(SimulatedJoint):
+class Miswired(FaultyJoint):
     """Its sensors and valves are connected in another order, and its sensors have other gains."""
 
     order, valves, gains = (0, 1, 2), (0, 1), (1.0, 1.0, 1.0)
@@ -71,8 +70,8 @@ def test_a_joint_in_order_is_probed_at_low_pressure_and_then_run(stiff):
         ({"gains": (1.0, 1.0, 0.0)}, "pressure2"),
         ({"order": (0, 1, 1)}, "pressure1"),
         ({"gains": (1.0, math.nan, 1.0)}, "pressure 1 sensor"),
-        ({"faults": [SensorDisconnected(0.25, "pressure2")]}, "pressure 2 sensor"),
-        ({"faults": [SupplyLost(0.0)]}, "pressure1"),
+        ({"faults": [disconnected(0.25, "pressure2")]}, "pressure 2 sensor"),
+        ({"faults": [supply_lost(0.0)]}, "pressure1"),
     ],
 )
 def test_wrong_channels_stop_before_the_pressure_rises_above_1_bar(stiff, changes, field):

@@ -15,8 +15,8 @@ from mckibben.rig.compiled import vented_angle
 from mckibben.rig.control_loop import realtime_process_settings
 from mckibben.rig.joint_record import Phase
 from mckibben.rig.safety import JointMonitor
-from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
 from mckibben.units import bar, deg, kPa, ms
+from tests.rig.faults import host_delayed, samples_dropped
 
 from .conftest import PERIOD, Kept, SteadyControl
 
@@ -151,7 +151,7 @@ def test_a_late_loop_takes_the_newest_sample_and_tells_how_long_it_took(stiff):
             told.append(inputs[5])
             return super().step(state, inputs)
 
-    joint = stiff.joint(faults=[HostDelayed(60 * PERIOD, 5.5 * PERIOD)])
+    joint = stiff.joint(faults=[host_delayed(60 * PERIOD, 5.5 * PERIOD)])
     outcome, kept = stiff._replace(control=Listening()).run(joint, plan=stiff.plan(100))
     assert outcome.completed
     columns = kept.columns
@@ -164,7 +164,7 @@ def test_a_late_loop_takes_the_newest_sample_and_tells_how_long_it_took(stiff):
 
 
 def test_dropped_samples_are_counted(stiff):
-    joint = stiff.joint(faults=[SamplesDropped(10 * PERIOD, 3)])
+    joint = stiff.joint(faults=[samples_dropped(10 * PERIOD, 3)])
     outcome, kept = stiff.run(joint, plan=stiff.plan(40))
     timing = Timing.of(kept.columns, PERIOD)
     assert outcome.completed

@@ -25,10 +25,10 @@ grpc = pytest.importorskip("grpc", reason="needs the extra daq")
 messages = pytest.importorskip("nidaqmx._stubs.nidaqmx_pb2", reason="needs the extra daq")
 service = pytest.importorskip("nidaqmx._stubs.nidaqmx_pb2_grpc", reason="needs the extra daq")
 
-INPUTS, OUTPUTS, COUNTER = ("Dev1/ai0", "Dev1/ai1"), ("Dev1/ao0",), "Dev1/ctr0"
+INPUTS, OUTPUTS = ("Dev1/ai0", "Dev1/ai1"), ("Dev1/ao0",)
 LINES = [f"Dev1/port0/line{k}" for k in range(8)]
-HEARTBEAT, HOLD, DIRECTION = LINES[:3]
-FINITE, CONTINUOUS = 10178, 10123
+HEARTBEAT, HOLD = LINES[:2]
+CONTINUOUS = 10123
 TIMEOUT, OVERWRITTEN, NO_DEVICE, NO_CHANNEL, RESERVED, GONE = -200284, -200279, -200220, -200170, -50103, -88709
 
 
@@ -64,8 +64,6 @@ class Task:
     kind: str = ""
     channels: list[str] = field(default_factory=list)
     rate: float = 0.0
-    pulses: int = 1
-    begin: float = 0.0
     started: bool = False
 
 
@@ -134,26 +132,16 @@ class Card(service.NiDAQmxServicer):
         task.started = True
         if task.kind == "ai":
             self.twin.open()
-        if task.kind == "co":
-            task.begin = self.twin.clock()
-            self.twin.move(task.pulses if self.lines[DIRECTION] else -task.pulses, task.rate)
         return messages.StartTaskResponse()
 
     def StopTask(self, request: Any, context: Any) -> Any:
         self._halt(self._task(request))
         return messages.StopTaskResponse()
 
-    def IsTaskDone(self, request: Any, context: Any) -> Any:
-        task = self._task(request)
-        sent = task.kind == "co" and self.twin.clock() >= task.begin + task.pulses / task.rate - 1e-9
-        return messages.IsTaskDoneResponse(is_task_done=sent or not task.started)
-
     def _task(self, request: Any) -> Task:
         return self.tasks[request.task.name]
 
     def _halt(self, task: Task) -> None:
-        if task.started and task.kind == "co":
-            self.twin.stop()
         if task.started and task.kind == "ai":
             self.twin.close()
         task.started = False
@@ -194,11 +182,6 @@ class Card(service.NiDAQmxServicer):
         self._add(request, "do", request.lines, LINES)
         return messages.CreateDOChanResponse()
 
-    def CreateCOPulseChanFreq(self, request: Any, context: Any) -> Any:
-        self._add(request, "co", request.counter, [COUNTER])
-        self._task(request).rate = request.freq
-        return messages.CreateCOPulseChanFreqResponse()
-
     # Timing
 
     def CfgSampClkTiming(self, request: Any, context: Any) -> Any:
@@ -208,11 +191,6 @@ class Card(service.NiDAQmxServicer):
         task.rate = 80e6 / divided
         self.twin.rate = request.rate
         return messages.CfgSampClkTimingResponse()
-
-    def CfgImplicitTiming(self, request: Any, context: Any) -> Any:
-        assert request.sample_mode_raw == FINITE
-        self._task(request).pulses = request.samps_per_chan
-        return messages.CfgImplicitTimingResponse()
 
     # Data
 

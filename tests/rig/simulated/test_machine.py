@@ -9,11 +9,8 @@ from scipy.integrate import solve_ivp
 from mckibben import catalog
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR
-from mckibben.rig.bench import Drive
-from mckibben.rig.simulated import Regulator
-from mckibben.rig.simulated.faults import ValveStuck
-from mckibben.rig.simulated.machine import Machine
-from mckibben.units import bar
+from mckibben.rig.simulated import Regulator, SimulatedRig
+from mckibben.units import bar, ms
 from tests.air import flow
 
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
@@ -23,27 +20,27 @@ VOLUME = float(SPECIMEN.volume(0.1)) + 5e-6
 
 
 def at_work(muscle, pressure, regulator=TIGHT):
-    machine = Machine(muscle, 0.1, regulator, Drive())
-    machine.set_signal(pressure, 0.0)
-    machine.hold()
-    return machine
+    rig = SimulatedRig(muscle, mounted_at=0.1, regulator=regulator, patience=1e6)
+    rig.open()
+    rig.set_valves([pressure])
+    return rig
 
 
-def passed(machine, duration):
+def passed(rig, duration):
     """Times, forces and pressures of the knots within a duration."""
-    times, values = machine.pass_until(machine.now + duration)
+    times, values = rig._integrate(rig.now + duration)
     return np.array([times, *zip(*values, strict=True)])
 
 
 def test_friction_along_a_way_is_that_of_the_muscle():
     """Moves back and forth at a pressure that changes."""
     friction = MaxwellSlip(12.0, 0.5e-3, growth=5e-6)
-    machine, states = at_work(Muscle(SPECIMEN, LAW, friction), 3 * bar), []
+    rig, states = at_work(Muscle(SPECIMEN, LAW, friction), 3 * bar), []
     for pulses in (-1200, 200, -600, 2000, -320, 200):
-        machine.motor.move(machine.now, pulses, 400.0)
-        while machine.motor.moving(machine.now):
-            passed(machine, 0.01)
-            states.append(machine.truth)
+        rig.move(pulses, 400.0)
+        while rig.moving:
+            passed(rig, 0.01)
+            states.append(rig.truth)
     contraction, pressure, force = (
         np.array([getattr(s, n) for s in states]) for n in ("contraction", "pressure", "force")
     )
@@ -55,15 +52,15 @@ def test_friction_along_a_way_is_that_of_the_muscle():
 
 def test_creep_after_moves_is_that_of_the_muscle():
     creep = MaxwellCreep(1500.0, 2.0, arms=2)
-    machine, stops, read = at_work(Muscle(SPECIMEN, LAW, creep=creep), 3 * bar), [0, 800, 400, 1600], []
-    passed(machine, 30.0)
+    rig, stops, read = at_work(Muscle(SPECIMEN, LAW, creep=creep), 3 * bar), [0, 800, 400, 1600], []
+    passed(rig, 30.0)
     for before, after in itertools.pairwise(stops):
-        machine.motor.move(machine.now, after - before, 800.0)
-        passed(machine, abs(after - before) / 800.0)
+        rig.move(after - before, 800.0)
+        passed(rig, abs(after - before) / 800.0)
         states = []
         for _ in range(12):
-            passed(machine, 0.25)
-            states.append(machine.truth)
+            passed(rig, 0.25)
+            states.append(rig.truth)
         read.append([s.force - float(forces(Muscle(SPECIMEN, LAW), s.contraction, s.pressure)) for s in states])
     length = 0.162 + np.array(stops) / 400e3
     tension, moves = forces(Muscle(SPECIMEN, LAW), 1 - length / 0.18, 3 * bar), np.abs(np.diff(stops, prepend=0)) / 800
@@ -74,13 +71,13 @@ def test_creep_after_moves_is_that_of_the_muscle():
 
 
 def test_choked_exhaust_is_an_exponential():
-    machine = at_work(Muscle(SPECIMEN, LAW), 8 * bar)
-    passed(machine, 20.0)
-    machine.cut()
-    machine.now += TIGHT.exhaust_delay
-    machine.settle()
-    before = machine.truth.pressure + ATMOSPHERE
-    time, _, pressure = passed(machine, 0.3)
+    rig = at_work(Muscle(SPECIMEN, LAW), 8 * bar)
+    passed(rig, 20.0)
+    rig.vent()
+    rig.now += TIGHT.exhaust_delay
+    rig._settle()
+    before = rig.truth.pressure + ATMOSPHERE
+    time, _, pressure = passed(rig, 0.3)
     rate = TIGHT.exhaust * DENSITY * ENERGY / VOLUME
     choked = pressure + ATMOSPHERE > ATMOSPHERE / TIGHT.critical
     assert choked.sum() > 10
@@ -90,7 +87,9 @@ def test_choked_exhaust_is_an_exponential():
 
 def test_warm_air_is_that_of_an_independent_integrator():
     """Filled, shut, vented in part and shut: masses and energies, with a leak and a wall."""
-    leaky = Regulator(conductance=0.1 * L_PER_S_BAR, leak=2e-4 * L_PER_S_BAR, wall_conductance=0.15, repeatability=0.0)
+    leaky = Regulator(
+        conductance=0.1 * L_PER_S_BAR, lag=0.02 * ms, leak=2e-4 * L_PER_S_BAR, wall_conductance=0.15, repeatability=0.0
+    )
 
     def rates(time, state, opening):
         mass, energy = state  # kg, J
@@ -101,31 +100,31 @@ def test_warm_air_is_that_of_an_independent_integrator():
         heat = 0.15 * (293.15 - temperature)
         return [inflow - outflow, 1008 * (293.15 * inflow - temperature * outflow) + heat]
 
-    machine, now = at_work(Muscle(SPECIMEN, LAW), 3 * bar, leaky), 0.0
+    rig, now = at_work(Muscle(SPECIMEN, LAW), 9 * bar, leaky), 0.0
     state = np.array([1.0, 720 * 293.15]) * 101325 * VOLUME / (288 * 293.15)
     for opening, duration in ((1.0, 0.12), (0.0, 1.5), (-1.0, 0.1), (0.0, 1.0)):
-        machine.apply(ValveStuck(0.0, opening))
         if opening == 0.0:
-            machine.close()
+            rig.shut()
         else:
-            machine.hold()
+            rig.set_valves([4.5 * bar * (1 + opening) or 1.0])
+            rig._exhausting = False
         exact = solve_ivp(
             rates, (now, now + duration), state, method="LSODA", rtol=1e-9, atol=1e-12, max_step=1e-3, args=(opening,)
         )
-        time, _, pressure = passed(machine, duration)
+        time, _, pressure = passed(rig, duration)
         there = 0.4 * exact.y[1] / VOLUME - 101325
         assert np.abs(np.interp(time, exact.t, there) - pressure).max() < 0.003 * bar
         state, now = exact.y[:, -1], now + duration
-        assert machine.truth.temperature == pytest.approx(state[1] / (state[0] * 720), abs=0.3)
+        assert rig.truth.temperature == pytest.approx(state[1] / (state[0] * 720), abs=0.3)
 
 
 def test_signals_from_above_and_below_differ_by_the_hysteresis():
     plain, ends = Regulator(leak=0.0, repeatability=0.0), []
     for first in (1.0, 5.0):
-        machine = at_work(Muscle(SPECIMEN, LAW), first * bar, plain)
-        passed(machine, 5.0)
-        machine.set_signal(3 * bar, 0.0)
-        passed(machine, 5.0)
-        ends.append(machine.truth.pressure)
+        rig = at_work(Muscle(SPECIMEN, LAW), first * bar, plain)
+        passed(rig, 5.0)
+        rig.set_valves([3 * bar])
+        passed(rig, 5.0)
+        ends.append(rig.truth.pressure)
     assert ends[1] - ends[0] == pytest.approx(plain.hysteresis, rel=0.01)
     assert sum(ends) / 2 == pytest.approx(3 * bar, rel=1e-4)

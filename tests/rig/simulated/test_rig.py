@@ -7,24 +7,15 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.errors import RangeError, RigError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Drive
 from mckibben.rig.simulated import (
     FORCE_SENSOR,
     PRESSURE_SENSOR,
-    Burst,
-    HostDelayed,
     Regulator,
-    SamplesDelayed,
-    SamplesDropped,
-    SamplesStopped,
-    SensorDisconnected,
     SimulatedRig,
-    Stalled,
-    SupplyLost,
-    ValveStuck,
 )
 from mckibben.units import bar, kPa, mm
 
@@ -177,62 +168,6 @@ def test_missed_beat_vents_in_time_and_holds_until_opened_anew():
     assert rig.read(200).pulses.tolist() == np.floor(np.arange(200) * 0.08 + 1e-6).tolist()
 
 
-# Faults, each with what tells of it
-
-
-def after(fault, pressure=4 * bar, duration=4.0, **settings):
-    rig = opened(faults=[fault], mounted_at=0.05, **{**QUIET, **settings})
-    press(rig, pressure)
-    return rig, columns(rig, blocks(rig, duration))
-
-
-def test_lost_supply_lets_the_pressure_go():
-    _, (time, _, pressure, _) = after(SupplyLost(2.0), duration=20.0, regulator=Regulator())
-    assert pressure[1990] > 3.9 * bar and pressure[-1] < 0.2 * bar
-    assert (np.diff(pressure[time > 2]) < 1).all()
-
-
-def test_stuck_regulator_fills_to_the_supply():
-    rig, (_, _, pressure, _) = after(ValveStuck(2.0), duration=12.0)
-    assert pressure[-1] == pytest.approx(8 * bar, rel=0.01)
-    press(rig, 0.0)
-    blocks(rig, 1.0)
-    assert rig.truth.pressure > 7.9 * bar  # it does not follow
-
-
-def test_unplugged_sensor_reads_a_rail_a_plausible_value_or_the_mains():
-    for value, low, high in ((math.inf, 10.2, 10.2), (0.5 * bar, 0.5, 0.5), (None, -1.1, 3.1)):
-        rig, (time, force, pressure, _) = after(SensorDisconnected(1.5, "pressure", value))
-        read = pressure[time >= 1.5] / bar
-        assert low - 1e-6 <= read.min() <= read.max() <= high + 1e-6
-        assert rig.truth.pressure == pytest.approx(4 * bar, rel=1e-3) and force[-1] == pytest.approx(rig.truth.force)
-    assert np.std(read) == pytest.approx(2.04 / math.sqrt(2), rel=0.05)
-    _, (time, force, *_) = after(SensorDisconnected(1.5, "force"))
-    assert (force[time >= 1.5] == 2040).all() and force[1400] < 500
-
-
-def test_muscle_that_bursts_loses_its_pressure_at_once():
-    _, (time, force, pressure, _) = after(Burst(2.0))
-    assert pressure[1990] > 3.9 * bar and pressure[time > 2.1].max() < 0.05 * bar
-    assert force[-1] == pytest.approx(float(forces(PLAIN, 0.05, pressure[-1])), abs=0.01)
-
-
-def test_stalled_motor_counts_and_stands():
-    rig = opened(faults=[Stalled(1.0)], patience=1e9)
-    rig.move(-160, 80.0)
-    assert rig.read(2500).pulses[-1] == -160
-    assert rig.truth.stretch == pytest.approx(rig.drive.travel(-80))
-
-
-def test_late_host_finds_its_samples_waiting():
-    rig = opened(faults=[HostDelayed(0.55, 0.4)])
-    kept = blocks(rig, 0.6)
-    assert rig.clock() == pytest.approx(1.0)
-    kept += blocks(rig, 0.4)
-    assert rig.clock() == pytest.approx(1.0)
-    np.testing.assert_allclose(columns(rig, kept)[0], np.arange(1000) / 1000)
-
-
 def test_host_that_is_away_for_too_long_loses_samples_and_is_told():
     rig = opened(patience=1e9)
     rig.pass_time(10.0)
@@ -240,33 +175,6 @@ def test_host_that_is_away_for_too_long_loses_samples_and_is_told():
     rig.pass_time(11.0)
     with pytest.raises(RigError, match="overwritten"):
         rig.read(100)
-
-
-def test_silent_converter_is_told_after_the_timeout():
-    rig = opened(faults=[SamplesStopped(0.25)])
-    assert rig.read(200).first == 0
-    rig.heartbeat()
-    with pytest.raises(SilentError):
-        rig.read(100, timeout=0.3)
-    assert rig.clock() == pytest.approx(0.3 + 0.3)
-
-
-def test_dropped_samples_are_missing_from_the_numbers():
-    rig = opened(faults=[SamplesDropped(0.45, 25), SamplesDropped(1.45, 25)])
-    kept = blocks(rig, 2.0)
-    firsts = np.array([block.first for block in kept])
-    assert [*np.flatnonzero(np.diff(firsts) != 100)] == [3, 12]
-    assert firsts[4] == 475 and firsts[13] == 1475
-    for block in kept:
-        np.testing.assert_allclose(block.time, (block.first + np.arange(100)) / 1000)
-
-
-def test_delayed_samples_come_later_than_they_were_taken():
-    rig = opened(faults=[SamplesDelayed(0.5, 0.2)])
-    lag = [(rig.clock() - block.time[-1]) for _ in range(10) for block in blocks(rig, 0.1)]
-    assert max(lag[:4]) < 0.002 and min(lag[6:]) == pytest.approx(0.201)
-    with pytest.raises(SilentError):
-        rig.read(100, timeout=0.1)
 
 
 # Wrong use
@@ -290,10 +198,6 @@ def test_wrong_use_is_refused():
         lambda: rig.read(0),
         lambda: SimulatedRig(PLAIN, rate=0.0),
         lambda: Regulator(band=0.0),
-        lambda: SimulatedRig(PLAIN, faults=[SensorDisconnected(1.0, "angle")]),
-        lambda: Burst(-1.0),
-        lambda: SamplesDropped(1.0, 0),
-        lambda: ValveStuck(0.0, 2.0),
         lambda: Drive(lead=0.0),
     ):
         with pytest.raises(RangeError):
@@ -344,15 +248,6 @@ def test_paced_rig_vents_while_the_host_is_away():
     assert not rig.moving and rig.truth.pressure < SAFE
     with pytest.raises(RigError, match="without a heartbeat"):
         rig.set_valves([1.0])
-
-
-def test_paced_rig_that_is_silent_takes_its_timeout():
-    wall = Wall()
-    rig = SimulatedRig(PLAIN, paced=True, faults=[SamplesStopped(0.05)], wall=wall, sleep=wall.sleep)
-    rig.open()
-    with pytest.raises(SilentError):
-        rig.read(100, timeout=0.5)
-    assert rig.clock() == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("wrong", [{"mounted_at": 5.0}, {"mounted_at": np.nan}, {"seed": -1}])

@@ -13,15 +13,6 @@ from mckibben.component.checks import check_positive
 from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.backend import Channel
 from mckibben.rig.compiled import PlantProgram, complete_state, vented_angle
-from mckibben.rig.simulated.faults import (
-    Fault,
-    HostDelayed,
-    SamplesDelayed,
-    SamplesDropped,
-    SamplesStopped,
-    SensorDisconnected,
-    SupplyLost,
-)
 from mckibben.rig.simulated.sampling import Sensor, SimulatedBackend
 from mckibben.units import AngleStep, PressureNoise, bar, deg, kPa, ms
 
@@ -78,12 +69,11 @@ class SimulatedJoint(SimulatedBackend):
         Initial state, at constant pressures until then. Default: vented and at rest.
     program
         Compiled program of this plant and number of steps, if there is one.
-    patience, paced, seed, faults
-        As for `SimulatedBackend`; faults of sensors, samples, host and supply.
+    patience, paced, seed
+        As for `SimulatedBackend`.
     """
 
     immediate = True
-    supported = SensorDisconnected, SupplyLost, HostDelayed, SamplesStopped, SamplesDropped, SamplesDelayed
 
     def __init__(
         self,
@@ -96,12 +86,11 @@ class SimulatedJoint(SimulatedBackend):
         patience: float = 100 * ms,
         paced: bool = False,
         seed: int = 0,
-        faults: Sequence[Fault] = (),
         program: PlantProgram | None = None,
     ) -> None:
         check_positive("SimulatedJoint", "s", period=period)
         sensors = (sensing or Sensing()).sensors()
-        super().__init__(sensors, rate=1 / period, patience=patience, paced=paced, seed=seed, faults=faults)
+        super().__init__(sensors, rate=1 / period, patience=patience, paced=paced, seed=seed)
         self._delay_of_commands, self._period = float(plant.command_delay or 0.0), period
         self.program = program or PlantProgram(plant, substeps)
         first = PlantState(vented_angle(plant), 0.0, (0.0, 0.0)) if start is None else start  # type: ignore[arg-type]
@@ -111,7 +100,7 @@ class SimulatedJoint(SimulatedBackend):
         self._begin()
 
     def _begin(self) -> None:
-        self._state, self._commands, self._supplied = self._start, self._initial_commands, True
+        self._state, self._commands = self._start, self._initial_commands
         self._pending: deque[tuple[float, tuple[float, float]]] = deque()  # times and commands
 
     @property
@@ -155,16 +144,12 @@ class SimulatedJoint(SimulatedBackend):
         while self._pending and self._pending[0][0] <= self.now:
             _, self._commands = self._pending.popleft()
 
-    def _apply(self, fault: Fault) -> None:
-        self._supplied = False
-
     def _integrate(self, until: float) -> tuple[list[float], list[tuple[float, ...]]]:
         """Integrate under the present commands, in sampling periods and a remainder."""
         times, values, little = [self.now], [self._truth()], 1e-9 * self._period
-        commands = self._commands if self._supplied else (0.0, 0.0)
         while (left := until - self.now) > 0:
             step = self._period if left > self._period - little else left
-            self._state = self.program.advance(self._state, *commands, step)
+            self._state = self.program.advance(self._state, *self._commands, step)
             self.now = until if left - step <= little else self.now + step
             times.append(self.now)
             values.append(self._truth())

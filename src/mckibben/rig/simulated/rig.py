@@ -1,23 +1,305 @@
-"""Simulated rig: a `MovingBackend` in simulated or in real time."""
+"""Simulated test rig: muscle, air, regulator and motor over time, a `MovingBackend` in simulated or in real time."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jaxtyping import Array
 from numpy.typing import NDArray
 
+from mckibben.actuator import AirState, AirVolume, PressureRegulator
+from mckibben.component.base import Checked
 from mckibben.component.checks import check_within
-from mckibben.errors import RigError
-from mckibben.muscle import Muscle
+from mckibben.errors import RangeError, RigError
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.muscle.air import L_PER_S_BAR, TEMPERATURE, CriticalRatio, exchange_rate
+from mckibben.numerics.calculus import rk4, value_and_derivative
+from mckibben.numerics.compiled import numeric
+from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.rig.backend import Channel, MovingBackend
 from mckibben.rig.bench import Drive
-from mckibben.rig.simulated.faults import Fault
-from mckibben.rig.simulated.machine import Machine, Truth
-from mckibben.rig.simulated.parts import Regulator
-from mckibben.rig.simulated.sampling import FORCE_SENSOR, PRESSURE_SENSOR, Sensor, SimulatedBackend
-from mckibben.units import Hz, bar, s
+from mckibben.rig.compiled import FlatTree, flat_program
+from mckibben.rig.simulated.sampling import FORCE_SENSOR, INSTANT, PRESSURE_SENSOR, Sensor, SimulatedBackend
+from mckibben.units import (
+    Conductance,
+    HeatConductance,
+    Hz,
+    PositivePressure,
+    PositiveTime,
+    PressureNoise,
+    PressureScale,
+    Quantity,
+    ShortTime,
+    Volume,
+    bar,
+    kPa,
+    ms,
+    s,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regulator(Checked):
+    """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
+
+    A `PressureRegulator` whose commands have an offset. Behind it is a shut-off valve, and behind this a 3/2 valve:
+    without current its spring shuts off the regulator and vents the muscle.
+
+    Numbers "of the maker" are quoted from memory from the ITV0000 data sheet, unverified; others are ours.
+
+    Parameters
+    ----------
+    supply
+        Supply pressure [Pa]; the maker allows 10 bar.
+    conductance
+        Sonic conductance C [m^3/(s*Pa)] fully open, in both directions: the maker's 6 dm^3/min at 10 bar.
+    critical
+        Critical pressure ratio b [-].
+    band
+        Error of the pressure [Pa] at which it is fully open.
+    lag
+        Time constant [s] of the command: a third of the maker's response of 0.1 s without a load.
+    hysteresis
+        Width [Pa] of the command's play: the maker's 0.5 % of 9 bar.
+    repeatability
+        Largest offset [Pa], drawn at each new command: the maker's 0.5 % of 9 bar.
+    highest
+        Highest command [Pa] (the maker).
+    dead_volume
+        Volume [m^3] of tube and fittings: a metre of tube with 2.5 mm inside.
+    exhaust, exhaust_delay
+        C [m^3/(s*Pa)] of the vent valve with its tube, and its opening time [s].
+    leak
+        C of a leak [m^3/(s*Pa)].
+    wall_conductance
+        h A [W/K] of the wall of the muscle as mounted; without it, the air is at room temperature.
+
+    Raises
+    ------
+    RangeError
+        If a number is out of the range of its field.
+    """
+
+    supply: PositivePressure = 8 * bar
+    conductance: Conductance = 0.0091 * L_PER_S_BAR
+    critical: CriticalRatio = 0.3
+    band: PressureScale = 0.1 * bar
+    lag: PositiveTime = 30 * ms
+    hysteresis: PressureNoise = 4.5 * kPa
+    repeatability: PressureNoise = 4.5 * kPa
+    highest: PositivePressure = 9 * bar
+    dead_volume: Volume = 5e-6
+    exhaust: Conductance = 0.1 * L_PER_S_BAR
+    exhaust_delay: ShortTime = 20 * ms
+    leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
+    wall_conductance: HeatConductance | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.supply <= self.band:
+            raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
+
+    def valve(self) -> PressureRegulator:
+        """The same as an actuator."""
+        return PressureRegulator(
+            conductance=self.conductance,
+            supply=self.supply,
+            time_constant=self.lag,
+            hysteresis=self.hysteresis,
+            critical_ratio=self.critical,
+            band=self.band,
+            polytropic_index=1.0,
+            wall_conductance=self.wall_conductance,
+            dead_volume=self.dead_volume,
+            leak=self.exhaust,
+        )
+
+
+_ROUNDING = 1e-6  # pulses
+
+
+@dataclass(frozen=True)
+class _Move:
+    """A move at a constant rate [Hz], which begins at a time [s] and a position [pulses]."""
+
+    begin: float
+    first: int
+    pulses: int
+    rate: float
+
+    @property
+    def end(self) -> float:
+        return self.begin + abs(self.pulses) / self.rate
+
+
+class Motor:
+    """Position of the motor over time.
+
+    Examples
+    --------
+    >>> motor = Motor(Drive())
+    >>> motor.move(0.0, 40, 80.0)
+    >>> motor.counted(np.array([0.0, 0.25, 1.0])).tolist(), motor.moving(0.4)
+    ([0, 20, 40], True)
+    """
+
+    def __init__(self, drive: Drive) -> None:
+        self._per_metre = drive.pulses_per_metre
+        self._fastest = drive.fastest
+        self._move: _Move | None = None
+        self._counted = 0  # end of the last move
+
+    def move(self, now: float, pulses: int, rate: float) -> None:
+        """Begin a move by pulses at a rate [Hz]; `RigError` if it is moving, or the rate is too high."""
+        if self.moving(now):
+            raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
+        if not 0 < rate <= self._fastest:
+            message = f"the motor cannot run at {rate:g} pulses per second"
+            remedy = f"it reaches {self._fastest:g} at most"
+            raise RigError(message, value=rate, lower=0.0, upper=self._fastest, unit="Hz", remedy=remedy)
+        self.stop(now)
+        if pulses:
+            self._move = _Move(now, self._counted, int(pulses), rate)
+
+    def moving(self, now: float) -> bool:
+        """Whether it is moving."""
+        return self._move is not None and now < self._move.end - 1e-9
+
+    def next_end(self, now: float) -> float:
+        """End of the present move [s]; infinite without one."""
+        return self._move.end if self._move is not None and now < self._move.end else math.inf
+
+    def stop(self, now: float) -> None:
+        """Stop."""
+        if self._move is not None:
+            self._counted = int(self.counted(np.array([now]))[0])
+            self._move = None
+
+    def counted(self, time: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Whole pulses sent until times [s]."""
+        if (move := self._move) is None:
+            return np.full(len(time), self._counted, np.int64)
+        sent = np.clip((np.minimum(time, move.end) - move.begin) * move.rate, 0.0, abs(move.pulses))
+        return move.first + np.sign(move.pulses) * np.floor(sent + _ROUNDING).astype(np.int64)
+
+    def travel(self, now: float) -> float:
+        """Travel of the screw [m]."""
+        if (move := self._move) is None:
+            return self._counted / self._per_metre
+        sent = min(max((now - move.begin) * move.rate, 0.0), abs(move.pulses))
+        return (move.first + math.copysign(sent, move.pulses)) / self._per_metre
+
+
+_LONGEST, _MOVING = 100 * ms, 10 * ms  # between two knots, at rest and in motion
+_STEPS = 10  # of the integration between two knots
+_STILL = 0.5  # Pa/s and mK/s, highest rates at rest
+_NOTHING = 1.0  # Pa, a signal of zero
+_ADIABATIC = 1.4**1.5  # as `AirActuator.fastest_index`
+
+
+class ClampedMuscle(NamedTuple):
+    """State of a muscle between clamps and its air: stretch [m] since it was mounted, gauge pressure [Pa], valve."""
+
+    stretch: Any
+    pressures: tuple[Any]
+    air: AirState
+    muscle: MuscleState
+
+
+class Clamps(NamedTuple):
+    """Muscle, regulator, and contraction [-] at which the muscle is mounted."""
+
+    muscle: Muscle
+    valve: PressureRegulator
+    mounted_at: Any
+
+    def contraction(self, stretch: Any) -> Any:
+        """Contraction [-] at a stretch [m]."""
+        return self.mounted_at - stretch / self.muscle.specimen.initial_length
+
+    def wall(self, stretch: Any) -> Any:
+        """Lateral area of a cylinder with the length and the volume of the muscle, relative to that as mounted."""
+
+        def squared(stretch: Any) -> Any:
+            contraction = self.contraction(stretch)
+            return self.muscle.specimen.volume(contraction) * (1 - contraction)
+
+        return jnp.sqrt(squared(stretch) / squared(0.0))
+
+
+def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Array, inputs: Array) -> Array:
+    """State after a move at constant speed, followed by the force [N] at its end.
+
+    Inputs are the command [Pa], the stretch at the end [m], the duration [s], the conductances of the regulator and of
+    all leaks [m^3/(s*Pa)], and the supply [Pa].
+    """
+    clamps: Clamps = numbers.unpack(packed)
+    command, end, duration, conductance, leak, supply = inputs
+    valve = dataclasses.replace(clamps.valve, conductance=conductance, leak=leak, supply=supply)
+    begin: ClampedMuscle = states.unpack(state)
+    step, speed = duration / _STEPS, (end - begin.stretch) / duration
+
+    def rate(stretch: Any, pressures: Any, air: AirState, creep: Any, *, muscle: MuscleState) -> Any:
+        volume, growth = value_and_derivative(lambda at: clamps.muscle.specimen.volume(clamps.contraction(at)), stretch)
+        here = valve
+        if valve.wall_conductance is not None:
+            here = dataclasses.replace(valve, wall_conductance=valve.wall_conductance * clamps.wall(stretch))
+        room = AirVolume(volume + valve.dead_volume, growth * speed)
+        rates, air_rates = here.air_rate(pressures, air, (command,), (room,))
+        creeping = clamps.muscle.state_rate(muscle._replace(creep=creep), speed, pressures[0]).creep
+        return speed, rates, air_rates, creeping
+
+    def integrate(_: Any, at: ClampedMuscle) -> ClampedMuscle:
+        motion = at.stretch, at.pressures, at.air, at.muscle.creep
+        stretch, pressures, air, creep = rk4(lambda now: rate(*now, muscle=at.muscle), motion, step)
+        muscle = clamps.muscle.update_state(at.muscle._replace(creep=creep), clamps.contraction(stretch), pressures[0])
+        return ClampedMuscle(stretch, pressures, air, muscle)
+
+    after = lax.fori_loop(0, _STEPS, integrate, begin)
+    contraction, pressure = clamps.contraction(end), after.pressures[0]
+    force = clamps.muscle.tension(contraction, pressure, after.muscle)
+    force = force + clamps.muscle.viscous_force(contraction, pressure, speed, after.muscle)
+    return jnp.concatenate([states.pack(after, jnp), jnp.reshape(force, 1)])
+
+
+class Truth(NamedTuple):
+    """True state of the simulated clamps.
+
+    Attributes
+    ----------
+    time
+        Time since the rig was first opened [s].
+    pressure
+        Gauge pressure in the muscle [Pa].
+    force
+        Force at the clamps [N].
+    stretch
+        Travel of the carriage since the rig was first opened [m], positive = stretching.
+    contraction
+        Contraction [-].
+    vented
+        Whether the vent valve is open.
+    temperature
+        Temperature [K] of the air in muscle and tube.
+    """
+
+    time: float
+    pressure: float
+    force: float
+    stretch: float
+    contraction: float
+    vented: bool
+    temperature: float
+
 
 VALVE = Channel("valve", "Pa", 0.0, 9 * bar, "simulated regulator")
 """ITV0050-3, 0 to 9 bar; inferred from its designation, unverified."""
@@ -32,7 +314,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
     - The air is that of a `PressureRegulator`, in the volume of the braid between the clamps: isothermal, or with a
       `wall_conductance` of the regulator by the energy balance of `AirActuator`.
     - After `vent`, or a missed heartbeat, a spring-return valve vents, independent of the regulator: from 8 bar, at any
-      contraction, the true pressure is below 0.2 bar within 1 s (tested), in spite of any other fault.
+      contraction, the true pressure is below 0.2 bar within 1 s (tested).
     - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
 
     Parameters
@@ -81,7 +363,6 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         *,
         seed: int = 0,
         mounted_at: float = 0.0,
-        faults: Sequence[Fault] = (),
         regulator: Regulator | None = None,
         drive: Drive | None = None,
         force_sensor: Sensor = FORCE_SENSOR,
@@ -92,12 +373,24 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
     ) -> None:
         check_within("simulated rig", -0.5, 0.8, mounted_at=mounted_at)
         sensors = force_sensor, pressure_sensor
-        super().__init__(sensors, rate=rate, patience=patience, seed=seed, faults=faults, **others)
+        super().__init__(sensors, rate=rate, patience=patience, seed=seed, **others)
         self._muscle, self._mounted_at = muscle, mounted_at
         self._regulator, self.drive = regulator or Regulator(), drive or Drive()
         self.supply = min(self._regulator.supply, self._regulator.highest)
-        self._machine = Machine(muscle, mounted_at, self._regulator, self.drive)
-        self._zero = 0  # pulses when it was opened
+        self._motor, self._zero = Motor(self.drive), 0  # pulses when it was opened
+        self._shut, self._exhausting, self._exhaust_at = False, True, math.inf
+        self._signal = self._command = 0.0  # of the regulator, as pressures [Pa], without and with its offset
+        self._resting, self._force = False, 0.0
+        self._clamps = Clamps(muscle, self._regulator.valve(), float(mounted_at))
+        clamps: Clamps = numeric(self._clamps)
+        layouts = FlatTree.like(clamps), FlatTree.like(jax.eval_shape(functools.partial(_relaxed, clamps)))
+        self._numbers = layouts[0].pack(clamps)
+        self._state = layouts[1].pack(jax.tree.map(np.asarray, _relaxed(clamps)))
+        self._program = flat_program(advance_flat, layouts[0].size, layouts[1].size, 6, static=layouts)
+        times = [*getattr(muscle.creep, "time_constants", ()), *getattr(muscle.creep, "pressure_time_constants", ())]
+        self._creeps = bool(times)
+        self._knot = min([_LONGEST, *(float(time) / _STEPS * 2 for time in times)])
+        self._step(INSTANT, 0.0)
 
     @property
     def outputs(self) -> Sequence[Channel]:
@@ -119,7 +412,16 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
     @property
     def truth(self) -> Truth:
         """True state."""
-        return self._machine.truth
+        _, pressure, _, *temperature = self._air
+        stretch = self._motor.travel(self.now)
+        contraction = float(self._clamps.contraction(stretch))
+        kelvin = temperature[0] if temperature else TEMPERATURE
+        return Truth(self.now, pressure, self._force, stretch, contraction, self._exhausting, kelvin)
+
+    @property
+    def _air(self) -> list[float]:
+        """Stretch [m], pressure and command of the regulator [Pa], and temperature [K], if the air has one."""
+        return self._state[: 3 + (self._regulator.wall_conductance is not None)].tolist()
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Set the pressure of the valve; one of more than 0 bar ends a `vent`.
@@ -138,58 +440,109 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         if len(pressures) != 1 or not VALVE.low <= pressures[0] <= VALVE.high:
             raise RigError(f"{list(pressures)} Pa cannot be given at one valve of 0..{VALVE.high:g} Pa")
         pressure = float(pressures[0])
-        if self._machine.differs(pressure):
+        if abs(pressure - self._signal) > _NOTHING:
             most = self._regulator.repeatability
-            self._machine.set_signal(pressure, float(self._random.uniform(-most, most)))
-        self._machine.hold()
+            self._set_signal(pressure, float(self._random.uniform(-most, most)))
+        self._shut = self._resting = False
+        if self._signal > _NOTHING:
+            self._exhausting, self._exhaust_at = False, math.inf
+
+    def _set_signal(self, pressure: float, offset: float) -> None:
+        """Set the signal of the regulator, as a pressure [Pa], with its offset [Pa]."""
+        self._signal = min(max(pressure, 0.0), self._regulator.highest)
+        self._command = self._signal + offset if self._signal > 0 else 0.0
+        self._resting = False
 
     def shut(self) -> None:
         self._check_armed()
-        self._machine.close()
+        self._shut, self._resting = True, False
 
     def vent(self) -> None:
         self._catch_up()
-        self._machine.set_signal(0.0, 0.0)
-        self._machine.cut()
+        self._cut()
+
+    def _cut(self) -> None:
+        """Cut the current of the vent valve, which opens after its delay."""
+        self._set_signal(0.0, 0.0)
+        if not self._exhausting:
+            self._exhaust_at = min(self._exhaust_at, self.now + self._regulator.exhaust_delay)
 
     def move(self, pulses: int, rate: float) -> None:
         """As `MovingBackend.move`; `RigError` also if the watchdog has expired."""
         self._check_armed()
-        self._machine.motor.move(self.now, pulses, rate)
+        self._motor.move(self.now, pulses, rate)
 
     @property
     def moving(self) -> bool:
         self._catch_up()
-        return self._machine.motor.moving(self.now)
+        return self._motor.moving(self.now)
 
     def stop(self) -> None:
         self._catch_up()
-        self._machine.motor.stop(self.now)
+        self._motor.stop(self.now)
 
     def _rest(self) -> None:
-        self._machine.set_signal(0.0, 0.0)
-        self._machine.cut()
-        self._machine.motor.stop(self.now)
+        self._cut()
+        self._motor.stop(self.now)
 
     def _begin(self) -> None:
-        self._zero = int(self._machine.motor.counted(np.array([self.now]))[0])
+        self._zero = int(self._motor.counted(np.array([self.now]))[0])
 
     def _pulses(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        return self._machine.motor.counted(times) - self._zero
+        return self._motor.counted(times) - self._zero
 
     def _truth(self) -> tuple[float, ...]:
-        return self.truth.force, self.truth.pressure
+        return self._force, self._air[1]
 
     def _next_event(self) -> float:
-        return self._machine.next_event()
+        return min(self._exhaust_at, self._motor.next_end(self.now))
 
     def _settle(self) -> None:
-        self._machine.settle()
-
-    def _apply(self, fault: Fault) -> None:
-        self._machine.apply(fault)
+        if self.now >= self._exhaust_at - INSTANT:
+            self._exhausting, self._exhaust_at, self._resting = True, math.inf, False
 
     def _integrate(self, until: float) -> tuple[list[float], list[tuple[float, ...]]]:
-        times, values = self._machine.pass_until(until)
-        self.now = self._machine.now
+        times, values = [self.now], [self._truth()]
+        moving = self._motor.moving(self.now)
+        while self.now < until:
+            idle, span = self._resting and not moving, until - self.now
+            if (not idle or self._creeps) and span > INSTANT:
+                span = min(span, self._knot if idle else _MOVING, self._stable)
+                self._step(span, self._motor.travel(self.now + span))
+            self.now = until if self.now + span > until - INSTANT else self.now + span
+            times.append(self.now)
+            values.append(self._truth())
         return times, values
+
+    def _step(self, span: float, stretch: float) -> None:
+        """Integrate over a span [s] to a stretch [m]."""
+        inputs = [self._command, stretch, span, *self._conductances, self._regulator.supply]
+        before, after = self._air, np.asarray(self._program(self._numbers, self._state, np.array(inputs)))
+        self._state, self._force = after[:-1], float(after[-1])
+        _, *changes = (new - old for new, old in zip(self._air, before, strict=True))
+        self._resting = max(map(abs, (*changes[:2], *(1e3 * change for change in changes[2:])))) < _STILL * span
+
+    @property
+    def _conductances(self) -> tuple[float, float]:
+        """Conductances [m^3/(s*Pa)] of the regulator and of all ways to the atmosphere."""
+        regulator = self._regulator
+        is_closed = self._shut or self._exhausting
+        return 0.0 if is_closed else regulator.conductance, regulator.leak + regulator.exhaust * self._exhausting
+
+    @functools.cached_property
+    def _stable(self) -> float:
+        """Longest span [s] that the steps resolve with all valves open: air, loop and lag of the regulator."""
+        specimen, regulator, valve = self._muscle.specimen, self._regulator, self._clamps.valve
+        ends = specimen.domain.contraction_min, specimen.domain.contraction_max, self._mounted_at
+        volume = min(float(specimen.volume(end)) for end in ends) + regulator.dead_volume
+        conductance = regulator.conductance + regulator.exhaust + regulator.leak
+        rate = exchange_rate(_ADIABATIC, regulator.critical, conductance, volume)
+        return 0.5 * _STEPS * STABILITY_LIMIT / max(rate, valve.fastest_rate_in(volume))
+
+
+def _relaxed(clamps: Clamps) -> ClampedMuscle:
+    """Vented and relaxed, as mounted."""
+    pressure = jnp.zeros(())
+    air = clamps.valve.init_states((pressure,))
+    assert isinstance(air, AirState)
+    return ClampedMuscle(jnp.zeros(()), (pressure,), air, clamps.muscle.init_state(clamps.mounted_at, pressure))

@@ -1,4 +1,4 @@
-"""Simulated hardware: sensors, samples and their faults, watchdog and clock, around a plant over time."""
+"""Simulated hardware: sensors, samples, watchdog and clock, around a plant over time."""
 
 from __future__ import annotations
 
@@ -13,21 +13,14 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Checked
 from mckibben.component.checks import check_positive
-from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.errors import RangeError, RigError
 from mckibben.rig.backend import Backend, Block, Channel, Watchdog
-from mckibben.rig.simulated.faults import (
-    RAIL,
-    Fault,
-    HostDelayed,
-    SamplesDelayed,
-    SamplesDropped,
-    SamplesStopped,
-    SensorDisconnected,
-)
 from mckibben.units import N, bar, kPa
 
 INSTANT = 1e-9
 """Tolerance of times [s]."""
+
+_RAIL = 1.02  # reading of a lost sensor over the end of its range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +46,7 @@ class Sensor(Checked):
         read = truth + noise
         if self.resolution:
             read = np.rint(read / self.resolution) * self.resolution
-        return np.clip(read, RAIL * self.channel.low, RAIL * self.channel.high)
+        return np.clip(read, _RAIL * self.channel.low, _RAIL * self.channel.high)
 
 
 FORCE_SENSOR = Sensor(
@@ -70,7 +63,7 @@ PRESSURE_SENSOR = Sensor(
 
 
 class SimulatedBackend(Backend, abc.ABC):
-    """A plant behind the interface of hardware: sensors, one clock for all samples, a watchdog, and faults.
+    """A plant behind the interface of hardware: sensors, one clock for all samples, and a watchdog.
 
     Sample k is taken k periods after it was opened; samples wait for the host in a buffer. Time advances only in `read`
     and `pass_time`, unless it is paced by real time. A missed heartbeat vents, and holds until it is reopened.
@@ -85,8 +78,6 @@ class SimulatedBackend(Backend, abc.ABC):
         Whether it runs in real time.
     seed
         Seed of the noise.
-    faults
-        Faults at times since it was first opened.
     wall, sleep
         Clock of real time [s], and function that sleeps for a time [s].
     buffer
@@ -95,22 +86,12 @@ class SimulatedBackend(Backend, abc.ABC):
     Raises
     ------
     RangeError
-        If a number is out of range, or a fault is of a sensor that it does not have.
-    RigError
-        If a fault is not supported.
+        If a number is out of range.
     """
 
     physical = False
     immediate = False
     """Whether a sample is there at its own time; otherwise a period later."""
-    supported: tuple[type[Fault], ...] = (
-        Fault,
-        HostDelayed,
-        SamplesDelayed,
-        SamplesDropped,
-        SamplesStopped,
-        SensorDisconnected,
-    )
 
     def __init__(
         self,
@@ -120,7 +101,6 @@ class SimulatedBackend(Backend, abc.ABC):
         patience: float,
         paced: bool = False,
         seed: int = 0,
-        faults: Sequence[Fault] = (),
         wall: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
         buffer: float = 10.0,
@@ -129,13 +109,7 @@ class SimulatedBackend(Backend, abc.ABC):
         check_positive(name, "Hz", rate=rate)
         check_positive(name, "s", patience=patience)
         check_positive(name, zero=True, seed=seed)
-        for fault in faults:
-            if isinstance(fault, SensorDisconnected):
-                fault.check([sensor.channel.name for sensor in sensors])
-            if not isinstance(fault, self.supported):
-                remedy = f"choose one of {', '.join(kind.__name__ for kind in self.supported)}"
-                raise RigError(f"{name} has no {type(fault).__name__}", remedy=remedy)
-        self.sensors, self.faults, self.seed = tuple(sensors), tuple(faults), seed
+        self.sensors, self.seed = tuple(sensors), seed
         self.rate, self.patience, self.paced = float(rate), float(patience), paced
         self.now = 0.0  # since it was first opened [s]
         self.is_open = False
@@ -143,11 +117,8 @@ class SimulatedBackend(Backend, abc.ABC):
         self._opened, self._began = 0.0, wall()
         self._watchdog = Watchdog(self.patience)
         self._noise, self._random = np.random.default_rng(seed).spawn(2)
-        self._schedule = sorted(faults, key=lambda fault: fault.at)
-        self._disconnected: dict[str, SensorDisconnected] = {}
         self._next = self._taken = self._wanted = 0  # samples
-        self._delay = self._late = 0.0  # of samples and of the host [s]
-        self._silent = self._overrun = False
+        self._overrun = False
         self._waiting: list[Block] = []
 
     @abc.abstractmethod
@@ -169,9 +140,6 @@ class SimulatedBackend(Backend, abc.ABC):
     def _settle(self) -> None:
         """Apply the events of the plant that are due."""
 
-    def _apply(self, fault: Fault) -> None:
-        """Apply a fault of the plant."""
-
     def _begin(self) -> None:
         """Prepare the plant for being opened."""
 
@@ -185,9 +153,9 @@ class SimulatedBackend(Backend, abc.ABC):
 
     @property
     def description(self) -> Mapping[str, str]:
-        """Its sensors, faults and seed."""
+        """Its sensors and seed."""
         sensors = {f"{sensor.channel.name} sensor": repr(sensor) for sensor in self.sensors}
-        return {**sensors, "faults": ", ".join(map(repr, self.faults)) or "none", "seed": str(self.seed)}
+        return {**sensors, "seed": str(self.seed)}
 
     def open(self) -> None:
         if self.is_open:
@@ -214,14 +182,8 @@ class SimulatedBackend(Backend, abc.ABC):
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
         self._wanted = count
         self._catch_up()
-        while self._taken < self._next + count or self.now < self._due(count) + self._delay - INSTANT:
-            if (self._silent and self._taken < self._next + count) or self._delay > timeout:
-                self._wait(self._due(count) + timeout)
-                remedy = "check the connection of the converter, and reopen it"
-                raise SilentError(f"no samples for {timeout:g} s", remedy=remedy)
-            self._wait(self._due(count) + self._delay)
-        late, self._late = self._late, 0.0
-        self._wait(self.now + late)
+        while self._taken < self._next + count or self.now < self._due(count) - INSTANT:
+            self._wait(self._due(count))
         return self._take(count)
 
     def heartbeat(self) -> None:
@@ -267,8 +229,7 @@ class SimulatedBackend(Backend, abc.ABC):
         while self.now < to - INSTANT:
             armed = self.is_open and not self._watchdog.has_expired
             expiry = self._watchdog.deadline if armed else math.inf
-            fault = self._schedule[0].at if self._schedule else math.inf
-            until = min(to, expiry, fault, self._next_event())
+            until = min(to, expiry, self._next_event())
             if until > self.now:
                 knots = self._integrate(until)
                 if self.is_open:
@@ -276,47 +237,21 @@ class SimulatedBackend(Backend, abc.ABC):
             if armed and self._watchdog.expires(self.now + 2 * INSTANT):
                 self._rest()
             self._settle()
-            while self._schedule and self.now >= self._schedule[0].at - INSTANT:
-                self._happen(self._schedule.pop(0))
-
-    def _happen(self, fault: Fault) -> None:
-        match fault:
-            case SensorDisconnected():
-                self._disconnected[fault.sensor] = fault
-            case SamplesStopped():
-                self._silent = True
-            case SamplesDelayed():
-                self._delay += fault.delay
-            case SamplesDropped():
-                self._next, self._waiting = max(self._next, self._taken + fault.samples), []
-            case HostDelayed():
-                self._late += fault.duration
-            case _:
-                self._apply(fault)
 
     def _sample(self, times: list[float], values: list[tuple[float, ...]]) -> None:
         """Take the samples up to the last of the times between which the inputs are linear."""
         last = math.ceil((times[-1] - self._opened) * self.rate + (1e-6 if self.immediate else -1e-6))
-        first, begun = max(self._taken, self._next), self._taken
-        if self._silent or last <= begun:
+        first, self._taken = self._taken, max(last, self._taken)
+        if last <= first:
             return
-        self._taken = last
         if last - self._next > max(self._buffer * self.rate, self._wanted):
             self._overrun, self._waiting = True, []
-        elif last > first:
-            since = np.arange(first, last) / self.rate
-            at, noise = since + self._opened, self._noise.standard_normal((last - first, len(self.sensors)))
-            columns = zip(self.sensors, zip(*values, strict=True), noise.T, strict=True)
-            read = [self._reading(sensor, at, np.interp(at, times, truth), white) for sensor, truth, white in columns]
-            self._waiting.append(Block(first, since, np.stack(read, axis=1), self._pulses(at)))
-
-    def _reading(self, sensor: Sensor, at: NDArray, truth: NDArray, white: NDArray) -> NDArray[np.float64]:
-        """Readings of a sensor, connected or not."""
-        noise = white * sensor.noise
-        if (fault := self._disconnected.get(sensor.channel.name)) is None:
-            return sensor.values(truth, noise)
-        read = fault.values_at(at, RAIL * sensor.channel.high)
-        return read if fault.value is not None else read + noise
+            return
+        since = np.arange(first, last) / self.rate
+        at, noise = since + self._opened, self._noise.standard_normal((last - first, len(self.sensors)))
+        columns = zip(self.sensors, zip(*values, strict=True), noise.T, strict=True)
+        read = [sensor.values(np.interp(at, times, truth), white * sensor.noise) for sensor, truth, white in columns]
+        self._waiting.append(Block(first, since, np.stack(read, axis=1), self._pulses(at)))
 
     def _take(self, count: int) -> Block:
         """Return the next samples of the buffer; `RigError` if they were overwritten."""
