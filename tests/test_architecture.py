@@ -114,7 +114,7 @@ BUDGET = {
     "plant": 530,
     "reachability": 1210,
     "report": 2250,
-    "rig": 4700,
+    "rig": 4710,
     "scenario": 730,
     "serial_protocol": 160,
     "simulation": 2770,

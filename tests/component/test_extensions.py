@@ -1,4 +1,4 @@
-"""User-defined components: an installed package, a module and a file, used by the command in another process."""
+"""User-defined components of a module, used by the command in another process."""
 
 import json
 import os
@@ -13,18 +13,13 @@ import yaml
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 
 PACKAGE = '''
-    """A law, a valve and a rig of another package."""
-
-    from dataclasses import dataclass
-    from typing import Annotated
+    """A law and a valve of another package."""
 
     import jax.numpy as jnp
 
-    from mckibben import catalog
     from mckibben.muscle import Domain, Muscle, Parameter, PressureAffineLaw
     from mckibben.actuator import Valve
-    from mckibben.rig.simulated import SimulatedRig
-    from mckibben.units import BoundedInt, PressureRate
+    from mckibben.units import PressureRate
 
 
     class AcmeLaw(PressureAffineLaw):
@@ -54,43 +49,7 @@ PACKAGE = '''
 
         def command_for(self, pressure, rate):
             return jnp.asarray(pressure) + 0.01 * rate
-
-
-    @dataclass
-    class AcmeRig(SimulatedRig):
-        """Stands for hardware: it is physical, and has a port."""
-
-        port: Annotated[int, BoundedInt(0, 9)] = 0
-        physical = True
-
-        def __post_init__(self):
-            specimen, law = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
-            SimulatedRig.__init__(self, Muscle(specimen, law), seed=1)
-
-        @property
-        def description(self):
-            return {"kind": "acme", "port": str(self.port)}
 '''
-
-PROTOCOL = """name: a test on a rig of others
-muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-rig: {class: AcmeRig, port: 3}
-limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
-protocol:
-  isobaric: {pressures: [3 bar], contraction_min: 2 %, contraction_max: 4 %, repeats: 1, dwell: 0.2 s, samples: 100}
-"""
-
-
-def install(folder, name, text):
-    """A package as `pip install --target` leaves it: modules, and metadata with an entry point."""
-    (folder / f"{name}_parts").mkdir(parents=True)
-    (folder / f"{name}_parts" / "__init__.py").write_text(textwrap.dedent(text))
-    about = folder / f"{name}-1.2.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
-    (about / "top_level.txt").write_text(f"{name}_parts\n")
-    (about / "entry_points.txt").write_text(f"[mckibben.components]\nparts = {name}_parts\n")
-    return folder
 
 
 COMMANDS = """
@@ -124,10 +83,9 @@ def commands(folder):
 
 @pytest.fixture(scope="module")
 def process(tmp_path_factory):
-    """Commands with the packages acme and broken, and a module that no package registers: one process for all tests."""
-    site = install(tmp_path_factory.mktemp("site"), "acme", PACKAGE)
-    install(site, "broken", "1 / 0")
-    (site / "lone.py").write_text(textwrap.dedent(PACKAGE).replace("Acme", "Lone"))
+    """Commands with the module acme_parts, which each of them loads: one process for all tests."""
+    site = tmp_path_factory.mktemp("site")
+    (site / "acme_parts.py").write_text(textwrap.dedent(PACKAGE))
     with commands(site) as started:
         yield started
 
@@ -137,7 +95,8 @@ def run(process, tmp_path):
     """Call a command in the folder of the test: standard output and standard error."""
 
     def run(*arguments, code=0, by=process):
-        by.stdin.write(json.dumps([str(tmp_path), *map(str, arguments)]) + "\n")
+        loaded = ["--extension", "acme_parts"] if by is process else []
+        by.stdin.write(json.dumps([str(tmp_path), *loaded, *map(str, arguments)]) + "\n")
         by.stdin.flush()
         found, out, err = json.loads(by.stdout.readline())
         assert found == code, err
@@ -154,48 +113,31 @@ def scenario(folder, **parts):
 
 
 @pytest.mark.slow
-def test_a_law_of_a_package_is_identified_and_read_with_its_version_and_equation(run, tmp_path):
+def test_a_law_of_a_module_is_identified_and_read_with_its_equation(run, tmp_path):
     run("identify", "dmsp-10-250-martens2017", "--law", "acme", "--out", "fit")
     (path,) = (tmp_path / "fit").rglob("fit.yaml")
     content = yaml.safe_load(path.read_text())
-    assert (content["law"]["class"], content["version"]) == ("acme_parts:AcmeLaw", "acme 1.2")
+    assert content["law"]["class"] == "AcmeLaw"
     run("validate", path, "dmsp-10-250-martens2017")
     with commands(tmp_path) as without:
         assert "--extension" in run("validate", path, "dmsp-10-250-martens2017", code=2, by=without)[1]
-    path.write_text(path.read_text().replace("p - k eps", "p + k eps"))  # as of another version of the package
+    path.write_text(path.read_text().replace("p - k eps", "p + k eps"))  # as of another version of the module
     _, message = run("validate", path, "dmsp-10-250-martens2017", code=2)
-    assert "equation" in message and "acme 1.2" in message
+    assert "equation" in message
 
 
 @pytest.mark.slow
-def test_a_valve_and_a_law_of_a_package_are_simulated(run, tmp_path):
+def test_a_valve_and_a_law_of_a_module_are_simulated(run, tmp_path):
     law = {"class": "acme_parts:AcmeLaw", "a": "60 N/bar", "b": "200 N/bar", "k": "400 N"}
     joint = {"geometry": "knee-table-2", "muscle": {"specimen": "MAS-10-180N-AA-MC-O", "law": law}}
     read = scenario(tmp_path, joint=joint, valve={"class": "AcmeValve", "rate": "20 bar/s"})
     run("simulate", read, "--out", "run")
     (kept,) = (tmp_path / "run").glob("*.yaml")
     content = yaml.safe_load(kept.read_text())
-    assert content["valve"]["class"] == "acme_parts:AcmeValve"
+    assert content["valve"]["class"] == "AcmeValve"
     assert content["joint"]["muscle"]["law"]["equation"].endswith("p - k eps")
     other = tmp_path / "other.yaml"
     other.write_text(kept.read_text().replace("p - k eps", "p + k eps"))
     _, message = run("simulate", other, code=2)
     assert "equation" in message and "p + k eps" in message
     assert json.loads(run("simulate", kept, "--json")[0])["verdict"]
-
-
-@pytest.mark.slow
-def test_a_rig_of_a_package_runs_a_test(run, tmp_path):
-    (tmp_path / "protocol.yaml").write_text(PROTOCOL)
-    assert "acme" in run("rig", "check", "protocol.yaml")[0]
-    run("rig", "run", "protocol.yaml", "--out", "test")
-    assert (tmp_path / "test" / "isobaric.nc").exists()
-    assert "acme_parts:AcmeRig" in (tmp_path / "test" / "protocol.yaml").read_text()
-
-
-@pytest.mark.slow
-def test_a_broken_package_is_named_only_where_it_is_needed(run, tmp_path):
-    """The other tests do not need it."""
-    _, message = run("simulate", scenario(tmp_path, valve={"class": "BrokenValve"}), code=2)
-    assert "the package broken" in message
-    assert "ZeroDivisionError" in message

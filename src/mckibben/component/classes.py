@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from mckibben.component.extensions import installed_package, load_installed, module_origin
+from mckibben.component.extensions import module_origin
 from mckibben.errors import RangeError, quoted
 
 
@@ -84,14 +84,12 @@ def is_abstract(kind: type) -> bool:
 
 
 def class_name(kind: type) -> str:
-    """Return the name of a class in files: its short or class name, preceded by that of its installed package."""
-    package = installed_package(kind.__module__)
-    own = kind.__dict__.get("short_name") or kind.__name__
-    return f"{package}:{kind.__name__}" if package else own
+    """Return the name of a class in files: its short or class name."""
+    return kind.__dict__.get("short_name") or kind.__name__
 
 
 def full_name(kind: type) -> str:
-    """Return the name of a class, preceded by that of its installed package, module or file."""
+    """Return the name of a class, preceded by that of its module or file."""
     package = kind.__module__.partition(".")[0]
     return f"{package if package == 'mckibben' else module_origin(kind.__module__)}:{kind.__name__}"
 
@@ -105,17 +103,14 @@ def name_in_files(base: type, kind: type) -> str:
 def find_class(base: type, name: str) -> type | None:
     """Return the class of a base that a file names, by class or short name; None if there is none.
 
-    A name may follow that of its package, module or file, as in ``acme_parts:AcmeValve``. Installed packages are
-    imported if no imported class has the name. Raises `RangeError` if there are several.
+    A name may follow that of its package, module or file, as in ``acme_parts:AcmeValve``. Raises `RangeError` if there
+    are several.
 
         >>> from mckibben.joint import Tendon
         >>> find_class(Tendon, "spring").__name__
         'SeriesSpring'
     """
     named = _named(base, name)
-    if not named:
-        load_installed()
-        named = _named(base, name)
     if len(named) > 1:
         several = " and ".join(f"{module_origin(kind.__module__)}:{kind.__name__}" for kind in named)
         raise RangeError(f"{quoted(name)} may be {several}", value=name, remedy="write package:Class")

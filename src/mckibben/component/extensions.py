@@ -1,21 +1,16 @@
-"""User-defined classes: Python files, modules, and installed packages with an entry point in `mckibben.components`."""
+"""User-defined classes of Python files and modules."""
 
 from __future__ import annotations
 
-import functools
 import importlib
 import importlib.util
 import os
 import sys
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
 from mckibben.errors import Problem, ScenarioError
-
-GROUP = "mckibben.components"
-"""Group of the entry points whose modules define components."""
 
 _FILE = "mckibben_extension_"
 _loaded: dict[str, None] = {}
@@ -73,52 +68,15 @@ def load_missing(extensions: Sequence[str]) -> None:
             load_extension(extension)
 
 
-@functools.cache
-def load_installed() -> tuple[Problem, ...]:
-    """Import the modules that installed packages register; return a problem for each that cannot be imported.
-
-    A package names its module in its own configuration: ``[project.entry-points."mckibben.components"]``. The import
-    takes place once, when a file names a class that is not known yet.
-    """
-    problems = []
-    for entry in metadata.entry_points(group=GROUP):
-        try:
-            entry.load()
-        except Exception as error:
-            package = entry.dist.name if entry.dist else entry.name
-            text = f"the package {package} cannot be imported: {type(error).__name__}: {error}"
-            problems.append(Problem(text, remedy=f"repair or uninstall {package}"))
-    return tuple(problems)
-
-
-@functools.cache
-def installed_package(module: str) -> str:
-    """Return the installed package of a module; empty for a file, and for this package itself."""
-    package = module.partition(".")[0]
-    return package if package != "mckibben" and package in _distributions() else ""
-
-
 def is_foreign(module: str) -> bool:
     """Whether a module is of a package or file that a reader may lack; a script or notebook has no name."""
     return module.partition(".")[0] not in ("mckibben", "__main__")
 
 
-def package_version(module: str) -> str | None:
-    """Return name and version of the distribution that a foreign module was installed by; None for a file."""
-    package = installed_package(module)
-    return " ".join((name := _distributions()[package][0], metadata.version(name))) if package else None
-
-
-@functools.cache
-def _distributions() -> dict[str, list[str]]:
-    """Distributions by package; the search takes a while."""
-    return dict(metadata.packages_distributions())
-
-
 def module_origin(module: str) -> str:
-    """Return the installed package of a foreign module, or its name; that of a file named as extension is its stem.
+    """Return the name of a module; that of a file named as extension is its stem.
 
     >>> module_origin("mckibben_extension_valves"), module_origin("mckibben.actuator")
     ('valves', 'mckibben.actuator')
     """
-    return installed_package(module) or module.removeprefix(_FILE)
+    return module.removeprefix(_FILE)

@@ -49,7 +49,6 @@ from mckibben.component.classes import (
     name_in_files,
     short_key,
 )
-from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, read_text, validated
@@ -306,9 +305,8 @@ class ComponentField:
             known = list(classes_of(self.base))
             remedy = suggest(str(named), known) if known else "there is none yet"
             own = "for a user-defined class, load its module first: `mckibben --extension FILE.py ...`, or a module"
-            broken = (f"{problem.message} ({problem.remedy})" for problem in load_installed())
             message = f"there is no class {quoted(named)} of {self.base.__name__}"
-            fail_validation(message, "; ".join([remedy, own, *broken]), value=named)
+            fail_validation(message, f"{remedy}; {own}", value=named)
         return kind
 
     def _default_class(self, section: Mapping[str, object]) -> type:

@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from mckibben.component.classes import classes_of
-from mckibben.component.extensions import load_installed, package_version
 from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
@@ -99,14 +98,13 @@ class _FitFile(DocumentModel):
 
     law: Annotated[Any, ComponentField(ForceLaw)]
     equation: str = ""
-    version: str = ""
     fit: _FitNumbers | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> _FitFile:
         kind = type(self.law)
         try:
-            kind.check_equation(self.equation or kind.equation, self.version)
+            kind.check_equation(self.equation or kind.equation)
         except RangeError as error:
             fail_validation(error.message, error.remedy, field="equation", value=self.equation)
         names = [p.name for p in kind.parameters()]
@@ -126,9 +124,9 @@ def write_fit(fit: Any, path: Path) -> None:
         data=_FitPoints.of(fit.regression),
     )
     kind = type(fit.law)
-    file = _FitFile(law=fit.law, equation=kind.equation, version=package_version(kind.__module__) or "", fit=numbers)
+    file = _FitFile(law=fit.law, equation=kind.equation, fit=numbers)
     content = json.loads(file.model_dump_json(exclude_none=True, context={"folder": path.parent}))
-    content["law"].pop("equation", None)  # stands at the top, with the version
+    content["law"].pop("equation", None)  # stands at the top
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text(_HEAD + to_text(content, width=200), encoding="utf-8")
 
@@ -165,9 +163,7 @@ def read_fields(path: Path) -> dict[str, Any] | None:
     }
 
 
-def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:
-    """Force laws by name: those of mckibben, and imported ones, also those of installed packages where asked."""
-    if installed:
-        load_installed()
+def law_types() -> dict[str, type[ForceLaw]]:
+    """Force laws by name: those of mckibben, and imported ones."""
     others = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
     return {**LAWS, **{name: law for name, law in others.items() if law not in LAWS.values()}}

@@ -78,12 +78,11 @@ class ForceLaw(Component):
         return Quantity(known[name].unit, known[name].shown, -1e40, 1e40) if name in known else None
 
     @classmethod
-    def check_equation(cls, equation: object, version: str | None = None) -> None:
-        """Raise `RangeError` if a file, written with a version of the law's package, has another equation."""
+    def check_equation(cls, equation: object) -> None:
+        """Raise `RangeError` if a file has another equation."""
         if equation != cls.equation:
-            made = f" (version {version})" if version else ""
             message = f"is {quoted(equation)}, that of {cls.__module__}.{cls.__qualname__} is {quoted(cls.equation)}"
-            remedy = f"import the law that the file was made with{made}, or identify it again"
+            remedy = "import the law that the file was made with, or identify it again"
             raise RangeError(message, field="equation", value=equation, remedy=remedy)
 
     @classmethod

@@ -250,9 +250,9 @@ class Bench:
     rate: float = 1000 * Hz
     cycle: MonitorTime = 100 * ms
     between: SampleRate = 10 * Hz
-    settled: float = 0.1 * bar
-    vented: float = 0.1 * bar
-    steady: float = 1 * s
+    settled: PressureScale = 0.1 * bar
+    vented: PressureScale = 0.1 * bar
+    steady: Duration = 1 * s
     slack_force: Force = 1 * N
     shuts: bool = False
     supply: PositivePressure = math.inf

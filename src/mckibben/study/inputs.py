@@ -193,24 +193,20 @@ def specimen_named(name: str) -> Specimen:
 def law_type_named(name: str) -> type[ForceLaw]:
     """Return a class of force laws by its name, in any case, with or without "Law", hyphens and spaces.
 
-    Raises `NotInCatalogError` with the closest name if there is none, also not among installed extensions.
+    Raises `NotInCatalogError` with the closest name if there is none.
 
     >>> law_type_named("Tondu-Lopez").__name__
     'TonduLopezLaw'
     """
-    from mckibben.component.extensions import load_installed
     from mckibben.identification.storage import law_types
 
-    laws: dict[str, type[ForceLaw]] = {}
-    for installed in (False, True):
-        laws = law_types(installed=installed)
-        words = {plain_name(law.__name__).removesuffix("law"): law for law in laws.values()}
-        words |= {plain_name(key): law for key, law in laws.items()}
-        if law := words.get(plain_name(name)) or words.get(plain_name(name).removesuffix("law")):
-            return law
+    laws = law_types()
+    words = {plain_name(law.__name__).removesuffix("law"): law for law in laws.values()}
+    words |= {plain_name(key): law for key, law in laws.items()}
+    if law := words.get(plain_name(name)) or words.get(plain_name(name).removesuffix("law")):
+        return law
     short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
-    broken = "".join(f"; {problem}" for problem in load_installed())
-    remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension){broken}"
+    remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension)"
     raise _unknown("law", name, remedy)
 
 
