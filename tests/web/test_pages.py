@@ -3,6 +3,7 @@
 import asyncio
 import dataclasses
 import gc
+import importlib.util
 import re
 import sys
 import time
@@ -29,7 +30,7 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, rig, session, tune, wording, workbench
+from mckibben.web import app, design, identify, rig, robot, session, tune, wording, workbench
 from mckibben.web.reading import Read
 from mckibben.web.results import Presented, Repetition
 
@@ -376,7 +377,7 @@ def test_several_files_are_one_test_and_gone_when_others_replace_them():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig"])
+@pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig", "/robot"])
 def test_a_page_is_freed_when_it_is_left(where):
     async def visit():
         async with visitor() as user:
@@ -487,6 +488,35 @@ def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
     assert found.plant().joint.geometry == design.joint_of(designed, MUSCLE).geometry
     low, high = found.plant().joint.attainable_stiffness(0.0, -found.load.gravity_torque(0.0))
     assert low < found.start.stiffness < high
+
+
+@pytest.mark.slow
+def test_a_robot_turns_with_its_sliders_and_shows_what_its_joints_attain():
+    """The muscles of its outline are as long as their paths; a robot of MJCF needs a muscle that fits its tendons."""
+
+    async def visit():
+        async with visitor() as user:
+            await user.open("/robot")
+            await until(lambda: user._gather_elements(None, ui.table, None, None))
+            knee = the(user, ui.slider, "knee")
+            knee.set_value(-30.0)
+            await until(lambda: state(robot.RobotState).angles[-1] == -30.0)
+            return {row["0"] for shown in user.find(kind=ui.table).elements for row in shown.rows}
+
+    assert asyncio.run(visit()) >= {"side", "hip", "knee", "knee2"}
+    folder = Path(__file__).parents[2] / "examples" / "robot"
+    if importlib.util.find_spec("mujoco"):
+        with pytest.raises(McKibbenError, match="biceps"):
+            robot.read_robot_file(folder / "arm.xml", MUSCLE, folder)
+    scenario, _ = robot.read_robot_file(folder / "platform.yaml", MUSCLE, folder)
+    angles = scenario.robot.posture_angles({joint.name: 0.1 for joint in scenario.robot.joints})
+    posed = robot.pose(scenario, angles)
+    lengths = [np.linalg.norm(np.diff(path, axis=0), axis=1).sum() for path in posed.lines.muscles.values()]
+    paths = [float(unit.path) for unit in scenario.robot.routed_muscles(angles)]
+    connectors = [unit.connector_length for unit in scenario.robot.muscles]
+    np.testing.assert_allclose(lengths, np.add(paths, connectors), atol=1e-12)
+    torques = np.array(scenario.robot.torques(angles, posed.pressures))
+    np.testing.assert_allclose(torques, robot.holding_torques(scenario.robot, angles), atol=1e-6)
 
 
 def test_a_scenario_names_no_files_of_other_folders(tmp_path):

@@ -233,6 +233,7 @@ def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
         "/run": "document.body.innerText.includes('completed')",
         "/tune": "document.body.innerText.includes('counts as 1')",
         "/rig": "document.body.innerText.includes('no data yet') || !!document.querySelector('canvas')",
+        "/robot": "!!document.querySelector('canvas') && document.body.innerText.includes('knee1 at')",
     }
     address = f"http://127.0.0.1:{site.port}"
     with chromium.browser(tmp_path) as tab:

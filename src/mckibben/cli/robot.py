@@ -71,7 +71,7 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
 
 def _stiffness(read: RobotScenario, source: str) -> Report:
     from mckibben import report
-    from mckibben.report.robot import point_ellipses
+    from mckibben.report.robot import point_ellipses, posture
     from mckibben.robot.statics import attainable_listing, solve_statics
 
     attainable, solved = solve_statics(read, source=source)
@@ -84,8 +84,11 @@ def _stiffness(read: RobotScenario, source: str) -> Report:
 
     def write(folder: Path) -> None:
         read.to_yaml(folder / "robot.yaml")
+        angles = read.robot.posture_angles({} if read.stiffness is None else read.stiffness.posture)
+        pressures = None if solved is None else solved.pressures
+        report.save(posture(read.robot, angles, pressures), folder, "posture")
         if solved is not None and read.stiffness is not None and solved.stiffness is not None:
-            angles, point = read.robot.posture_angles(read.stiffness.posture), read.stiffness.point
-            report.save(point_ellipses(read.robot, angles, found=solved, point=point), folder, "point_stiffness")
+            drawn = point_ellipses(read.robot, angles, found=solved, point=read.stiffness.point)
+            report.save(drawn, folder, "point_stiffness")
 
     return Report(text, tables, (), write, numbers)

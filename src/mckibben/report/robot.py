@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
-from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
+from mckibben.report.palette import BAND, BLACK, BLUE, GREY, ORANGE, VERMILLION
+from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, pressure_colours, styled
 from mckibben.robot.attainable import attainable_point_stiffness
-from mckibben.robot.dynamics import at_rest, frames, posture_of
 from mckibben.robot.landing import EDGES, LandingStudy
+from mckibben.robot.outline import outline
 from mckibben.robot.point_stiffness import stiffness_of
 from mckibben.units import bar, mm, ms
 
@@ -110,13 +113,8 @@ def point_ellipses(
     planes = _planes(robot)
     figure = blank(DOUBLE * (0.8 if robot.is_planar else 1.0), 3.0)
     posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
-    placed = frames(robot, posture := posture_of(robot, angles), at_rest(posture))
-    bones = [(placed[parent].position, at.position) for parent, at in zip(robot.parents, placed[1:], strict=True)]
-    assert point is not None  # else nothing is attainable
-    carrying = placed[robot.frame_names.index(point.body)]
-    bones.append((carrying.position, carrying.point(point.place.vector)[0]))
-    for bone in bones:
-        posture_axes.plot(*([float(end[i]) / mm for end in bone] for i in (0, 2)), "o-", color=BLACK, linewidth=3)
+    for bone in outline(robot, angles).bodies:
+        posture_axes.plot(bone[:, 0] / mm, bone[:, 2] / mm, "o-", color=BLACK, linewidth=3)
     posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the base [mm]")
     posture_axes.margins(x=0.6, y=0.1)
     letter(posture_axes, 0, "posture")
@@ -147,6 +145,40 @@ def _ellipses(
     for name, stiffness, colour, line in curves:
         outline = stiffness.ellipse(force, plane=plane)[list(plane)] / mm
         axes.plot(*outline, color=colour, linestyle=line, linewidth=0.8 if colour == BAND else 1.2, label=name)
+
+
+@styled
+def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | None = None) -> Figure:
+    """Bodies and muscles of a robot in space [mm]; muscles have the colour of their pressure [bar].
+
+    Parameters
+    ----------
+    robot, angles
+        Robot, and the angles of its joints [rad].
+    pressures
+        Gauge pressures [Pa] of all muscles. Default: unknown, muscles are grey.
+    """
+    figure = blank(0.7 * DOUBLE, 0.7 * DOUBLE)
+    axes = figure.add_subplot(projection="3d", proj_type="ortho", computed_zorder=False)
+    lines, colours = outline(robot, angles), pressure_colours()
+    for bone in lines.bodies:
+        axes.plot(*(bone.T / mm), color="#AAB4BD", linewidth=5, solid_capstyle="round")
+    highest = max((float(muscle.domain.pressure_max) for muscle in robot.all_muscles), default=1.0)
+    known = {} if pressures is None else dict(zip(robot.muscle_names, pressures, strict=True))
+    for name, path in lines.muscles.items():
+        axes.plot(*(path.T / mm), color=colours(float(known[name]) / highest) if known else GREY, linewidth=2)
+    if known:
+        scale = ScalarMappable(Normalize(0, highest / bar), colours)
+        figure.colorbar(scale, ax=axes, label="pressure [bar]", shrink=0.6, pad=0.12)
+    points = np.concatenate([*lines.bodies, *lines.muscles.values()]) / mm
+    middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0).max() / 2
+    axes.set(xlabel="forwards [mm]", ylabel="to the left [mm]", zlabel="up [mm]", box_aspect=(1, 1, 1))
+    for limit, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
+        limit(at - half, at + half)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(4))
+    axes.view_init(elev=12, azim=-55)
+    return figure
 
 
 @styled

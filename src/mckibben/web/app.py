@@ -18,7 +18,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
 from mckibben.storage.files import handle_signals
-from mckibben.web import identify, joint, rig, run, tune
+from mckibben.web import identify, joint, rig, robot, run, tune
 from mckibben.web import start as start_page
 from mckibben.web.security import LOCAL, Access, Guard
 from mckibben.web.session import collect_warnings, end_sessions
@@ -36,6 +36,7 @@ def pages() -> None:
     ui.page("/run")(run.page)
     ui.page("/tune")(tune.page)
     ui.page("/rig")(rig.page)
+    ui.page("/robot")(robot.page)
 
 
 def forget_routes() -> None:

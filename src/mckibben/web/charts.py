@@ -45,6 +45,17 @@ def points(x: ArrayLike, y: ArrayLike, most: int = _MOST_POINTS) -> list[list[fl
     return [[round(a, 5), float(f"{b:.5g}") if math.isfinite(b) else None] for a, b in pairs]
 
 
+def pressure_colour(part: float) -> str:
+    """Colour of a pressure that is a part, 0 to 1, of the highest.
+
+    >>> pressure_colour(0.0), pressure_colour(0.5), pressure_colour(1.0)
+    ('#440154', '#2a788e', '#7ad151')
+    """
+    channels = np.array([[int(colour[k : k + 2], 16) for k in (1, 3, 5)] for colour in _PRESSURES], float)
+    places = np.linspace(0.0, 1.0, len(_PRESSURES))
+    return "#" + "".join(f"{round(np.interp(part, places, channel)):02x}" for channel in channels.T)
+
+
 def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> Series:
     """A curve of a chart.
 

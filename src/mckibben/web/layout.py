@@ -36,6 +36,7 @@ PAGES = {
     "/run": ("Run", "The joint with controller, valves and sensors, simulated."),
     "/tune": ("Tune", "Gains for your tolerances, with a margin to the limit of stability."),
     "/rig": ("Rig", "A test of a muscle on the simulated rig."),
+    "/robot": ("Robot", "Arms, necks and legs: posture, and the torque and stiffness that their muscles attain."),
 }
 """Title and purpose of each page, in the order of work."""
 

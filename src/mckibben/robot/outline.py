@@ -1,0 +1,94 @@
+"""Outline of a robot in a posture: lines of bodies and muscles in space, for drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.robot.bodies import BodyPoint, Foot
+from mckibben.robot.dynamics import at_rest, frames, posture_of
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.muscles import MusclePair
+from mckibben.robot.tree import Frame
+
+Floats = NDArray[np.float64]
+
+
+class Outline(NamedTuple):
+    """Lines in the axes of the base.
+
+    Attributes
+    ----------
+    bodies
+        Ends [m] of each line of a body: from its hinge to those that it carries, or to its tip; (2, 3) each.
+    muscles
+        Points [m] of each muscle's path by its name, (points, 3) each. Those of a pair over a joint run beside the
+        bodies at their moment arms.
+    """
+
+    bodies: list[Floats]
+    muscles: dict[str, Floats]
+
+
+def outline(robot: Robot, angles: Sequence[float]) -> Outline:
+    """Return the outline of a robot at angles [rad].
+
+    Examples
+    --------
+    >>> from mckibben.robot import read_robot
+    >>> leg = outline(read_robot("lei-leg-planar"), (0.0, 0.0))
+    >>> [line[1].round(2).tolist() for line in leg.bodies], len(leg.muscles)
+    ([[0.01, 0.0, -0.74], [0.1, 0.0, -0.39]], 4)
+    """
+    placed = frames(robot, posture := posture_of(robot, angles), at_rest(posture))
+    at = [_numbers(frame.position) for frame in placed]
+    tips = {robot.foot.body: point_of(robot.foot, robot, placed)} if robot.foot is not None else {}
+    bodies, beyond = [], at.copy()
+    for number, (name, body) in reversed([*enumerate(zip(robot.frame_names, robot.frame_bodies, strict=True))]):
+        carried = [child for child, parent in enumerate(robot.parents, 1) if parent == number]
+        ends = [at[child] for child in carried]
+        if not carried and body is not None:  # its centre is in the middle
+            centre = _numbers(placed[number].point(body.centre.vector)[0])
+            ends = [tips.get(name, 2 * centre - at[number])]
+        lines = [np.stack([at[number], end]) for end in ends if (end - at[number]).any()]
+        bodies += lines
+        beyond[number] = lines[0][1] if lines else beyond[carried[0]] if carried else at[number]
+    muscles: dict[str, Floats] = {}
+    for unit in robot.muscles:
+        if isinstance(unit, MusclePair):
+            muscles |= _pair(unit, robot, angles, placed, beyond)
+        elif unit.points:
+            muscles[unit.names[0]] = np.stack([point_of(point, robot, placed) for point in unit.points])
+    return Outline(bodies, muscles)
+
+
+def point_of(point: BodyPoint | Foot, robot: Robot, placed: Sequence[Frame]) -> Floats:
+    """Return a point of a body [m] in given frames."""
+    return _numbers(placed[robot.frame_names.index(point.body)].point(point.place.vector)[0])
+
+
+def _pair(
+    unit: MusclePair, robot: Robot, angles: Sequence[float], placed: Sequence[Frame], tips: Sequence[Floats]
+) -> dict[str, Floats]:
+    """Lines beside the bodies at the moment arms: muscle 1 where turning lengthens it. None along the axis."""
+    index = robot.index(unit.over)
+    frame, above = placed[index + 1], placed[robot.parents[index]]
+    at, axis, beyond = _numbers(frame.position), _numbers(frame.axis), tips[index + 1]
+    side = np.cross(beyond - at, axis)
+    if not np.linalg.norm(side):
+        return {}
+    side /= np.linalg.norm(side)
+    part = 0.2 * (beyond - at)
+    start = _numbers(above.position)
+    if not np.linalg.norm(at - start):  # the hinge is at the origin of the body above
+        start = at - part
+    arms = (float(arm) for arm in unit.geometry.paths_and_arms(angles[index])[1])
+    offsets = (arm * side * sign for arm, sign in zip(arms, (1, -1), strict=True))
+    return {name: np.stack([start, at + part]) + offset for name, offset in zip(unit.names, offsets, strict=True)}
+
+
+def _numbers(vector: Sequence[object]) -> Floats:
+    return np.array([float(part) for part in vector])  # type: ignore[arg-type]

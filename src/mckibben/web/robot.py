@@ -1,0 +1,285 @@
+"""Robot page: bodies and muscles in space in a posture, and what is attainable at each joint."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from nicegui import events, ui
+
+from mckibben import catalog
+from mckibben.config.document import LONGEST_TEXT
+from mckibben.config.model import parse_model
+from mckibben.errors import McKibbenError, printable
+from mckibben.muscle import Muscle
+from mckibben.report.palette import GREY
+from mckibben.result import Column, Listing, Remark
+from mckibben.robot.outline import Outline, outline
+from mckibben.robot.scenario import RobotScenario
+from mckibben.robot.statics import HeldPosture, attainable_listing, attainable_statics, holding_torques
+from mckibben.units import bar, deg
+from mckibben.web.charts import pressure_colour
+from mckibben.web.design import muscles
+from mckibben.web.identify import IdentificationState
+from mckibben.web.layout import (
+    NumberSlider,
+    button,
+    fold,
+    frame,
+    panel,
+    quiet,
+    select,
+    show_error,
+    show_remarks,
+    side,
+    upload,
+)
+from mckibben.web.results import show_listing
+from mckibben.web.session import Latest, in_thread, session
+
+
+@dataclass
+class RobotState:
+    """State of the page.
+
+    Attributes
+    ----------
+    name, scenario
+        Name of the example or file, and the robot; None at first.
+    angles
+        Angles [deg] of its joints.
+    remarks
+        What is not carried over from a file of MJCF or URDF.
+    """
+
+    name: str = catalog.names("legs")[0]
+    scenario: RobotScenario | None = None
+    angles: list[float] = field(default_factory=list)
+    remarks: tuple[Remark, ...] = ()
+
+    def use(self, name: str, scenario: RobotScenario, remarks: tuple[Remark, ...] = ()) -> None:
+        """Replace the robot; its joints begin as near 0 as they can be, or in the posture of the file."""
+        posture = {} if scenario.stiffness is None else scenario.stiffness.posture
+        self.name, self.scenario, self.remarks = name, scenario, remarks
+        self.angles = [round(angle / deg, 1) for angle in scenario.robot.posture_angles(posture)]
+
+
+class Posed(NamedTuple):
+    """A robot in a posture.
+
+    Attributes
+    ----------
+    lines
+        Its outline.
+    pressures
+        Gauge pressures [Pa] nearest to the middle of their ranges that hold it against gravity; None if none do.
+    tables
+        What is attainable at each joint, and the pressures.
+    error
+        Reason why there are none.
+    """
+
+    lines: Outline
+    pressures: np.ndarray | None
+    tables: tuple[Listing, ...]
+    error: McKibbenError | None
+
+
+def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScenario, tuple[Remark, ...]]:
+    """Read a robot of ours, or of MJCF or URDF with one muscle for all tendons.
+
+    Parameters
+    ----------
+    path
+        File, which MuJoCo reads if it ends in .xml or .urdf.
+    muscle
+        Muscle of all tendons.
+    folder
+        Folder of the files that a robot of ours may name.
+    """
+    if path.suffix not in (".xml", ".urdf"):
+        return parse_model(RobotScenario, path.read_text("utf-8"), source=path.name, folder=folder, confined=True)[
+            0
+        ], ()
+    from mckibben.robot.reading import read_mjcf
+
+    read = read_mjcf(path, muscle)
+    return read.scenario(), tuple(read.remarks())
+
+
+def pose(scenario: RobotScenario, angles: tuple[float, ...]) -> Posed:
+    """Compute outline, attainable ranges and pressures of a robot at angles [rad]."""
+    robot = scenario.robot
+    lines = outline(robot, angles)
+    supply = float(getattr(scenario.valve, "supply", None) or math.inf)
+    try:
+        held = holding_torques(robot, angles)
+        ranges = attainable_listing(attainable_statics(robot, angles, torques=held, supply=supply))
+        setting = HeldPosture.of(robot, angles, held, supply)
+    except McKibbenError as error:
+        return Posed(lines, None, (), error)
+    pressures = setting.nearest(np.zeros((0, len(setting.low))), np.zeros(0)) * bar
+    columns = {
+        "muscle": (Column(), list(robot.muscle_names)),
+        "pressure": (Column("Pa", "pressure", "bar", digits=3), pressures),
+    }
+    return Posed(lines, pressures, (ranges, Listing("Pressures that hold this posture", columns, detail=True)), None)
+
+
+def page() -> None:
+    """The page."""
+    visitor = session()
+    with frame("/robot"):
+        _Page(visitor.state(RobotState), visitor.folder, visitor.state(IdentificationState).muscle)
+
+
+class _Page:
+    """Joint angles, view and tables of one visit.
+
+    Parameters
+    ----------
+    state, folder
+        State of the page, and the folder of the session's files.
+    fitted
+        Muscle that was identified in the session.
+    """
+
+    def __init__(self, state: RobotState, folder: Path, fitted: Muscle | None) -> None:
+        self.state, self.folder, self.known = state, folder, muscles(fitted)
+        self.latest = Latest(pose, self.show, self.fail)
+        self.size = 1.0
+        with side():
+            with panel("Robot"):
+                select(list(catalog.names("legs")), "an example", "example", on_change=self.example)
+                upload("or robot.yaml, MJCF, URDF", LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml,.xml,.urdf")
+                label = "muscle of all tendons of MJCF"
+                self.muscle = select(list(self.known), label, "muscle", value=next(iter(self.known)))
+                self.name = quiet("")
+                self.remarks = ui.column()
+            with panel("Posture"):
+                self.sliders = ui.column().classes("w-full").style("gap: 10px")
+            button("Download robot.yaml", self.download, "download")
+        with side():
+            with panel("", stays=True):
+                self.view = ui.scene(height=420, grid=False, background_color="#f4f6f8").classes("w-full")
+                self.view.props('role="img" aria-label="bodies and muscles of the robot"').mark("view")
+                quiet(
+                    "Drag to turn, scroll to zoom. Muscles have the colour of the pressure that holds the posture: "
+                    "dark at 0, light at the highest. Those given by moment arms are drawn beside the bodies."
+                )
+            with panel("Attainable at each joint"):
+                self.results = ui.column().classes("w-full")
+        ui.timer(0.0, self.begin, once=True)
+
+    async def begin(self) -> None:
+        """Show the robot of the session, or the first example."""
+        if self.state.scenario is None:
+            await self.load(self.state.name)
+        else:
+            await self.shown()
+
+    async def example(self, event: events.ValueChangeEventArguments) -> None:
+        """Show a robot of the catalog."""
+        if event.value:
+            await self.load(event.value)
+
+    async def load(self, name: str) -> None:
+        """Load a robot of the catalog."""
+        text = f"name: {name}\nrobot: {{from: {name}}}\n"
+        scenario, _ = await in_thread(lambda: RobotScenario.parse(text))
+        self.state.use(name, scenario)
+        await self.shown()
+
+    async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
+        """Show the robot of a file."""
+        file = event.files[0]
+        path = self.folder / f"robot{Path(file.name).suffix.lower()}"
+        await file.save(path)
+        try:
+            read, _ = await in_thread(read_robot_file, path, self.known[self.muscle.value], self.folder)
+        except McKibbenError as error:
+            self.fail(error)
+            return
+        self.state.use(printable(file.name, 80), *read)
+        await self.shown()
+
+    async def shown(self) -> None:
+        """Build the sliders of a new robot, look at it, and compute."""
+        state = self.state
+        assert state.scenario is not None
+        robot = state.scenario.robot
+        self.name.text = f"{state.name}: {len(robot.joints)} joints, {len(robot.all_muscles)} muscles"
+        self.remarks.clear()
+        with self.remarks:
+            show_remarks(state.remarks)
+        self.sliders.clear()
+        with self.sliders:
+            for index, joint in enumerate(robot.joints):
+                if joint.locked is None:
+                    self.slider(index, joint.name, (joint.lower / deg, joint.upper / deg))
+        lines = outline(robot, [angle * deg for angle in state.angles])
+        points = np.concatenate([*lines.bodies, *lines.muscles.values()])
+        low, high = points.min(axis=0), points.max(axis=0)
+        self.size, middle = float(np.max(high - low)) or 1.0, (low + high) / 2
+        x, y, z = (middle + np.array([0.4, -0.9, 0.2]) * self.size).tolist()
+        look_at = dict(zip(("look_at_x", "look_at_y", "look_at_z"), middle.tolist(), strict=True))
+        self.view.move_camera(x, y, z, **look_at, duration=0.0)
+        await self.again()
+
+    def slider(self, index: int, name: str, limits: tuple[float, float]) -> None:
+        """A slider for the angle of a joint."""
+
+        async def changed(value: float) -> None:
+            self.state.angles[index] = value
+            await self.again()
+
+        NumberSlider(printable(name, 40), "°", limits, 0.5, self.state.angles[index], changed)
+
+    async def again(self) -> None:
+        """Compute for the angles of the sliders."""
+        assert self.state.scenario is not None
+        await self.latest(self.state.scenario, tuple(angle * deg for angle in self.state.angles))
+
+    def show(self, posed: Posed) -> None:
+        """Draw the robot, and show its tables."""
+        assert self.state.scenario is not None
+        robot = self.state.scenario.robot
+        shades = dict.fromkeys(robot.muscle_names, GREY)
+        if posed.pressures is not None:
+            rated = max(float(muscle.domain.pressure_max) for muscle in robot.all_muscles)
+            shades = dict(zip(robot.muscle_names, map(pressure_colour, posed.pressures / rated), strict=True))
+        with self.view:
+            self.view.clear()
+            for start, end in posed.lines.bodies:
+                self.tube(start, end, 0.015, "#aab4bd")
+            for name, points in posed.lines.muscles.items():
+                for start, end in itertools.pairwise(points):
+                    self.tube(start, end, 0.01, shades[name])
+        self.results.clear()
+        with self.results:
+            if posed.error is not None:
+                show_error(posed.error)
+            for table in posed.tables:
+                with fold(table.title) if table.detail else ui.column().classes("w-full"):
+                    show_listing(table)
+
+    def tube(self, start: np.ndarray, end: np.ndarray, part: float, colour: str) -> None:
+        """A straight tube of a radius that is a part of the robot's size."""
+        ends = start.tolist(), ((start + end) / 2).tolist(), end.tolist()
+        self.view.quadratic_bezier_tube(*ends, tubular_segments=1, radius=part * self.size).material(colour)
+
+    def fail(self, error: Exception) -> None:
+        """Show why a file is no robot."""
+        assert isinstance(error, McKibbenError)
+        self.results.clear()
+        with self.results:
+            show_error(error)
+
+    def download(self) -> None:
+        """Offer the robot as a file, in this posture."""
+        if self.state.scenario is not None:
+            ui.download.content(self.state.scenario.dumps().encode(), "robot.yaml")
