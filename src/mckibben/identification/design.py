@@ -15,9 +15,10 @@ def check_design(points: IsobaricDataset) -> None:
     """Refuse points that cannot give a force law, whatever the law.
 
     The force of a muscle falls with contraction at a constant pressure and rises with pressure at a constant
-    contraction. Points show both if they lie on no curve in the plane of contraction and pressure, and if the plane
-    through their forces has these slopes, significantly (95 %), and explains most of the variance of the force. A test
-    at one load, one pressure or one length does not.
+    contraction, the more the less it is. Points show this if the product of both is neither a function of the pressure
+    nor affine in the contraction, to its noise, and if the plane through their forces has these slopes, significantly
+    (95 %), and explains most of the variance of the force. A test at one load, one pressure or one length does not, nor
+    do two lines in the plane of contraction and pressure.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def check_design(points: IsobaricDataset) -> None:
     >>> check_design(at_one_load)
     Traceback (most recent call last):
         ...
-    mckibben.errors.IdentificationError: the force (98 N) does not fall with contraction (5..21 %) and rise ...
+    mckibben.errors.IdentificationError: the points are on a curve or two lines, at 5..21 % and 1..5 bar: ...
     """
     force, contraction, pressure = points.force, points.contraction, points.levels
     pressures, contractions = (
@@ -53,11 +54,12 @@ def check_design(points: IsobaricDataset) -> None:
     loads = f"the contraction over pressure at {format_range(force)} N, not a force law"
     table = "a table of the pressure at this load is inverse_table (command line: --of inverse)"
     remedy = f"measure at three further loads or more, or strokes at constant pressures; {table}"
-    across = _residuals(contraction, np.vander((pressure - pressure.mean()) / np.ptp(pressure), 4))
+    relative = (pressure - pressure.mean()) / np.ptp(pressure)
+    across = _residuals(contraction * relative, np.column_stack([np.vander(relative, 4), contraction]))
     if np.sqrt(np.mean(across**2)) <= CONTRACTION_NOISE:
         raise IdentificationError(
-            f"the contraction is a function of the pressure, or constant ({contractions} at {pressures}): the points "
-            f"give {loads}",
+            f"the points are on a curve or two lines, at {contractions} and {pressures}: they show how the force varies "
+            f"there, such as {loads}",
             field="contraction",
             remedy=remedy,
         )

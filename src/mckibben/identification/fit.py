@@ -178,17 +178,19 @@ class Fit(Result, metaclass=CheckedCalls):
         free = [regression.problem.names[i] for i in regression.free]
         gradients = design_matrix(self.law, free, contraction, pressure)
         model = regression.error_model(by)
-        of_law = _, freedom = model.variance(gradients)
+        variance, freedom = model.variance(gradients)
         square, free_residuals = (np.full_like(freedom, number) for number in model.residual_variance)
-        if by is None and self.leave_one_pressure_out:  # of a law that misfits, larger than the residuals
-            domain = self.law.domain
+        of_law = [(variance, freedom)]
+        if by is None and self.leave_one_pressure_out:
+            domain, lopo = self.law.domain, self.leave_one_pressure_out
             places = np.column_stack([np.ravel(values) for values in np.broadcast_arrays(contraction, pressure)])
             side = (places[:, 1] > domain.pressure_max).astype(int) - (places[:, 1] < domain.pressure_min)
-            misfit, few = self.leave_one_pressure_out.misfit(hull_distance(domain, places), side)
-            free_residuals = np.where(misfit > square, np.minimum(few, free_residuals), free_residuals)
-            square = np.maximum(square, misfit)
+            unseen, few = lopo.misfit(hull_distance(domain, places), side)
+            of_law.append((np.maximum(unseen - lopo.noise**2, 0.0), few))
+            free_residuals = np.where(unseen > square, np.minimum(few, free_residuals), free_residuals)
+            square = np.maximum(square, unseen)
         scatter = square, free_residuals
-        return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
+        return ForceIntervals(t_interval(level, value, of_law), t_interval(level, value, [of_law[0], scatter]))
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""

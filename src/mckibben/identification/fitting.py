@@ -21,10 +21,10 @@ from mckibben.identification.estimator import (
     unidentifiable,
 )
 from mckibben.identification.fit import Fit
-from mckibben.identification.grouping import Grouping, measured_weights
+from mckibben.identification.grouping import RESOLUTION, Grouping, measured_weights, neighbours_apart
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
-from mckibben.identification.regression import RESOLUTION, NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, laws_from, smooth_refit
 from mckibben.identification.summary import (
     CONTRACTION_NOISE,
@@ -294,7 +294,8 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
     rates = by_level[float(levels.min())] / reach[0], by_level[float(levels.max())] / reach[1]
     if loads is not None:  # the sides of the pressure are not those of the load
         rates = max(rates), max(rates)
-    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_level, rates), ""
+    noise = neighbours_apart(cross.residuals, points)
+    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_level, rates, noise), ""
 
 
 def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:

@@ -30,10 +30,28 @@ class Grouping(enum.Enum):
         return f"{count} {self.value}{'' if count == 1 else 's'}"
 
 
+RESOLUTION = 1e-3
+"""Distance of contractions [-] that count as one."""
+
+
 def held_values(points: IsobaricDataset) -> Floats:
     """Value that was held along the path of each point, shape (points,): the load [N], or else the pressure [Pa]."""
     loads = held_loads(points.table)
     return points.levels if loads is None else loads
+
+
+def neighbours_apart(errors: Floats, points: IsobaricDataset) -> float:
+    """RMS part of errors [N] that neighbours on a path do not share: noise, as the misfit of a law is continuous.
+
+    A path is at one pressure or load or, where most points were filled or vented at a fixed length, at a contraction.
+    J. von Neumann, Annals of Mathematical Statistics 12 (1941) 367.
+    """
+    held, place = held_values(points), points.contraction
+    if "phase" in points.table and 2 * np.count_nonzero(points.table["phase"] != "") > len(points):
+        held, place = np.round(place / RESOLUTION), points.levels
+    order = np.lexsort((place, held))
+    steps = np.diff(errors[order])[np.diff(held[order]) == 0]
+    return float(np.sqrt(np.mean(steps**2) / 2)) if len(steps) else 0.0
 
 
 def measured_weights(law: ForceLaw, points: IsobaricDataset, *, step: float = 1e-6) -> Floats:

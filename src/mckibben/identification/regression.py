@@ -23,7 +23,7 @@ from mckibben.identification.estimator import (
     Ints,
     condition_number,
 )
-from mckibben.identification.grouping import Grouping, finest_grouping, group_labels
+from mckibben.identification.grouping import RESOLUTION, Grouping, finest_grouping, group_labels
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.units import percent
 
@@ -83,8 +83,8 @@ def pressure_blocks(points: IsobaricDataset, *, most: int = 8, fewest: int = 5) 
     """
     levels = points.levels
     count = len(np.unique(levels))
-    if count < 2:
-        return None, "there is only one pressure"
+    if count < 3:
+        return None, "without one of two pressures or fewer, the others show no law"
     if 2 * count <= len(points):
         return levels, ""
     blocks = pressure_levels(levels)
@@ -97,9 +97,6 @@ def pressure_blocks(points: IsobaricDataset, *, most: int = 8, fewest: int = 5) 
     part = np.searchsorted(edges, levels, side="right")
     medians = {block: np.median(levels[part == block]) for block in np.unique(part).tolist()}
     return np.array([medians[block] for block in part.tolist()]), ""
-
-
-RESOLUTION = 1e-3  # closer contractions count as one
 
 
 def contraction_blocks(points: IsobaricDataset, *, most: int = 8) -> NDArray[np.str_]:

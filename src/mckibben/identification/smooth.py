@@ -34,7 +34,8 @@ from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
 from mckibben.identification.least_squares import FitProblem, Solution, design_matrix, project, solve
 from mckibben.identification.mixed_model import MixedModel
-from mckibben.identification.regression import RESOLUTION, Refit, Regression, contraction_blocks, pressure_blocks
+from mckibben.identification.grouping import RESOLUTION
+from mckibben.identification.regression import Refit, Regression, contraction_blocks, pressure_blocks
 from mckibben.identification.summary import domain_of
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
