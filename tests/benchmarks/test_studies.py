@@ -32,7 +32,7 @@ def foreign_files(tool, folder):
 def kinds_of_test(tool, folder):
     for kind in tool.KINDS:
         tally = tool.tallied(kind, 1, ExponentialLaw, 0, folder)
-        assert not tally["refused"] and np.median(tally["error"]) < 0.01
+        assert not tally["refused"] and np.median(tally["error"]) < 0.01 and np.mean(tally["force"]) > 0.8
         assert all(tally["friction"]) == (kind is not tool.steps_of_pressure) and not any(tally["false drift"])
 
 

@@ -148,7 +148,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     if ungrouped:
         notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
     lopo, reason = _leave_one_pressure_out(regression)
-    notes += [Remark.note("leave_one_pressure_out", reason)] if reason else []
+    notes += [Remark.warning("leave_one_pressure_out", reason)] if reason else []
     if (count := len(np.unique(np.round(points.contraction / RESOLUTION)))) < _CONTRACTIONS:
         text = f"between {count} contractions the error of the law is not known, and not in the prediction interval"
         notes.append(Remark.note("contraction", text, f"measure at {_CONTRACTIONS} or more"))
@@ -273,7 +273,7 @@ def _severe_remarks(law: ForceLaw, lopo: LeaveOnePressureOut | None, spread: flo
 
 
 WITH_FRICTION = "identify the friction with identify_hysteresis (command line: --friction on)"
-_NO_CROSS_VALIDATION = "there is no cross-validation by pressure"
+_NO_CROSS_VALIDATION = "there is no cross-validation by pressure, and the misfit of the law is not in the intervals"
 
 
 def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut | None, str]:
