@@ -249,7 +249,8 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     print(
-        f"| test | friction found | {' | '.join(QUANTITIES)} | false drift | median error | half width | score | refused |"
+        f"| test | friction found | {' | '.join(QUANTITIES)} | false drift | median error | half width | score | "
+        "refused |"
     )
     print("|---" * (len(QUANTITIES) + 7) + "|")
     with tempfile.TemporaryDirectory() as folder:

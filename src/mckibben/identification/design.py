@@ -58,7 +58,7 @@ def check_design(points: IsobaricDataset) -> None:
     across = _residuals(contraction * relative, np.column_stack([np.vander(relative, 4), contraction]))
     if np.sqrt(np.mean(across**2)) <= CONTRACTION_NOISE:
         raise IdentificationError(
-            f"the points are on a curve or two lines, at {contractions} and {pressures}: they show how the force varies "
+            f"the points are on a curve or two lines, at {contractions} and {pressures}: they show the force "
             f"there, such as {loads}",
             field="contraction",
             remedy=remedy,

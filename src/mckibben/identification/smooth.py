@@ -32,9 +32,9 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
+from mckibben.identification.grouping import RESOLUTION
 from mckibben.identification.least_squares import FitProblem, Solution, design_matrix, project, solve
 from mckibben.identification.mixed_model import MixedModel
-from mckibben.identification.grouping import RESOLUTION
 from mckibben.identification.regression import Refit, Regression, contraction_blocks, pressure_blocks
 from mckibben.identification.summary import domain_of
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
