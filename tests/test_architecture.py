@@ -113,7 +113,7 @@ BUDGET = {
     "paper": 740,
     "plant": 530,
     "reachability": 1210,
-    "report": 2280,
+    "report": 2290,
     "rig": 4710,
     "scenario": 730,
     "serial_protocol": 160,

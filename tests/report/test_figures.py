@@ -24,6 +24,7 @@ NAMES = (
     "fig3-isobaric-curves",
     "fig4-law-comparison",
     "measured-muscles",
+    "fig1-leg",
     "fig6-knee",
     "attainable-stiffness",
     "torque-stiffness-map",

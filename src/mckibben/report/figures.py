@@ -21,8 +21,10 @@ from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
 from mckibben.report.drawing import draw_joint
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
+from mckibben.report.robot import posture
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
+from mckibben.robot import read_robot
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ class ReportFigure:
 
 
 def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
-    """Figures 2 to 8 of the paper, and our own of the attainable set, the measured muscles and all controllers.
+    """Figures 1 to 8 of the paper, and our own of the attainable set, the measured muscles and all controllers.
 
     Parameters
     ----------
@@ -71,6 +73,8 @@ def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
     """
     yield described("fig2-test-rig", None)
     yield from _of_the_muscle(reproduction)
+    leg = read_robot("lei-leg")
+    yield described("fig1-leg", posture(leg, [5 * deg, 0.0, -30 * deg], [2 * bar, 4 * bar] * len(leg.joints)))
     yield described("fig6-knee", draw_joint(plant_of(SETTINGS[0]), 25 * deg, (2 * bar, 4 * bar)))
     yield from _of_the_joint(reproduction)
     yield described("fig5-control-loop", None)

@@ -158,11 +158,15 @@ def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | 
     pressures
         Gauge pressures [Pa] of all muscles. Default: unknown, muscles are grey.
     """
-    figure = blank(0.7 * DOUBLE, 0.7 * DOUBLE)
+    figure = blank(0.75 * DOUBLE, 0.6 * DOUBLE)
     axes = figure.add_subplot(projection="3d", proj_type="ortho", computed_zorder=False)
     lines, colours = outline(robot, angles), pressure_colours()
     for bone in lines.bodies:
         axes.plot(*(bone.T / mm), color="#AAB4BD", linewidth=5, solid_capstyle="round")
+    for place in np.unique(lines.hinges, axis=0):
+        names = [joint.name for joint, at in zip(robot.joints, lines.hinges, strict=True) if (at == place).all()]
+        x, y, z = (place / mm).tolist()
+        axes.text(x, y, z, f"   {', '.join(names)}")
     highest = max((float(muscle.domain.pressure_max) for muscle in robot.all_muscles), default=1.0)
     known = {} if pressures is None else dict(zip(robot.muscle_names, pressures, strict=True))
     for name, path in lines.muscles.items():
@@ -172,7 +176,8 @@ def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | 
         figure.colorbar(scale, ax=axes, label="pressure [bar]", shrink=0.6, pad=0.12)
     points = np.concatenate([*lines.bodies, *lines.muscles.values()]) / mm
     middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0).max() / 2
-    axes.set(xlabel="forwards [mm]", ylabel="to the left [mm]", zlabel="up [mm]", box_aspect=(1, 1, 1))
+    axes.set(xlabel="forwards [mm]", ylabel="to the left [mm]", zlabel="up [mm]")
+    axes.set_box_aspect((1, 1, 1), zoom=1.15)
     for limit, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         limit(at - half, at + half)
     for axis in (axes.xaxis, axes.yaxis):

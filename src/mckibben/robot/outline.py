@@ -24,12 +24,15 @@ class Outline(NamedTuple):
     ----------
     bodies
         Ends [m] of each line of a body: from its hinge to those that it carries, or to its tip; (2, 3) each.
+    hinges
+        Place [m] of each joint.
     muscles
         Points [m] of each muscle's path by its name, (points, 3) each. Those of a pair over a joint run beside the
         bodies at their moment arms.
     """
 
     bodies: list[Floats]
+    hinges: list[Floats]
     muscles: dict[str, Floats]
 
 
@@ -62,7 +65,7 @@ def outline(robot: Robot, angles: Sequence[float]) -> Outline:
             muscles |= _pair(unit, robot, angles, placed, beyond)
         elif unit.points:
             muscles[unit.names[0]] = np.stack([point_of(point, robot, placed) for point in unit.points])
-    return Outline(bodies, muscles)
+    return Outline(bodies, at[1:], muscles)
 
 
 def point_of(point: BodyPoint | Foot, robot: Robot, placed: Sequence[Frame]) -> Floats:
