@@ -23,8 +23,7 @@ from mckibben.rig.backend import Block
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.session import STOPPED, RigSession
+from mckibben.rig.runner import STOPPED, Runner, columns_of
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.rig.simulated.joint import SimulatedJoint
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Vent, Walk
@@ -231,7 +230,7 @@ def broken(fault: Fault, seed: int, folder: Path) -> str:
     bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
         try:
-            Runner(RigSession(rig, bench, recorder)).run(STEPS)  # type: ignore[arg-type]
+            Runner(rig, bench, recorder).run(STEPS)  # type: ignore[arg-type]
         except StoppedError as error:
             reason = str(error)
     twin.pass_time(1.5)

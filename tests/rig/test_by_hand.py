@@ -15,7 +15,6 @@ from mckibben.rig.modbus import RegisterMap
 from mckibben.rig.record import assemble
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise
 from mckibben.units import bar, mm, percent
@@ -48,7 +47,7 @@ def run(folder, inner, steps, answers, *, weights):
     rig = HandBench(inner, weights=weights, ask=ask)
     bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
-        Runner(RigSession(rig, bench, recorder)).run(steps)
+        Runner(rig, bench, recorder).run(steps)
     return asked, assemble(folder, bench)
 
 

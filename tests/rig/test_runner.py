@@ -19,7 +19,6 @@ from mckibben.rig.record import assemble, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import BLOCK, Runner, columns_of
 from mckibben.rig.safety import StopFlag
-from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import Regulator, SimulatedRig
 from mckibben.rig.steps import (
     Acquire,
@@ -46,7 +45,7 @@ def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **
     twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
     bench = Bench(of=of, drive=twin.drive, limits=limits, steady=0.3)
     with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
-        Runner(RigSession(twin, bench, recorder, **given)).run(steps)
+        Runner(twin, bench, recorder, **given).run(steps)
     twin.pass_time(1.5)
     assert twin.truth.pressure < 0.2 * bar
     return bench
@@ -164,7 +163,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_its_last_vent(tmp_path):
         with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
             interrupting = Interrupting(after)
             flag = interrupting.stop_flag
-            runner = Runner(RigSession(twin, bench, recorder, report=interrupting, stop_flag=flag))
+            runner = Runner(twin, bench, recorder, report=interrupting, stop_flag=flag)
             with pytest.raises(SignalledError, match=r"by SIGINT \(Ctrl-C\); the muscle is vented") as stopped:
                 runner.run(steps)
         assert stopped.value.signal == signal.SIGINT
@@ -180,7 +179,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_its_last_vent(tmp_path):
         with Recorder(folder, {}, columns_of(twin.inputs), resume=True) as recorder:
             again = SimulatedRig(slow, seed=4, regulator=EXACT)
             since = float(record.columns["time"][-1]) + 1e-3
-            Runner(RigSession(again, bench, recorder, since=since), done=done).run(steps)
+            Runner(again, bench, recorder, since=since, done=done).run(steps)
         data = assemble(folder, bench)
         np.testing.assert_allclose(data.contraction, whole.contraction, atol=1e-9)
         np.testing.assert_array_equal(data.table["repeat"], whole.table["repeat"])
@@ -244,7 +243,7 @@ def go_on(folder, told=None):
         walk = {"step": 1 * mm, "speed": 4 * mm, "dwell": 0.1, "acquire": acquire}
         walks = Walk(to=4 * percent, **walk), Walk(to=1 * percent, **walk)
         steps = [Vent(), Pressurise(pressure=2 * bar), Move(to=1 * percent, speed=4 * mm), Repeat(times=3, steps=walks)]
-        Runner(RigSession(twin, bench, record, since=since, report=report)).run(steps)
+        Runner(twin, bench, record, since=since, report=report).run(steps)
     return assemble(folder, bench)
 
 

@@ -14,7 +14,6 @@ from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
-from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import Regulator
 from mckibben.rig.steps import Dwell, Move, Pressurise
 from mckibben.units import bar, mm, percent
@@ -54,7 +53,7 @@ def start(folder, rig, steps, **given):
     bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
         stop_flag = getattr(given.get("report"), "stop_flag", StopFlag())
-        Runner(RigSession(rig, bench, recorder, stop_flag=stop_flag, **given)).run(steps)
+        Runner(rig, bench, recorder, stop_flag=stop_flag, **given).run(steps)
 
 
 def twin(**given):

@@ -25,8 +25,8 @@ from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
     from mckibben.rig import JointRunResult, JointSession, RunProgress
+    from mckibben.rig.runner import Progress, ProgressCallback
     from mckibben.rig.running import CheckedTest
-    from mckibben.rig.session import Progress, ProgressCallback
 
 
 _RECORDING = "recording.nc"

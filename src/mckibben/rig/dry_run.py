@@ -13,8 +13,7 @@ from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.protocol import MOST_POINTS, MOST_STEPS
-from mckibben.rig.runner import StepInterpreter
-from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, Walk, count_steps
+from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, StepInterpreter, Walk, count_steps
 from mckibben.units import bar, mm, percent
 
 

@@ -20,9 +20,8 @@ from mckibben.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import Point, assemble, header_of, read_record, recording_of, segments
 from mckibben.rig.recorder import Recorder, software_versions
-from mckibben.rig.runner import BLOCK, DONE, Runner, columns_of
+from mckibben.rig.runner import BLOCK, DONE, VENTED, ProgressCallback, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
-from mckibben.rig.session import VENTED, ProgressCallback, RigSession
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
 from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.units import bar, mm, percent
@@ -286,7 +285,7 @@ def _run_session(
         stop_on_signals() as stop_flag,
     ):
         settings = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}
-        Runner(RigSession(backend, bench, recorder, **settings), done=past.done).run(checked.steps)
+        Runner(backend, bench, recorder, done=past.done, **settings).run(checked.steps)
 
 
 def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> int:

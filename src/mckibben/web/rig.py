@@ -23,8 +23,8 @@ from mckibben.result import Result, column
 from mckibben.rig.bench import RigLimits
 from mckibben.rig.document import RigTest
 from mckibben.rig.protocol import Protocol
+from mckibben.rig.runner import Progress
 from mckibben.rig.running import CheckedTest, check, data_name, run_test
-from mckibben.rig.session import Progress
 from mckibben.scenario.parameters import Mark
 from mckibben.units import Quantity, bar, percent
 from mckibben.web import resource
