@@ -206,6 +206,8 @@ def test_a_board_that_resets_or_vents_is_named(board):
         with pytest.raises(RigError, match=r"out of range, with angle 0\.1 rad"):
             followed(rig, [1 * bar, 1 * bar])
         rig.vent()
-        there.send(MessageKind.HELLO, there.hello.pack())
+        there.send(MessageKind.HELLO, there.hello.pack())  # late
+        followed(rig, [1 * bar, 1 * bar], 0.1)
+        there.begun = time.monotonic()
         with pytest.raises(RigError, match="reset"):
             followed(rig, [1 * bar, 1 * bar])

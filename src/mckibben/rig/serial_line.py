@@ -295,8 +295,6 @@ class SerialBackend(Backend):
         for message in messages:
             if message.kind == MessageKind.HELLO:
                 self._answer = Hello.unpack(message.body)
-                if self._begun is not None:
-                    raise RigError("the board was reset", remedy="check its supply and cable, and reopen the rig")
             if message.kind == MessageKind.FAULT and self._armed:
                 report = FaultReport.unpack(message.body)
                 if report.code != FaultCode.REFUSED:  # such as of a repeated message
@@ -316,7 +314,7 @@ class SerialBackend(Backend):
         elapsed = (self._device - self._begun) * 1e-6
         number = round(elapsed * 1e6 / self._answer.period)
         if number < self._latest:
-            raise RigError("the clock of the board jumps back: it was reset", remedy="check its supply and cable")
+            raise RigError("the clock of the board jumps back: it was reset", remedy="check its supply and cable, and reopen")
         self._newest, self._arrived = sample, (time.monotonic(), elapsed)
         if number > self._latest:
             self._samples.append((number, elapsed, sample.values))
