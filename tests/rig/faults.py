@@ -139,11 +139,11 @@ def burst(at: float) -> Fault:
 
 
 def stalled(at: float) -> Fault:
-    """Its pulses are counted all the same."""
+    """Its position is counted all the same."""
 
     def happen(rig: Any) -> None:
         travel = rig._motor.travel(rig.now)
-        rig._motor.travel = lambda now: travel
+        rig._motor.travel = lambda now: travel  # positions go on
 
     return Fault(at, happen)
 
@@ -227,7 +227,7 @@ def broken(fault: Fault, seed: int, folder: Path) -> str:
     """Run the test with a fault: why it was stopped; empty where it was not."""
     twin = FaultyRig(MUSCLE, seed=seed, faults=[fault])
     rig, reason = Spied(twin), ""
-    bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
+    bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
         try:
             Runner(rig, bench, recorder).run(STEPS)  # type: ignore[arg-type]

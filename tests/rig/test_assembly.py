@@ -7,7 +7,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import DatasetError, McKibbenWarning
-from mckibben.rig.bench import Bench, Drive, RigLimits
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
@@ -15,7 +15,6 @@ from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"),
-    drive=Drive(),
     limits=RigLimits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05),
 )
 POINT_0 = Point(
@@ -25,7 +24,7 @@ POINT_0 = Point(
     every=3,
     samples=10,
     time=0.5,
-    pulses=-720,
+    position=-1.8e-3,
     contraction=0.01,
     force=0.0,
     pressure=0.0,

@@ -45,7 +45,7 @@ def run(folder, inner, steps, answers, *, weights):
         return answers.pop(0)
 
     rig = HandBench(inner, weights=weights, ask=ask)
-    bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
+    bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
         Runner(rig, bench, recorder).run(steps)
     return asked, assemble(folder, bench)

@@ -173,13 +173,15 @@ def test_pressures_are_checked_against_the_supply_and_the_regulator():
 
 def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_path):
     path = tmp_path / "p.yaml"
-    path.write_text(STEPS.replace("pressurise: 2 bar", "pressurise: 7 bar").replace("step: 2 mm", "step: 2.0001 mm"))
+    path.write_text(
+        STEPS.replace("pressurise: 2 bar", "pressurise: 7 bar").replace("step: 2 mm", "step: 2 mm, speed: 6 mm/s")
+    )
     test, document = read_test(path)
     with pytest.raises(ScenarioError) as found:
         check(test, document, source="p.yaml")
     said = str(found.value)
     assert "line 11, protocol.steps[4].pressurise.pressure: 7 bar is above the limit of 6.5 bar" in said
-    assert "line 19, protocol.steps[9].repeat.steps[0].walk.step: 2.0001 mm are 800.04 pulses; take a mult" in said
+    assert "line 19, protocol.steps[9].repeat.steps[0].walk.speed: 6 mm/s is faster than the motor" in said
 
 
 def test_the_example_is_the_papers_test():

@@ -38,8 +38,8 @@ class BorrowedRig(Borrowed, MovingBackend):
 
     moving = property(lambda self: self.other.moving)
 
-    def move(self, pulses, rate):
-        self.other.move(pulses, rate)
+    def move(self, distance, speed):
+        self.other.move(distance, speed)
 
     def stop(self):
         self.other.stop()

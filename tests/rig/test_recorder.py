@@ -18,7 +18,7 @@ from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.storage.mcap import Column, McapWriter
 
-COLUMNS = [Column("time", "s"), Column("force", "N", "float32"), Column("pulses", "1", "int32")]
+COLUMNS = [Column("time", "s"), Column("force", "N", "float32"), Column("position", "1", "int32")]
 
 
 def rows(first, count):
@@ -43,8 +43,8 @@ def filled(tmp_path):
 
 def test_what_goes_in_comes_out(filled):
     record = read_record(filled)
-    assert record.header == {"specimen": "ours"} and record.units == {"time": "s", "force": "N", "pulses": "1"}
-    np.testing.assert_array_equal(record.columns["pulses"], np.arange(1000))
+    assert record.header == {"specimen": "ours"} and record.units == {"time": "s", "force": "N", "position": "1"}
+    np.testing.assert_array_equal(record.columns["position"], np.arange(1000))
     np.testing.assert_array_equal(record.columns["force"], np.sin(np.arange(1000)).astype(np.float32))
     assert record.columns["force"].dtype == np.float32
     assert [event.row for event in record.events] == [20 * (number + 1) for number in range(50)]
@@ -58,7 +58,7 @@ def test_a_file_cut_anywhere_keeps_all_whole_chunks(filled):
     for cut in [len(content), *np.random.default_rng(0).integers(begin, len(content), 60).tolist()]:
         path.write_bytes(content[:cut])
         record = read_record(filled)
-        np.testing.assert_array_equal(record.columns["pulses"], np.arange(len(record)))
+        np.testing.assert_array_equal(record.columns["position"], np.arange(len(record)))
         assert len(record) == 20 * len(record.events)
         assert len(record) >= 1000 * (cut - begin) // (len(content) - begin) - 40
 
@@ -80,7 +80,7 @@ def test_a_damaged_bit_costs_its_chunk_or_the_record_is_refused(filled):
                 continue
         lost = 50 - len(record.events)
         assert lost == (1000 - len(record)) / 20 <= 1 and len(said) >= lost
-        pulses = record.columns["pulses"]
+        pulses = record.columns["position"]
         assert (record.columns["force"] == np.sin(pulses).astype(np.float32)).all() and (np.diff(pulses) > 0).all()
     assert refused < 10
 
@@ -98,7 +98,7 @@ def test_other_tools_read_it(filled):
         samples = [(channel, message) for _, channel, message in reader.iter_messages(topics=["samples"])]
         summary = reader.get_summary()
         (attachment, *_) = reader.iter_attachments()
-    assert [json.loads(message.data)["pulses"] for _, message in samples] == list(range(1000))
+    assert [json.loads(message.data)["position"] for _, message in samples] == list(range(1000))
     assert [message.log_time for _, message in samples] == [number * 1_000_000 for number in range(1000)]
     schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
     assert schemas["samples"]["properties"]["force"] == {"type": "number", "unit": "N"}
@@ -132,7 +132,7 @@ def test_a_record_goes_on_in_a_file_of_its_own_after_a_torn_end(filled):
         recorder.event("resumed")
     assert path.read_bytes() == before
     record = read_record(filled)
-    np.testing.assert_array_equal(record.columns["pulses"], np.arange(985))
+    np.testing.assert_array_equal(record.columns["position"], np.arange(985))
     assert record.events[-1].row == 985
 
 
@@ -234,7 +234,7 @@ def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeyp
     with Recorder(tmp_path, {}, COLUMNS) as recorder:
         for first in range(0, 40_000, 10):
             recorder.append(rows(first, 10))
-    np.testing.assert_array_equal(read_record(tmp_path).columns["pulses"], np.arange(40_000))
+    np.testing.assert_array_equal(read_record(tmp_path).columns["position"], np.arange(40_000))
 
 
 def test_something_else_is_no_record(tmp_path):

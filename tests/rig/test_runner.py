@@ -43,7 +43,7 @@ QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
 
 def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
     twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
-    bench = Bench(of=of, drive=twin.drive, limits=limits, steady=0.3)
+    bench = Bench(of=of, limits=limits, steady=0.3)
     with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
         Runner(twin, bench, recorder, **given).run(steps)
     twin.pass_time(1.5)
@@ -159,7 +159,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_its_last_vent(tmp_path):
     for after in np.linspace(1, counting.cycles - 2, 9, dtype=int).tolist():
         folder = tmp_path / str(after)
         twin = SimulatedRig(slow, seed=3, regulator=EXACT)
-        bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.3)
+        bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
         with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
             interrupting = Interrupting(after)
             flag = interrupting.stop_flag
@@ -230,7 +230,7 @@ def go_on(folder, told=None):
     """Begin the test of a folder, or go on with it; the numbers of rows on the disk go to a pipe."""
     session = len(segments(folder))
     twin = SimulatedRig(MUSCLE, seed=session, regulator=EXACT)
-    bench = Bench(of=MUSCLE, drive=twin.drive, limits=LIMITS, steady=0.2)
+    bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.2)
     since = read_record(folder).columns["time"].max(initial=-1e-3) + 1e-3 if session else 0.0
     with Recorder(folder, {}, columns_of(twin.inputs), resume=bool(session)) as record:
 

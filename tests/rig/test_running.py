@@ -203,7 +203,7 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
         run_test(checked(), tmp_path, report=stopping(5))
     past = running._past(tmp_path)
     assert past.certain and not past.done  # it begins anew at its only vent
-    assert past.position == read_record(tmp_path).columns["pulses"][-1] < 0
+    assert past.position == read_record(tmp_path).columns["position"][-1] < 0
     (path,) = segments(tmp_path)
     content = path.read_bytes()
     last = content.rindex(struct.pack("<BQI", 0x0F, 4, 0))  # the end of the data
@@ -215,7 +215,7 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
     card = checked()
     monkeypatch.setattr(card.setup.backend, "homed", False)
     assert running._origin(card, tmp_path, past, None) == past.position
-    assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
+    assert running._origin(card, tmp_path, killed, 0.05) == pytest.approx(-0.05 * 0.18)
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):
         running._origin(card, tmp_path, killed, None)
 

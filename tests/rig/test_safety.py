@@ -8,7 +8,7 @@ import pytest
 
 from mckibben.errors import StoppedError
 from mckibben.rig.backend import Block
-from mckibben.rig.bench import Drive, RigLimits
+from mckibben.rig.bench import RigLimits
 from mckibben.rig.safety import RigMonitor
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 from mckibben.units import bar, mm
@@ -39,19 +39,19 @@ class Backend:
 
 
 def monitored(limits=LIMITS, **given):
-    return RigMonitor(Backend(), limits, Drive().pulses_per_metre, **given)
+    return RigMonitor(Backend(), limits, **given)
 
 
-def block(first=0, force=100.0, pressure=2 * bar, pulses=0, count=100):
+def block(first=0, force=100.0, pressure=2 * bar, position=0.0, count=100):
     """Samples at 1 kHz; what is given as a pair goes evenly from the one to the other."""
     values = np.empty((count, 2))
     for column, value in enumerate((force, pressure)):
         values[:, column] = np.linspace(*value, count) if isinstance(value, tuple) else value
-    return Block(first, np.arange(first, first + count) / 1e3, values, np.full(count, pulses, np.int64))
+    return Block(first, np.arange(first, first + count) / 1e3, values, np.full(count, position))
 
 
 def test_what_is_within_the_limits_passes_and_is_told():
-    seen = monitored(origin=400).check_block(block(force=(90.0, 110.0), pulses=400), 0.1)
+    seen = monitored(origin=1 * mm).check_block(block(force=(90.0, 110.0), position=1 * mm), 0.1)
     assert (seen.force, seen.pressure, seen.position) == pytest.approx((100.0, 2 * bar, 2 * mm))
 
 
@@ -60,8 +60,8 @@ def test_what_is_within_the_limits_passes_and_is_told():
     [
         ({"force": (100.0, 501.0)}, "the force of 501 N is beyond the limit of 500 N"),
         ({"pressure": (2 * bar, 4.01 * bar)}, "the pressure of 4.01 bar is beyond the limit of 4 bar"),
-        ({"pulses": 2001}, "the travel of 5.002 mm is outside the limits of -40 to 5 mm"),
-        ({"pulses": -16001}, "the travel of -40 mm is outside"),
+        ({"position": 5.002 * mm}, "the travel of 5.002 mm is outside the limits of -40 to 5 mm"),
+        ({"position": -40.01 * mm}, "the travel of -40.01 mm is outside"),
         ({"pressure": -0.3 * bar}, "the pressure sensor is lost"),
         ({"force": 2001.0}, "the force sensor is lost"),
         ({"force": -2001.0}, "the force sensor is lost"),

@@ -50,7 +50,7 @@ class Around:
 
 
 def start(folder, rig, steps, **given):
-    bench = Bench(of=MUSCLE, drive=rig.drive, limits=LIMITS, steady=0.3)
+    bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
         stop_flag = getattr(given.get("report"), "stop_flag", StopFlag())
         Runner(rig, bench, recorder, stop_flag=stop_flag, **given).run(steps)
@@ -146,7 +146,7 @@ def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
     rig = Around(twin(), 0, read=full)
     with pytest.raises(StoppedError, match=r"1 bar remain 10.* s after venting; shut the supply by hand"):
         start(tmp_path, rig, [Move(to=5 * percent, speed=4 * mm), Dwell(duration=1.0)])
-    assert (read_record(tmp_path).columns["pulses"] == 0).all()
+    assert (read_record(tmp_path).columns["position"] == 0).all()
 
 
 def test_what_the_watch_found_is_told_even_where_it_cannot_be_recorded(tmp_path, monkeypatch):
@@ -178,9 +178,9 @@ def test_where_the_motor_stands_is_recorded_only_where_it_was_seen_to_stand(tmp_
         start(tmp_path / "1", rig, steps, report=Signalling(20))
     told = read_record(tmp_path / "1").events[-1]
     assert told.kind == "vented"
-    assert told.data["pulses"] == pytest.approx(rig.drive.nearest(rig.truth.stretch), abs=9)  # the play of the nut
+    assert told.data["position"] == pytest.approx(rig.truth.stretch, abs=1e-5)
     rig = twin(faults=[samples_stopped(2.0)])
     with pytest.raises(StoppedError) as stopped:
         start(tmp_path / "2", rig, steps)
     assert isinstance(stopped.value.__cause__, SilentError)
-    assert "pulses" not in read_record(tmp_path / "2").events[-1].data
+    assert "position" not in read_record(tmp_path / "2").events[-1].data

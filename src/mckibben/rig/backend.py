@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, NamedTuple
 
-from numpy import asarray, float64, int64
+from numpy import asarray, float64
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ConfigDict, field_validator
 
@@ -16,7 +16,7 @@ from mckibben.component.base import check_fields
 from mckibben.component.classes import Keyed
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import RigError
-from mckibben.rig.bench import Drive
+from mckibben.rig.bench import FASTEST
 
 
 class Channel(NamedTuple):
@@ -87,14 +87,14 @@ class Block(NamedTuple):
         Times since opening [s] by the clock of the backend, shape (samples,).
     values
         Readings in the units of the inputs, shape (samples, inputs), in the order of `Backend.inputs`.
-    pulses
-        Pulses of the motor since opening, positive = stretching, shape (samples,); zeros without a motor.
+    position
+        Position of the motor [m] since opening, positive = stretched, shape (samples,); zeros without a motor.
     """
 
     first: int
     time: NDArray[float64]
     values: NDArray[float64]
-    pulses: NDArray[int64]
+    position: NDArray[float64]
 
 
 class ChannelStatus(NamedTuple):
@@ -246,8 +246,8 @@ class MovingBackend(Backend, MuscleRig):
     shuts: bool = False
     """Whether it has a valve that shuts the muscle off from the regulator, but not from its vent valve: see `shut`."""
 
-    drive: Drive = Drive()
-    """The motor, its reducer and its lead screw. Default: the paper's."""
+    fastest: float = FASTEST
+    """Highest speed of its motor [m/s]."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -256,20 +256,20 @@ class MovingBackend(Backend, MuscleRig):
         return self
 
     @abc.abstractmethod
-    def move(self, pulses: int, rate: float) -> None:
+    def move(self, distance: float, speed: float) -> None:
         """Begin a move and return.
 
         Parameters
         ----------
-        pulses
-            Pulses of the motor, positive = stretching.
-        rate
-            Pulse rate [Hz].
+        distance
+            Distance [m], positive = stretching.
+        speed
+            Speed [m/s].
 
         Raises
         ------
         RigError
-            If the motor is moving already, or cannot run at this rate.
+            If the motor is moving already, or cannot run at this speed.
         """
 
     @property

@@ -1,14 +1,10 @@
-"""Test bench: motor and limits."""
+"""Test bench and its limits; limits of a joint rig."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Annotated
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.base import Checked, Inherited, check_fields
 from mckibben.errors import RangeError
@@ -16,9 +12,7 @@ from mckibben.muscle import Muscle, Specimen
 from mckibben.rig.protocol import specimen_of
 from mckibben.units import (
     Angle,
-    BoundedInt,
     Duration,
-    Factor,
     Force,
     Hz,
     N,
@@ -27,6 +21,7 @@ from mckibben.units import (
     PressureScale,
     Quantity,
     SampleRate,
+    Speed,
     Tension,
     Travel,
     bar,
@@ -40,78 +35,8 @@ AngularRate = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e4, open_lower=Tru
 
 MonitorTime = Annotated[float, Quantity("s", "ms", 0, 5e3, open_lower=True)]  # more is one in ms
 
-_WHOLE = 1e-6  # pulses
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drive(Checked):
-    """Stepper motor, reducer and lead screw; by default those of the paper.
-
-    Parameters
-    ----------
-    steps
-        Pulses per revolution of the motor: 200 (ours), full steps of the usual motor.
-    reduction
-        Revolutions of the motor per revolution of the screw (the paper, "Experimental system").
-    lead
-        Travel [m] per revolution of the screw (the paper).
-    fastest
-        Highest pulse rate [Hz] (ours), which is 5 mm/s.
-
-    Examples
-    --------
-    >>> drive = Drive()
-    >>> drive.pulses(1 * mm), drive.rate(0.2 * mm)
-    (400, 80.0)
-    """
-
-    steps: Annotated[int, BoundedInt(1, 1_000_000)] = 200
-    reduction: Factor = 10.0
-    lead: Travel = 5 * mm
-    fastest: SampleRate = 2000.0
-
-    @property
-    def pulses_per_metre(self) -> float:
-        """Pulses per metre of travel [1/m]; exact in the given decimals."""
-        return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
-
-    def pulses(self, travel: float) -> int:
-        """Return the pulses for a travel [m].
-
-        Raises
-        ------
-        RangeError
-            If the travel is not a whole number of pulses; the remedy is the travel of one.
-        """
-        exact = travel * self.pulses_per_metre
-        if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
-            one = 1 / self.pulses_per_metre / mm
-            remedy = f"take a multiple of {one:g} mm"
-            raise RangeError(f"{travel / mm:g} mm are {exact:g} pulses", value=travel, unit="m", remedy=remedy)
-        return round(exact)
-
-    def nearest(self, travel: float) -> int:
-        """Nearest number of pulses for a travel [m]."""
-        return round(travel * self.pulses_per_metre)
-
-    def travel(self, pulses: ArrayLike) -> NDArray[np.float64]:
-        """Travel of pulses [m], any shape."""
-        return np.asarray(pulses, np.float64) / self.pulses_per_metre
-
-    def rate(self, speed: float) -> float:
-        """Return the pulse rate [Hz] for a speed [m/s] of either sign.
-
-        Raises
-        ------
-        RangeError
-            If the speed is 0, or the rate is above that of the motor.
-        """
-        rate = abs(speed) * self.pulses_per_metre
-        if not 0 < rate <= self.fastest:
-            message = f"{speed / mm:g} mm/s are {rate:g} pulses per second; the motor does {self.fastest:g} at most"
-            remedy = f"move at up to {self.fastest / self.pulses_per_metre / mm:g} mm/s"
-            raise RangeError(message, value=rate, lower=0.0, upper=self.fastest, unit="Hz", remedy=remedy)
-        return rate
+FASTEST = 5 * mm / s
+"""Highest speed of a motor [m/s], where it is not known (ours)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +133,7 @@ class JointLimits(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Test bench: the muscle, its mounting, the motor, limits and recording.
+    """Test bench: the muscle, its mounting, limits, recording and rig.
 
     Parameters
     ----------
@@ -216,8 +141,6 @@ class Bench:
         Muscle, or specimen if its law is not known.
     mounted_at
         Contraction [-] at which it is mounted, the origin of the motor.
-    drive
-        The motor with its gear.
     limits
         Safety limits.
     rate
@@ -236,6 +159,8 @@ class Bench:
         Whether the rig has a shut-off valve.
     supply
         Highest pressure [Pa] of supply and regulator.
+    fastest
+        Highest speed of the motor [m/s].
 
     Raises
     ------
@@ -245,7 +170,6 @@ class Bench:
 
     of: Muscle | Specimen
     mounted_at: float = 0.0
-    drive: Drive
     limits: RigLimits
     rate: float = 1000 * Hz
     cycle: MonitorTime = 100 * ms
@@ -256,6 +180,7 @@ class Bench:
     slack_force: Force = 1 * N
     shuts: bool = False
     supply: PositivePressure = math.inf
+    fastest: Speed = FASTEST
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -277,10 +202,10 @@ class Bench:
         """Decimation factor of the record between plateaus."""
         return max(1, round(self.rate / self.between))
 
-    def pulses_at(self, contraction: float) -> int:
-        """Position of the motor at a contraction [-], from the mounted position, to the nearest pulse."""
-        return self.drive.nearest((self.mounted_at - contraction) * float(self.specimen.initial_length))
+    def position_at(self, contraction: float) -> float:
+        """Position of the motor [m] at a contraction [-], from the mounted position, positive = stretched."""
+        return (self.mounted_at - contraction) * float(self.specimen.initial_length)
 
-    def contraction_at(self, pulses: float) -> float:
-        """Return the contraction [-] at a position of the motor [pulses] from the mounted one."""
-        return self.mounted_at - pulses / self.drive.pulses_per_metre / float(self.specimen.initial_length)
+    def contraction_at(self, position: float) -> float:
+        """Return the contraction [-] at a position of the motor [m] from the mounted one."""
+        return self.mounted_at - position / float(self.specimen.initial_length)

@@ -34,7 +34,7 @@ class HandBench(MovingBackend):
     def __init__(self, backend: Backend, *, weights: bool = False, ask: Callable[[str], str] = input) -> None:
         self.inner, self.weights, self._ask = backend, weights, ask
         self.rate, self.patience, self.paced = backend.rate, backend.patience, backend.paced
-        self.position, self.weight = 0, 0.0  # [pulses], [N]
+        self.position, self.weight = 0.0, 0.0  # [m], [N]
         self._weighs = weights and "force" not in [channel.name for channel in backend.inputs]
 
     @property
@@ -63,7 +63,7 @@ class HandBench(MovingBackend):
         return future
 
     def open(self) -> None:
-        self.position, self.weight = 0, 0.0
+        self.position, self.weight = 0.0, 0.0
         self.inner.open()
 
     def clock(self) -> float:
@@ -74,7 +74,7 @@ class HandBench(MovingBackend):
         rows, values = len(block.time), block.values
         if self._weighs:
             values = np.column_stack([values, np.full(rows, self.weight)])
-        return block._replace(values=values, pulses=np.full(rows, self.position, np.int64))
+        return block._replace(values=values, position=np.full(rows, self.position))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         self.inner.set_valves(pressures)
@@ -88,9 +88,9 @@ class HandBench(MovingBackend):
     def close(self) -> None:
         self.inner.close()
 
-    def move(self, pulses: int, rate: float) -> None:
-        """Take the muscle as moved by pulses, as the operator has confirmed."""
-        self.position += pulses
+    def move(self, distance: float, speed: float) -> None:
+        """Take the muscle as moved by a distance [m], as the operator has confirmed."""
+        self.position += distance
 
     moving = False
 

@@ -158,7 +158,7 @@ class RecordingSettings(section_of(Bench, partial=True)):
     """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
 
     @field_validator(
-        "of", "mounted_at", "drive", "limits", "rate", "shuts", "supply", mode="before", check_fields=False
+        "of", "mounted_at", "limits", "rate", "shuts", "supply", "fastest", mode="before", check_fields=False
     )
     @classmethod
     def _of_the_rig(cls, value: object) -> object:
@@ -215,11 +215,11 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
-        drive=backend.drive,
         limits=test.limits,
         rate=backend.rate,
         shuts=backend.shuts,
         supply=backend.supply,
+        fastest=backend.fastest,
         **{name: value for name, value in test.recording if value is not None},
     )
     return Setup(backend, bench)

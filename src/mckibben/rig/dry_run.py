@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mckibben.errors import McKibbenError, Problem
+from mckibben.errors import Problem
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
@@ -35,8 +35,8 @@ class DryRun(StepInterpreter):
         Duration [s].
     plateaus, samples, rows
         Numbers of plateaus, of their samples, and of rows of the record.
-    pulses
-        Pulses of the motor, all moves together.
+    travel
+        Travel of the motor, all moves together [m].
     pressure, contraction, force
         Range of the pressures [Pa] and contractions [-], and highest force by the law [N].
     estimated
@@ -49,8 +49,8 @@ class DryRun(StepInterpreter):
         super().__init__(bench)
         self._settling, self._holding = settling, holding
         self.duration, self.force = 0.0, 0.0
-        self.plateaus = self.samples = self.pulses = 0
-        self.rows = 0.0
+        self.plateaus = self.samples = 0
+        self.rows = self.travel = 0.0
         self.estimated = self.shuts = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
@@ -58,7 +58,7 @@ class DryRun(StepInterpreter):
         self._reported: set[str] = set()
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
-        self._visited: dict[tuple[int, float], str] = {}  # position and pressure, and the step that reached them
+        self._visited: dict[tuple[float, float], str] = {}  # position and pressure, and the step that reached them
 
     def bytes(self, row_size: int = 64) -> int:
         """Return the disk space [bytes] of rows of a size [bytes] when compressed, with a tenth to spare."""
@@ -120,18 +120,14 @@ class DryRun(StepInterpreter):
                 self._check_sampling(step, place)
             case Walk():
                 self._check_speed(step.speed)
-                try:
-                    bench.drive.pulses(step.step)
-                except McKibbenError as error:
-                    self._report(error.message, f"{place}.step", error.remedy)
                 self._check_reach(bench.contraction_at(self._walk_end(step)) if step.to is None else step.to)
                 self._check_sampling(step.acquire, f"{place}.acquire")
                 self.estimated |= step.force is not None or step.slack is not None
 
-    def _move_to(self, pulses: int, speed: float) -> None:
-        distance, self.position = abs(pulses - self.position), pulses
-        self.pulses += distance
-        self._rest(distance / self.bench.drive.pulses_per_metre / speed)
+    def _move_to(self, position: float, speed: float) -> None:
+        distance, self.position = abs(position - self.position), position
+        self.travel += distance
+        self._rest(distance / speed)
         self._visit()
 
     def _rest(self, duration: float) -> None:
@@ -196,8 +192,8 @@ class DryRun(StepInterpreter):
             return
         to = float(np.interp(-force, -there, grid))
         self._check_reach(to)
-        before, self.position = self.position, bench.pulses_at(to)
-        self.pulses += abs(self.position - before)
+        before, self.position = self.position, bench.position_at(to)
+        self.travel += abs(self.position - before)
         self.contraction = min(self.contraction[0], to), max(self.contraction[1], to)
 
     # the checks
@@ -208,10 +204,10 @@ class DryRun(StepInterpreter):
             self.problems.append(Problem(message, field=place, remedy=remedy))
 
     def _check_speed(self, speed: float) -> None:
-        try:
-            self.bench.drive.rate(speed)
-        except McKibbenError as error:
-            self._report(error.message, f"{self._place}.speed", error.remedy)
+        fastest = self.bench.fastest / mm
+        if speed / mm > fastest * (1 + 1e-9):
+            message = f"{speed / mm:g} mm/s is faster than the motor, which does {fastest:g} mm/s"
+            self._report(message, f"{self._place}.speed", "move more slowly")
 
     def _check_reach(self, contraction: float) -> None:
         bench, limits, domain = self.bench, self.bench.limits, self._domain
@@ -307,10 +303,10 @@ def dry_run(
     Examples
     --------
     >>> from mckibben import catalog
-    >>> from mckibben.rig.bench import Drive, RigLimits
+    >>> from mckibben.rig.bench import RigLimits
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     >>> limits = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
-    >>> bench = Bench(of=muscle, drive=Drive(), limits=limits)
+    >>> bench = Bench(of=muscle, limits=limits)
     >>> dry_run([Move(to=0.05), Acquire()], bench).plateaus
     1
     >>> [problem.field for problem in dry_run([Move(to=0.5)], bench).problems]

@@ -136,7 +136,7 @@ class ModbusBackend(Backend):
             if times[-1] - number / self.rate > timeout:
                 raise SilentError(f"a sample took {times[-1] - number / self.rate:.2g} s", remedy=_CABLE)
         self._next = first + count
-        return Block(first, np.array(times), np.array(rows), np.zeros(count, np.int64))
+        return Block(first, np.array(times), np.array(rows), np.zeros(count))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         self._check_open()

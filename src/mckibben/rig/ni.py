@@ -243,7 +243,7 @@ class NiBackend(Backend):
         first, self._taken = self._taken, self._taken + count
         times = np.arange(first, self._taken) / self.rate
         values = [terminal.si(row) for row, terminal in zip(volts, self.card.inputs.values(), strict=True)]
-        return Block(first, times, np.stack(values, axis=1), np.zeros(count, np.int64))
+        return Block(first, times, np.stack(values, axis=1), np.zeros(count))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Set the pressures of the valves [Pa]; one that is not at rest closes the vent valve again."""

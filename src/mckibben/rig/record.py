@@ -189,8 +189,8 @@ class Point:
         Number of its samples.
     time
         Time of the first one, by the clock of the record [s].
-    pulses, contraction
-        Position of the motor from the mounted one [pulses], and contraction [-].
+    position, contraction
+        Position of the motor from the mounted one [m], and contraction [-].
     force, pressure, set_pressure, set_force
         Mean force [N] and pressure [Pa], set pressure [Pa], and force that is held [N], None if none is.
     direction, phase, repeat
@@ -205,7 +205,7 @@ class Point:
     every: int
     samples: int
     time: float
-    pulses: int
+    position: float
     contraction: float
     force: float
     pressure: float
@@ -293,6 +293,6 @@ def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = 
         time=columns["time"],
         pressure=columns["pressure"].astype(float),
         force=columns["force"].astype(float),
-        contraction=[bench.contraction_at(pulses) for pulses in columns["pulses"].tolist()],
+        contraction=[bench.contraction_at(position) for position in columns["position"].tolist()],
         **_origin_of(bench, source),
     )

@@ -19,7 +19,7 @@ from mckibben.rig.bench import Bench
 from mckibben.rig.by_hand import HandBench, length_of
 from mckibben.rig.record import PLACE, POINT, Point
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import PROBED, BlockMeans, RigMonitor, StopFlag
+from mckibben.rig.safety import PROBED, STILL, BlockMeans, RigMonitor, StopFlag
 from mckibben.rig.steps import SPEED, Acquire, HoldForce, ProtocolStep, StepInterpreter
 from mckibben.storage.mcap import Column
 from mckibben.units import bar, mm, percent
@@ -61,10 +61,10 @@ def columns_of(inputs: Sequence[Channel]) -> tuple[Column, ...]:
     """Return the columns of the record of a test.
 
     >>> [column.name for column in columns_of([Channel("force", "N"), Channel("pressure", "Pa")])]
-    ['time', 'force', 'pressure', 'pulses', 'plateau']
+    ['time', 'force', 'pressure', 'position', 'plateau']
     """
     values = (Column(channel.name, channel.unit, "float32") for channel in inputs)
-    return (Column("time", "s"), *values, Column("pulses", "1", "int32"), Column("plateau", "1", "int32"))
+    return (Column("time", "s"), *values, Column("position", "m", "float32"), Column("plateau", "1", "int32"))
 
 
 class Runner(StepInterpreter):
@@ -77,7 +77,7 @@ class Runner(StepInterpreter):
     done
         Points that earlier sessions have recorded, up to a `Vent`: the steps before it are skipped.
     origin
-        Position of the motor when it was opened [pulses], from the mounted one.
+        Position of the motor when it was opened [m], from the mounted one.
     since
         Time at which the record goes on [s].
     report
@@ -93,7 +93,7 @@ class Runner(StepInterpreter):
         recorder: Recorder,
         *,
         done: Sequence[Point] = (),
-        origin: int = 0,
+        origin: float = 0.0,
         since: float = 0.0,
         report: ProgressCallback | None = None,
         stop_flag: StopFlag | None = None,
@@ -101,8 +101,8 @@ class Runner(StepInterpreter):
         super().__init__(bench)
         self.backend, self.recorder, self.origin, self.since = backend, recorder, origin, since
         self.report, self.stop_flag = report, stop_flag or StopFlag()
-        self.monitor = RigMonitor(backend, bench.limits, bench.drive.pulses_per_metre, origin)
-        self.pulses, self.set_point = origin, 0.0  # position of the motor, set pressure [Pa]
+        self.monitor = RigMonitor(backend, bench.limits, origin)
+        self.standing, self.set_point = origin, 0.0  # measured position of the motor [m], set pressure [Pa]
         self._names = [channel.name for channel in backend.inputs]
         self._expected = 0
         self._latest: BlockMeans | None = None
@@ -124,17 +124,16 @@ class Runner(StepInterpreter):
         SignalledError
             If the reason was a signal.
         """
-        drive = self.bench.drive
         with self.backend.opened():
             try:
                 with self.monitor.guard():
                     self._empty()
                     if self._live:  # the steps begin where the muscle was mounted, at a speed until one sets another
-                        self._move_to(0, drive.fastest / drive.pulses_per_metre / 4)
+                        self._move_to(0.0, self.bench.fastest / 4)
                     self._do(steps)
                     self._vent()
                     for _ in range(2):  # a chunk that is damaged later must not cause a finished test to move again
-                        self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self.pulses)
+                        self.recorder.event(DONE, "all steps are done", points=self._number, position=self.standing)
                         self.recorder.flush()
             except BaseException as error:
                 raise self._record_stop(error) from error
@@ -145,13 +144,13 @@ class Runner(StepInterpreter):
         number = self._number
         if not self._live:
             self._number += 1
-            self.position = self._done[number].pulses
+            self.position = self._done[number].position
             return self._done[number].force
         self._measure_length()
         bench, recorder = self.bench, self.recorder
         every = max(1, round(bench.rate * acquire.duration / acquire.samples))
         rows = (acquire.samples - 1) * every + 1
-        first, pulses = recorder.rows, self.pulses
+        first, position = recorder.rows, self.standing
         begun, means = self._sampled(rows, number)
         self._number += 1
         point = Point(
@@ -161,8 +160,8 @@ class Runner(StepInterpreter):
             every=every,
             samples=acquire.samples,
             time=begun,
-            pulses=pulses,
-            contraction=bench.contraction_at(pulses),
+            position=position,
+            contraction=bench.contraction_at(position),
             force=means["force"],
             pressure=means["pressure"],
             set_pressure=self.set_point,
@@ -191,10 +190,10 @@ class Runner(StepInterpreter):
                 remedy="check its clamps, the motor and the force sensor, or raise limits.deviation",
             )
 
-    def _move_to(self, pulses: int, speed: float) -> None:
-        self.position = pulses
+    def _move_to(self, position: float, speed: float) -> None:
+        self.position = position
         if self._live:
-            self._move(pulses, speed)
+            self._move(position, speed)
 
     def _rest(self, duration: float) -> None:
         left = round(duration * self.bench.rate) if self._live else 0
@@ -227,7 +226,7 @@ class Runner(StepInterpreter):
                     f"the force of {step.force:g} N was not reached within {step.longest:g} s",
                     remedy="choose one that the muscle has at this pressure within its range",
                 )
-        self.position = self.pulses
+        self.position = self.standing
 
     # the rig
 
@@ -255,37 +254,36 @@ class Runner(StepInterpreter):
             left -= len(block.time)
         return self.since + (begun or 0.0), dict(zip(self._names, (sums / count).tolist(), strict=True))
 
-    def _move(self, pulses: int, speed: float) -> None:
-        """Move the motor to a position [pulses] at a speed [m/s], and wait until it is there."""
-        distance = pulses - self.pulses
-        if not distance:
+    def _move(self, position: float, speed: float) -> None:
+        """Move the motor to a position [m] at a speed [m/s], and wait until it is there."""
+        distance = position - self.standing
+        if abs(distance) < STILL:
             return
         if isinstance(self.backend, HandBench):
-            self._move_by_hand(self.backend, pulses)
+            self._move_by_hand(self.backend, position)
             return
-        rate = self.bench.drive.rate(speed)
-        self.backend.move(distance, rate)
-        deadline = self.now + 1.5 * abs(distance) / rate + 5 * self.bench.cycle + 1.0
+        self.backend.move(distance, speed)
+        deadline = self.now + 1.5 * abs(distance) / speed + 5 * self.bench.cycle + 1.0
         while self.backend.moving:
             # shorter cycles near the end, so that no time is lost
-            left = math.ceil((abs(pulses - self.pulses) / rate) * self.bench.rate) + 1
-            self._cycle(min(self.bench.samples_per_cycle, max(left, 1)))
+            left = math.ceil(abs(position - self.standing) / speed * self.bench.rate) + 1
+            self._cycle(min(self.bench.samples_per_cycle, left))
             if self.now > deadline:
                 raise StoppedError("the motor does not finish its move", remedy="check its driver")
-        while self.pulses != pulses:
+        while abs(position - self.standing) > STILL:
             self._cycle(max(1, self.bench.samples_per_cycle // 10))
             if self.now > deadline:
                 raise StoppedError(
-                    f"the motor is {abs(self.pulses - pulses)} pulses away from its target",
+                    f"the motor is {abs(position - self.standing) / mm:.3g} mm away from its target",
                     remedy="check its driver and its end switches",
                 )
 
-    def _move_by_hand(self, bench: HandBench, pulses: int) -> None:
+    def _move_by_hand(self, bench: HandBench, position: float) -> None:
         if not bench.weights:  # else the muscle is as long as the weight makes it
             self._ask(
-                f"turn the screw to {self.bench.contraction_at(pulses) / percent:.4g} % contraction, then press Enter"
+                f"turn the screw to {self.bench.contraction_at(position) / percent:.4g} % contraction, then press Enter"
             )
-            bench.position = pulses - self.origin
+            bench.position = position - self.origin
             self._cycle()
 
     def _ask(self, text: str) -> str:
@@ -315,20 +313,17 @@ class Runner(StepInterpreter):
         while length is None:
             length = length_of(self._ask("length of the muscle, such as 163.5 mm"))
         contraction = float(self.bench.specimen.contraction_at(length))
-        bench.position = self.bench.pulses_at(contraction) - self.origin
+        bench.position = self.bench.position_at(contraction) - self.origin
         self._cycle()
 
     def _step_towards(self, force: float, speed: float) -> None:
         """Begin a short move towards a force [N], unless the motor is moving."""
         if self.backend.by_hand or self.backend.moving or self._latest is None:
             return
-        drive, limits = self.bench.drive, self.bench.limits
-        rate, per_metre = drive.rate(speed), drive.pulses_per_metre
-        most = max(1, int(rate * self.bench.cycle))
-        distance = round((force - self._latest.force) * _COMPLIANCE * per_metre)
-        distance = max(-most, min(most, distance))
-        if distance and -limits.shorten * per_metre <= self.pulses + distance <= limits.stretch * per_metre:
-            self.backend.move(distance, rate)
+        limits, most = self.bench.limits, speed * self.bench.cycle
+        distance = min(max((force - self._latest.force) * _COMPLIANCE, -most), most)
+        if distance and -limits.shorten <= self.standing + distance <= limits.stretch:
+            self.backend.move(distance, speed)
 
     def _set_pressure(
         self, pressure: float, rate: float | None = None, holding: float | None = None, shut: float | None = None
@@ -443,11 +438,12 @@ class Runner(StepInterpreter):
                 with contextlib.suppress(RigError):  # the reason for the stop is more informative
                     self._record(block, 1, plateau)
             raise
-        self.pulses = int(block.pulses[-1]) + self.origin
+        self.standing = float(block.position[-1]) + self.origin
         self._record(block, 1 if plateau >= 0 else bench.decimation, plateau)
         self.stop_flag.check()
         if self.report is not None:
-            self.report(Progress(latest.time, latest, bench.contraction_at(self.pulses), self.set_point, self._number))
+            contraction = bench.contraction_at(self.standing)
+            self.report(Progress(latest.time, latest, contraction, self.set_point, self._number))
         return block
 
     def _record(self, block: Block, every: int, plateau: int) -> None:
@@ -457,9 +453,10 @@ class Runner(StepInterpreter):
             self.recorder.event(DROPPED, text, samples=lost, time=self.since + float(block.time[0]))
         self._expected = block.first + len(block.time)
         kept = slice(-block.first % every, None, every)
-        times, pulses = (block.time[kept] + self.since).tolist(), (block.pulses[kept] + self.origin).tolist()
+        times, positions = (block.time[kept] + self.since).tolist(), (block.position[kept] + self.origin).tolist()
         values = block.values[kept].astype(np.float32).tolist()
-        self.recorder.append([(time, *row, at, plateau) for time, row, at in zip(times, values, pulses, strict=True)])
+        rows = zip(times, values, positions, strict=True)
+        self.recorder.append([(time, *row, position, plateau) for time, row, position in rows])
 
     def _record_stop(self, error: BaseException) -> StoppedError:
         """Record the reason of a stop, observe the venting, and return both as an error.
@@ -494,8 +491,8 @@ class Runner(StepInterpreter):
         else:
             vented = f"{found.pressure / bar:.3g} bar ARE LEFT IN THE MUSCLE: shut the supply by hand"
         data: dict[str, float] = {} if found.pressure is None else {"pressure": found.pressure}
-        if found.pulses is not None:
-            data["pulses"] = found.pulses + self.origin
+        if found.position is not None:
+            data["position"] = found.position + self.origin
         self._note(lambda: self.recorder.event(VENTED, vented, **data), reported)
         self._note(self.recorder.flush, reported)
         text = "; ".join([f"stopped: {reason}", vented, *(text for text in reported if text not in reason)])

@@ -69,7 +69,7 @@ class CheckedTest:
                 f"{self.test.name}: {self.setup.bench.specimen.name} on the {self.rig} rig",
                 *describe_steps(self.steps, 1),
                 f"{about}{_time(run.duration)}, {run.plateaus} points, {run.samples} samples, "
-                f"{run.pulses} pulses, {self.disk_space / 1e6:.0f} MB on disk",
+                f"{run.travel:.3g} m of travel, {self.disk_space / 1e6:.0f} MB on disk",
                 f"contraction {run.contraction[0] / percent:.4g}..{run.contraction[1] / percent:.4g} %, pressure "
                 f"{run.pressure[0] / bar:g}..{run.pressure[1] / bar:g} bar; {law}limits: {limits.force:g} N, "
                 f"{limits.pressure / bar:g} bar, {limits.stretch / mm:g} mm to stretch, {limits.shorten / mm:g} mm to "
@@ -165,7 +165,7 @@ class _PastSessions:
 
     done: tuple[Point, ...] = ()
     since: float = 0.0
-    position: int = 0
+    position: float = 0.0
     certain: bool = True
     finished: bool = False
 
@@ -288,14 +288,14 @@ def _run_session(
         Runner(backend, bench, recorder, done=past.done, **settings).run(checked.steps)
 
 
-def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> int:
+def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> float:
     bench = checked.setup.bench
     if standing_at is not None:
-        return bench.pulses_at(standing_at)
+        return bench.position_at(standing_at)
     if checked.setup.backend.homed:
         return 0
     if not past.certain:
-        message = f"the position of the motor is not known (the record ends at {past.position} pulses)"
+        message = f"the position of the motor is not known (the record ends at {past.position / mm:.4g} mm)"
         remedy = "measure it, and give the contraction there (--standing-at '5 %')"
         raise FileError(str(folder), [Problem(message, remedy=remedy)])
     return past.position
@@ -306,7 +306,7 @@ def _past(folder: Path) -> _PastSessions:
     if not segments(folder):
         return _PastSessions()
     record = read_record(folder)
-    events, times, pulses = record.events, record.columns["time"], record.columns["pulses"]
+    events, times, positions = record.events, record.columns["time"], record.columns["position"]
     whole = 0
     for number, point in enumerate(record.points):
         if point.number != number or np.isnan(record.samples("time", point)).any():
@@ -314,9 +314,9 @@ def _past(folder: Path) -> _PastSessions:
         whole += 1
     finished = any(event.kind == DONE for event in events)
     begun = [event.data["points"] for event in events if event.kind == BLOCK and event.data["points"] <= whole]
-    at_rest = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
+    at_rest = events[-1].data.get("position") if events and events[-1].kind in (VENTED, DONE) else None
     since = float(times[-1]) + 1 / record.header["rate_Hz"] if len(times) else 0.0
-    position = int(pulses[-1]) if len(pulses) else 0
+    position = float(positions[-1]) if len(positions) else 0.0
     return _PastSessions(
         tuple(record.points[: whole if finished else max(begun, default=0)]),
         since,
@@ -350,7 +350,6 @@ def _header(checked: CheckedTest, protocol: str) -> dict[str, object]:
             "rated_force_N": specimen.rated_force,
             "mounted_at": bench.mounted_at,
         },
-        "drive": {"pulses_per_metre": bench.drive.pulses_per_metre},
         "rig": dict(checked.setup.backend.description),
         "rate_Hz": bench.rate,
         "clock": "time_s is the card's, from the beginning of the test; interruptions are left out",

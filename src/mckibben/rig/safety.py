@@ -104,13 +104,13 @@ class VentResult(NamedTuple):
         Highest pressure, as last measured [Pa].
     duration
         Time until all pressures were below the threshold [s].
-    pulses
-        Position of the motor at rest, since it was opened.
+    position
+        Position of the motor at rest [m], since it was opened.
     """
 
     pressure: float | None = None
     duration: float | None = None
-    pulses: int | None = None
+    position: float | None = None
 
 
 class SafetyMonitor:
@@ -256,7 +256,7 @@ class SafetyMonitor:
                     return VentResult()
                 highest = float(read.mean(axis=0).max())
                 empty = highest <= threshold
-                still = int(block.pulses[-1]) if block.pulses[0] == block.pulses[-1] else None
+                still = float(block.position[-1]) if np.ptp(block.position) < STILL else None
                 found = VentResult(highest, max(newest - begun, 0.0) if empty else None, still)
                 if empty or newest >= begun + duration:
                     return found
@@ -304,6 +304,9 @@ class SafetyMonitor:
             if not rate <= one.rate:
                 raise _exceeded(f"rate of {one.name}", rate, -math.inf, one.rate, one.unit, per="/s")
 
+
+STILL = 5e-6
+"""Differences of positions of the motor [m] below which it stands still."""
 
 MOST_READ = 1000
 """Samples that are read at once."""
@@ -360,13 +363,11 @@ class RigMonitor(SafetyMonitor):
     ----------
     backend, limits
         Backend and its limits.
-    pulses_per_metre
-        Of the motor, see `Drive`.
     origin
-        Position of the motor when it was opened [pulses], from the mounted one.
+        Position of the motor when it was opened [m], from the mounted one.
     """
 
-    def __init__(self, backend: MovingBackend, limits: RigLimits, pulses_per_metre: float, origin: int = 0) -> None:
+    def __init__(self, backend: MovingBackend, limits: RigLimits, origin: float = 0.0) -> None:
         bounds = {
             "force": {"upper": limits.force},
             "pressure": {"upper": limits.pressure, "rate": limits.pressure_rate},
@@ -381,7 +382,7 @@ class RigMonitor(SafetyMonitor):
         super().__init__(backend, signals, maximum_age=limits.gap, frozen=limits.frozen)
         self.limits = limits
         self.sums = np.zeros(len(backend.inputs))
-        self._motor, self._travel = backend, (1 / pulses_per_metre, origin)
+        self._motor, self._origin = backend, origin
         self._setpoint: float | None = None
         self._set_at = 0.0
 
@@ -414,9 +415,8 @@ class RigMonitor(SafetyMonitor):
         """
         columns = np.ascontiguousarray(block.values.T)  # NumPy is several times as fast along the last axis
         self.sums = columns.sum(axis=1)
-        per_pulse, origin = self._travel
         first, last = float(block.time[0]), float(block.time[-1])
-        start, end = ((int(pulses) + origin) * per_pulse for pulses in block.pulses[[0, -1]])
+        start, end = (float(position) + self._origin for position in block.position[[0, -1]])
         values = self.check(
             first,
             last,

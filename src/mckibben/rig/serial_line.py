@@ -211,7 +211,7 @@ class SerialBackend(Backend):
         rows = [self._samples.popleft() for _ in range(len(self._samples)) if self._samples[0][0] < first + count]
         times = np.array([row[1] for row in rows])
         values = np.array([row[2][: len(self._known.measurements)] for row in rows], np.float64)
-        return Block(first, times, values, np.zeros(len(rows), np.int64))
+        return Block(first, times, values, np.zeros(len(rows)))
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Send commands [Pa], and arm the board after the first ones."""
@@ -314,7 +314,9 @@ class SerialBackend(Backend):
         elapsed = (self._device - self._begun) * 1e-6
         number = round(elapsed * 1e6 / self._answer.period)
         if number < self._latest:
-            raise RigError("the clock of the board jumps back: it was reset", remedy="check its supply and cable, and reopen")
+            raise RigError(
+                "the clock of the board jumps back: it was reset", remedy="check its supply and cable, and reopen"
+            )
         self._newest, self._arrived = sample, (time.monotonic(), elapsed)
         if number > self._latest:
             self._samples.append((number, elapsed, sample.values))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -551,9 +552,9 @@ class StepInterpreter(abc.ABC):
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self.position = 0
+        self.position = 0.0
         self._repeat = 0
-        self._walked_from = 0
+        self._walked_from = 0.0
 
     def _do(self, steps: Sequence[ProtocolStep], place: str = "") -> None:
         for index, step in enumerate(steps):
@@ -567,7 +568,7 @@ class StepInterpreter(abc.ABC):
                         self._do(step.steps, f"{here}.repeat.steps")
                     self._repeat = around
                 case Move():
-                    self._move_to(self.bench.pulses_at(step.to), step.speed)
+                    self._move_to(self.bench.position_at(step.to), step.speed)
                 case Dwell():
                     self._rest(step.duration)
                 case Pressurise():
@@ -585,29 +586,28 @@ class StepInterpreter(abc.ABC):
         begin = self.position
         to = self._walk_end(walk)
         self._walked_from = begin
-        step = max(1, self.bench.drive.nearest(walk.step))
         sign = 1 if to > begin else -1
         forces = [self._acquire(walk.acquire)]
         slack = 0
-        for count in range(1, (abs(to - begin) + step // 100) // step + 1):
+        for count in range(1, math.floor(abs(to - begin) / walk.step + 0.01) + 1):
             if walk.force is not None and forces[-1] + 1.5 * (forces[-1] - (forces[-2:][0])) > walk.force:
                 return  # the force rises progressively with the stretch: half of a rise is added
             slack = slack + 1 if forces[-1] <= walk.slack_force else 0
             if walk.slack is not None and slack >= walk.slack:
                 return
-            self._move_to(begin + sign * step * count, walk.speed)
+            self._move_to(begin + sign * walk.step * count, walk.speed)
             self._rest(walk.dwell)
             forces.append(self._acquire(walk.acquire))
 
-    def _walk_end(self, walk: Walk) -> int:
-        return self._walked_from if walk.to is None else self.bench.pulses_at(walk.to)
+    def _walk_end(self, walk: Walk) -> float:
+        return self._walked_from if walk.to is None else self.bench.position_at(walk.to)
 
     def _begin(self, step: ProtocolStep, place: str) -> None:
         """Prepare a step at a place of the protocol."""
         return
 
     @abc.abstractmethod
-    def _move_to(self, pulses: int, speed: float) -> None: ...
+    def _move_to(self, position: float, speed: float) -> None: ...
 
     @abc.abstractmethod
     def _rest(self, duration: float) -> None: ...

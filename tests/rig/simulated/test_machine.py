@@ -10,7 +10,7 @@ from mckibben import catalog
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR
 from mckibben.rig.simulated import Regulator, SimulatedRig
-from mckibben.units import bar, ms
+from mckibben.units import bar, mm, ms
 from tests.air import flow
 
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
@@ -36,8 +36,8 @@ def test_friction_along_a_way_is_that_of_the_muscle():
     """Moves back and forth at a pressure that changes."""
     friction = MaxwellSlip(12.0, 0.5e-3, growth=5e-6)
     rig, states = at_work(Muscle(SPECIMEN, LAW, friction), 3 * bar), []
-    for pulses in (-1200, 200, -600, 2000, -320, 200):
-        rig.move(pulses, 400.0)
+    for distance in (-3, 0.5, -1.5, 5, -0.8, 0.5):
+        rig.move(distance * mm, 1 * mm)
         while rig.moving:
             passed(rig, 0.01)
             states.append(rig.truth)
@@ -52,18 +52,21 @@ def test_friction_along_a_way_is_that_of_the_muscle():
 
 def test_creep_after_moves_is_that_of_the_muscle():
     creep = MaxwellCreep(1500.0, 2.0, arms=2)
-    rig, stops, read = at_work(Muscle(SPECIMEN, LAW, creep=creep), 3 * bar), [0, 800, 400, 1600], []
+    rig, stops, read = at_work(Muscle(SPECIMEN, LAW, creep=creep), 3 * bar), [0, 2 * mm, 1 * mm, 4 * mm], []
     passed(rig, 30.0)
     for before, after in itertools.pairwise(stops):
-        rig.move(after - before, 800.0)
-        passed(rig, abs(after - before) / 800.0)
+        rig.move(after - before, 2 * mm)
+        passed(rig, abs(after - before) / (2 * mm))
         states = []
         for _ in range(12):
             passed(rig, 0.25)
             states.append(rig.truth)
         read.append([s.force - float(forces(Muscle(SPECIMEN, LAW), s.contraction, s.pressure)) for s in states])
-    length = 0.162 + np.array(stops) / 400e3
-    tension, moves = forces(Muscle(SPECIMEN, LAW), 1 - length / 0.18, 3 * bar), np.abs(np.diff(stops, prepend=0)) / 800
+    length = 0.162 + np.array(stops)
+    tension, moves = (
+        forces(Muscle(SPECIMEN, LAW), 1 - length / 0.18, 3 * bar),
+        np.abs(np.diff(stops, prepend=0)) / (2 * mm),
+    )
     expected = creep.path_response(
         length, tension, move_time=moves, hold_time=3.0, sample_times=0.25 * np.arange(1, 13)
     )

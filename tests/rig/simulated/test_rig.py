@@ -10,7 +10,6 @@ from mckibben import catalog
 from mckibben.errors import RangeError, RigError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
 from mckibben.rig.backend import MovingBackend
-from mckibben.rig.bench import Drive
 from mckibben.rig.simulated import (
     FORCE_SENSOR,
     PRESSURE_SENSOR,
@@ -50,9 +49,9 @@ def blocks(rig, duration, count=100):
 
 
 def columns(rig, kept):
-    """Times, force [N], pressure [Pa], pulses."""
+    """Times, force [N], pressure [Pa], position [m]."""
     si = np.concatenate([block.values for block in kept]).T
-    return np.concatenate([block.time for block in kept]), *si, np.concatenate([block.pulses for block in kept])
+    return np.concatenate([block.time for block in kept]), *si, np.concatenate([block.position for block in kept])
 
 
 def test_it_is_a_backend():
@@ -66,17 +65,17 @@ def test_it_is_a_backend():
 def test_sensors_tell_the_truth_of_the_law():
     rig = opened(**QUIET)
     press(rig, 4 * bar)
-    rig.move(-rig.drive.pulses(9 * mm), 400.0)
-    _, force, pressure, pulses = columns(rig, blocks(rig, 15.0))
+    rig.move(-9 * mm, 1 * mm)
+    _, force, pressure, position = columns(rig, blocks(rig, 15.0))
     truth = rig.truth
-    assert truth.contraction == pytest.approx(0.05) and pulses[-1] == -3600
+    assert truth.contraction == pytest.approx(0.05) and position[-1] == pytest.approx(-9 * mm)
     assert pressure[-1] == pytest.approx(truth.pressure, abs=1) and truth.pressure == pytest.approx(4 * bar, rel=1e-4)
     assert force[-1] == pytest.approx(float(forces(PLAIN, 0.05, truth.pressure)), abs=1e-3)
-    # On the way, too: the force of each sample is that of the law at its pulses and its pressure.
+    # On the way, too: the force of each sample is that of the law at its position and its pressure.
     along = forces(PLAIN, -np.arange(0, 1) / 0.18, 0.0)
     assert force[0] == pytest.approx(along[0], abs=1e-3)
     middle = slice(2000, 9000, 500)
-    contraction = -rig.drive.travel(pulses[middle]) / 0.18
+    contraction = -position[middle] / 0.18
     np.testing.assert_allclose(force[middle], forces(PLAIN, contraction, pressure[middle]), atol=0.3)
 
 
@@ -100,7 +99,7 @@ def test_same_seed_same_samples_however_they_are_read():
     def run(seed, count):
         rig = opened(REAL, seed=seed)
         press(rig, 5 * bar)
-        rig.move(-400, 80.0)
+        rig.move(-1 * mm, 0.2 * mm)
         return rig, columns(rig, blocks(rig, 8.0, count))
 
     (one, first), (_, again), (_, other), (two, split) = run(1, 100), run(1, 100), run(2, 100), run(1, 250)
@@ -112,22 +111,22 @@ def test_same_seed_same_samples_however_they_are_read():
     assert one.truth.force == pytest.approx(two.truth.force, abs=0.2)
 
 
-def test_motor_counts_its_pulses_in_time():
+def test_motor_moves_in_time():
     rig = opened()
-    rig.move(40, 80.0)
+    rig.move(0.1 * mm, 0.2 * mm)
     assert rig.moving
     with pytest.raises(RigError, match="still moving"):
-        rig.move(1, 80.0)
+        rig.move(1 * mm, 0.2 * mm)
     block = rig.read(600)
-    np.testing.assert_array_equal(block.pulses, np.minimum(np.floor(np.arange(600) * 0.08 + 1e-6), 40))
+    np.testing.assert_allclose(block.position, np.minimum(np.arange(600) * 2e-7, 0.1 * mm), atol=1e-12)
     assert not rig.moving and rig.truth.stretch == pytest.approx(0.1 * mm)
     rig.heartbeat()
-    rig.move(-40, 80.0)
+    rig.move(-0.1 * mm, 0.2 * mm)
     rig.read(250)
     rig.stop()
-    assert rig.read(10).pulses.tolist() == [20] * 10
-    with pytest.raises(RigError, match="2000 at most"):
-        rig.move(1, 2001.0)
+    np.testing.assert_allclose(rig.read(10).position, 0.05 * mm)
+    with pytest.raises(RigError, match="m/s at most"):
+        rig.move(1 * mm, 5.1 * mm)
 
 
 # Vented
@@ -153,19 +152,19 @@ def test_vented_muscle_has_no_pressure_within_a_second(contraction):
 def test_missed_beat_vents_in_time_and_holds_until_opened_anew():
     rig = opened(patience=0.3)
     press(rig, 6 * bar)
-    rig.move(-800, 80.0)
+    rig.move(-2 * mm, 0.2 * mm)
     blocks(rig, 2.0)
-    pulses = rig.read(600).pulses  # the beat was at 2.0 s
-    assert pulses[299] == -183 and (pulses[300:] == -184).all()
+    position = rig.read(600).position  # the beat was at 2.0 s
+    assert position[299] > position[301] and np.ptp(position[301:]) == 0
     rig.heartbeat()
     with pytest.raises(RigError, match="reopen it"):
         press(rig, 1 * bar)
     rig.close()
     rig.open()
     press(rig, 1 * bar)
-    assert rig.clock() == 0 and rig.read(10).pulses[0] == 0 and not rig.truth.vented
-    rig.move(40, 80.0)
-    assert rig.read(200).pulses.tolist() == np.floor(np.arange(200) * 0.08 + 1e-6).tolist()
+    assert rig.clock() == 0 and rig.read(10).position[0] == 0 and not rig.truth.vented
+    rig.move(0.1 * mm, 0.2 * mm)
+    assert rig.read(200).position[-1] == pytest.approx(199 * 2e-7)
 
 
 def test_host_that_is_away_for_too_long_loses_samples_and_is_told():
@@ -182,7 +181,7 @@ def test_host_that_is_away_for_too_long_loses_samples_and_is_told():
 
 def test_wrong_use_is_refused():
     rig = SimulatedRig(PLAIN)
-    for what in (lambda: rig.read(1), lambda: rig.set_valves([1.0]), lambda: rig.move(1, 80.0)):
+    for what in (lambda: rig.read(1), lambda: rig.set_valves([1.0]), lambda: rig.move(1 * mm, 0.2 * mm)):
         with pytest.raises(RigError, match="not open"):
             what()
     rig.open()
@@ -198,7 +197,6 @@ def test_wrong_use_is_refused():
         lambda: rig.read(0),
         lambda: SimulatedRig(PLAIN, rate=0.0),
         lambda: Regulator(band=0.0),
-        lambda: Drive(lead=0.0),
     ):
         with pytest.raises(RangeError):
             what()

@@ -26,7 +26,7 @@ from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.compiled import numeric
 from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.rig.backend import Channel, MovingBackend
-from mckibben.rig.bench import Drive
+from mckibben.rig.bench import FASTEST
 from mckibben.rig.compiled import FlatTree, flat_program
 from mckibben.rig.simulated.sampling import FORCE_SENSOR, INSTANT, PRESSURE_SENSOR, Sensor, SimulatedBackend
 from mckibben.units import (
@@ -124,79 +124,53 @@ class Regulator(Checked):
         )
 
 
-_ROUNDING = 1e-6  # pulses
-
-
-@dataclass(frozen=True)
-class _Move:
-    """A move at a constant rate [Hz], which begins at a time [s] and a position [pulses]."""
-
-    begin: float
-    first: int
-    pulses: int
-    rate: float
-
-    @property
-    def end(self) -> float:
-        return self.begin + abs(self.pulses) / self.rate
-
-
 class Motor:
     """Position of the motor over time.
 
     Examples
     --------
-    >>> motor = Motor(Drive())
-    >>> motor.move(0.0, 40, 80.0)
-    >>> motor.counted(np.array([0.0, 0.25, 1.0])).tolist(), motor.moving(0.4)
-    ([0, 20, 40], True)
+    >>> motor = Motor()
+    >>> motor.move(0.0, 0.1 * mm, 0.2 * mm)
+    >>> (motor.positions(np.array([0.0, 0.25, 1.0])) / mm).round(6).tolist(), motor.moving(0.4)
+    ([0.0, 0.05, 0.1], True)
     """
 
-    def __init__(self, drive: Drive) -> None:
-        self._per_metre = drive.pulses_per_metre
-        self._fastest = drive.fastest
-        self._move: _Move | None = None
-        self._counted = 0  # end of the last move
+    def __init__(self, fastest: float = FASTEST) -> None:
+        self._fastest = fastest
+        self._begin = self._end = 0.0  # of the latest move [s]
+        self._from = self._to = 0.0
 
-    def move(self, now: float, pulses: int, rate: float) -> None:
-        """Begin a move by pulses at a rate [Hz]; `RigError` if it is moving, or the rate is too high."""
+    def move(self, now: float, distance: float, speed: float) -> None:
+        """Begin a move by a distance [m] at a speed [m/s]; `RigError` if it is moving, or the speed is too high."""
         if self.moving(now):
             raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
-        if not 0 < rate <= self._fastest:
-            message = f"the motor cannot run at {rate:g} pulses per second"
-            remedy = f"it reaches {self._fastest:g} at most"
-            raise RigError(message, value=rate, lower=0.0, upper=self._fastest, unit="Hz", remedy=remedy)
+        if not 0 < speed <= self._fastest * (1 + 1e-9):
+            message, remedy = f"the motor cannot run at {speed:g} m/s", f"it reaches {self._fastest:g} m/s at most"
+            raise RigError(message, value=speed, lower=0.0, upper=self._fastest, unit="m/s", remedy=remedy)
         self.stop(now)
-        if pulses:
-            self._move = _Move(now, self._counted, int(pulses), rate)
+        self._to, self._end = self._from + distance, now + abs(distance) / speed
 
     def moving(self, now: float) -> bool:
         """Whether it is moving."""
-        return self._move is not None and now < self._move.end - 1e-9
+        return now < self._end - 1e-9
 
     def next_end(self, now: float) -> float:
         """End of the present move [s]; infinite without one."""
-        return self._move.end if self._move is not None and now < self._move.end else math.inf
+        return self._end if now < self._end else math.inf
 
     def stop(self, now: float) -> None:
         """Stop."""
-        if self._move is not None:
-            self._counted = int(self.counted(np.array([now]))[0])
-            self._move = None
+        self._from = self._to = self.travel(now)
+        self._begin = self._end = now
 
-    def counted(self, time: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Whole pulses sent until times [s]."""
-        if (move := self._move) is None:
-            return np.full(len(time), self._counted, np.int64)
-        sent = np.clip((np.minimum(time, move.end) - move.begin) * move.rate, 0.0, abs(move.pulses))
-        return move.first + np.sign(move.pulses) * np.floor(sent + _ROUNDING).astype(np.int64)
+    def positions(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions [m] at times [s]."""
+        part = (times - self._begin) / max(self._end - self._begin, INSTANT)
+        return self._from + np.clip(part, 0.0, 1.0) * (self._to - self._from)
 
     def travel(self, now: float) -> float:
-        """Travel of the screw [m]."""
-        if (move := self._move) is None:
-            return self._counted / self._per_metre
-        sent = min(max((now - move.begin) * move.rate, 0.0), abs(move.pulses))
-        return (move.first + math.copysign(sent, move.pulses)) / self._per_metre
+        """Position [m] at a time [s]."""
+        return float(self.positions(np.array([now]))[0])
 
 
 _LONGEST, _MOVING = 100 * ms, 10 * ms  # between two knots, at rest and in motion
@@ -323,7 +297,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         Seed of noise and the regulator's offsets, each with its own stream.
     mounted_at
         Contraction [-] at which the muscle is clamped, relaxed.
-    regulator, drive, force_sensor, pressure_sensor
+    regulator, force_sensor, pressure_sensor
         Its parts.
     rate, patience
         Sampling rate of each input [Hz], timeout of the watchdog [s].
@@ -364,7 +338,6 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         seed: int = 0,
         mounted_at: float = 0.0,
         regulator: Regulator | None = None,
-        drive: Drive | None = None,
         force_sensor: Sensor = FORCE_SENSOR,
         pressure_sensor: Sensor = PRESSURE_SENSOR,
         rate: float = 1000 * Hz,
@@ -375,9 +348,9 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         sensors = force_sensor, pressure_sensor
         super().__init__(sensors, rate=rate, patience=patience, seed=seed, **others)
         self._muscle, self._mounted_at = muscle, mounted_at
-        self._regulator, self.drive = regulator or Regulator(), drive or Drive()
+        self._regulator = regulator or Regulator()
         self.supply = min(self._regulator.supply, self._regulator.highest)
-        self._motor, self._zero = Motor(self.drive), 0  # pulses when it was opened
+        self._motor, self._zero = Motor(self.fastest), 0.0  # position when it was opened [m]
         self._shut, self._exhausting, self._exhaust_at = False, True, math.inf
         self._signal = self._command = 0.0  # of the regulator, as pressures [Pa], without and with its offset
         self._resting, self._force = False, 0.0
@@ -405,7 +378,6 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
             **{name: repr(getattr(muscle, name)) for name in ("law", "friction", "creep")},
             "mounted_at": f"{self._mounted_at:g}",
             "regulator": repr(self._regulator),
-            "drive": repr(self.drive),
             **super().description,
         }
 
@@ -467,10 +439,10 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         if not self._exhausting:
             self._exhaust_at = min(self._exhaust_at, self.now + self._regulator.exhaust_delay)
 
-    def move(self, pulses: int, rate: float) -> None:
+    def move(self, distance: float, speed: float) -> None:
         """As `MovingBackend.move`; `RigError` also if the watchdog has expired."""
         self._check_armed()
-        self._motor.move(self.now, pulses, rate)
+        self._motor.move(self.now, distance, speed)
 
     @property
     def moving(self) -> bool:
@@ -486,10 +458,10 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         self._motor.stop(self.now)
 
     def _begin(self) -> None:
-        self._zero = int(self._motor.counted(np.array([self.now]))[0])
+        self._zero = self._motor.travel(self.now)
 
-    def _pulses(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        return self._motor.counted(times) - self._zero
+    def _positions(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._motor.positions(times) - self._zero
 
     def _truth(self) -> tuple[float, ...]:
         return self._force, self._air[1]

@@ -143,9 +143,9 @@ class SimulatedBackend(Backend, abc.ABC):
     def _begin(self) -> None:
         """Prepare the plant for being opened."""
 
-    def _pulses(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Pulses of a motor at times [s] since it was first opened."""
-        return np.zeros(len(times), np.int64)
+    def _positions(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions of a motor [m] since it was opened, at times [s] since it was first opened."""
+        return np.zeros(len(times))
 
     @property
     def inputs(self) -> Sequence[Channel]:
@@ -251,7 +251,7 @@ class SimulatedBackend(Backend, abc.ABC):
         at, noise = since + self._opened, self._noise.standard_normal((last - first, len(self.sensors)))
         columns = zip(self.sensors, zip(*values, strict=True), noise.T, strict=True)
         read = [sensor.values(np.interp(at, times, truth), white * sensor.noise) for sensor, truth, white in columns]
-        self._waiting.append(Block(first, since, np.stack(read, axis=1), self._pulses(at)))
+        self._waiting.append(Block(first, since, np.stack(read, axis=1), self._positions(at)))
 
     def _take(self, count: int) -> Block:
         """Return the next samples of the buffer; `RigError` if they were overwritten."""
@@ -259,7 +259,7 @@ class SimulatedBackend(Backend, abc.ABC):
             message = f"samples were overwritten: the host did not read for more than {self._buffer:g} s"
             raise RigError(message, remedy="reopen the rig")
         first, self._next = self._next, self._next + count
-        times, values, pulses = (np.concatenate(parts) for parts in list(zip(*self._waiting, strict=True))[1:])
-        rest = Block(self._next, times[count:], values[count:], pulses[count:])
+        times, values, positions = (np.concatenate(parts) for parts in list(zip(*self._waiting, strict=True))[1:])
+        rest = Block(self._next, times[count:], values[count:], positions[count:])
         self._waiting = [rest] if len(rest.time) else []
-        return Block(first, times[:count], values[:count], pulses[:count])
+        return Block(first, times[:count], values[:count], positions[:count])
