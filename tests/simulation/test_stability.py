@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,24 +101,30 @@ def test_switching_valves_have_the_margins_of_their_mean_flow(loop):
         assert (result.outcome is not Outcome.LIMIT_CYCLE) == stable
 
 
+def margins_of(loop, period=1e-3):
+    """The columns of `Margins` of one linear loop."""
+    columns = _margins_of(LinearLoop(*(leaf[None] for leaf in loop)), period)
+    return SimpleNamespace(**{name: column[0] for name, column in columns.items()})
+
+
 def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     """L = k / (z (z - 1)) for each command: |L| = 1 where 2 sin(w/2) = k, with a phase of -(pi + 3 w)/2."""
     gains, period = (0.2, 0.3), 1e-3
     zero = np.zeros((2, 2))
     a = np.block([[np.eye(2), np.eye(2)], [-np.diag(gains), zero]])
     loop = LinearLoop(a, np.concatenate([zero, np.eye(2)]), np.concatenate([-np.diag(gains), zero], axis=1))
-    radius, gain, phase, delay, disk, _, _, largest, loci = _margins_of(loop, period)
+    found = margins_of(loop, period)
     turn = np.exp(2j * np.pi * _frequencies(period) * period)[:, None]
     open_loop = np.array(gains) / (turn * (turn - 1))
     crossover = 2 * np.arcsin(np.array(gains) / 2)
     phases = np.pi / 2 - 1.5 * crossover
-    np.testing.assert_allclose(np.sort_complex(loci), np.sort_complex(open_loop), rtol=1e-9)
-    np.testing.assert_allclose(largest, np.abs(1 / (1 + open_loop)).max(axis=1), rtol=1e-9)
-    assert radius == pytest.approx(max(np.abs(np.roots([1, -1, k])).max() for k in gains))
-    assert gain == pytest.approx(1 / max(gains), rel=0.01)
-    assert phase == pytest.approx(phases.min(), rel=5e-5)
-    assert delay == pytest.approx((phases / crossover).min() * period, rel=5e-5)
-    assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-4)
+    np.testing.assert_allclose(np.sort_complex(found.loci), np.sort_complex(open_loop), rtol=1e-9)
+    np.testing.assert_allclose(found.sensitivity, np.abs(1 / (1 + open_loop)).max(axis=1), rtol=1e-9)
+    assert found.radius == pytest.approx(max(np.abs(np.roots([1, -1, k])).max() for k in gains))
+    assert found.gain == pytest.approx(1 / max(gains), rel=0.01)
+    assert found.phase == pytest.approx(phases.min(), rel=5e-5)
+    assert found.delay == pytest.approx((phases / crossover).min() * period, rel=5e-5)
+    assert found.disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-4)
 
 
 def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
@@ -134,21 +141,20 @@ def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
 @pytest.mark.slow
 def test_the_verdict_says_where_the_loop_is_open(found):
     assert not list(found.remarks())
-    opened = _margins_of(LinearLoop(0.9 * np.eye(2), np.zeros((2, 2)), np.ones((2, 2))), 1e-3)
-    assert opened[4] == pytest.approx(2.0)
-    both = dataclasses.replace(found, disk=np.array([0.4, opened[4]]))
+    opened = margins_of(LinearLoop(0.9 * np.eye(2), np.zeros((2, 2)), np.ones((2, 2)))).disk
+    assert opened == pytest.approx(2.0)
+    both = dataclasses.replace(found, disk=np.array([0.4, opened]))
     assert both.verdict().startswith("stable at all 2 points")
     assert "at 1 of the points the loop is open" in both.to_text(width=200)
 
 
 def test_an_unstable_loop_has_no_margins():
-    radius, *margins_of_it, largest, _ = _margins_of(LinearLoop(1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2)), 1e-3)
-    assert radius == pytest.approx(1.1)
-    assert margins_of_it[:4] == [0.0, 0.0, 0.0, 0.0]
-    assert np.isfinite(largest).all()
+    found = margins_of(LinearLoop(1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2)))
+    assert found.radius == pytest.approx(1.1)
+    assert (found.gain, found.phase, found.delay, found.disk) == (0.0, 0.0, 0.0, 0.0)
+    assert np.isfinite(found.sensitivity).all()
     counter = np.diag([1.0, 0.5, 0.4])
-    radius = _margins_of(LinearLoop(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:]), 1e-3)[0]
-    assert radius == pytest.approx(0.5)
+    assert margins_of(LinearLoop(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:])).radius == pytest.approx(0.5)
 
 
 def norm_exceeds(loop, size):
@@ -171,7 +177,7 @@ def test_the_disk_margin_is_the_inverse_of_the_largest_response_however_narrow_i
     mixing = rng.normal(size=(10, 10))
     a = np.linalg.solve(mixing, scipy.linalg.block_diag(*turned) @ mixing)
     loop = LinearLoop(a, rng.normal(size=(10, 2)), 1e-3 * rng.normal(size=(2, 10)))
-    found = 1 / _margins_of(loop, 1e-3)[4]
+    found = 1 / margins_of(loop).disk
     assert norm_exceeds(loop, 0.999 * found) and not norm_exceeds(loop, 1.001 * found)
 
 
@@ -180,8 +186,8 @@ def test_the_loop_of_a_peak_is_that_of_its_commands(direction, loop):
     """A resonance at 10 Hz that common or opposite pressures excite."""
     turn, push = 2 * np.pi * 10e-3, np.array([direction]) / np.sqrt(2)
     a = 0.999 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    peak = _margins_of(LinearLoop(a, np.array([[1e-2], [0]]) @ push, push.T @ np.array([[1, 0]])), 1e-3)[5:7]
-    assert peak == (pytest.approx(10, rel=0.01), loop)
+    found = margins_of(LinearLoop(a, np.array([[1e-2], [0]]) @ push, push.T @ np.array([[1, 0]])))
+    assert (found.peak, found.loop) == (pytest.approx(10, rel=0.01), loop)
 
 
 def test_a_margin_below_the_floor_is_a_severe_remark(found):
@@ -197,9 +203,9 @@ def test_units_of_the_states_do_not_matter():
     loop = LinearLoop(0.9 * a / np.abs(np.linalg.eigvals(a)).max(), rng.normal(size=(12, 2)), rng.normal(size=(2, 12)))
     unit = 10.0 ** rng.integers(-8, 8, 12)
     scaled = LinearLoop(loop.a * unit[:, None] / unit, loop.b * unit[:, None], loop.c / unit)
-    (*_, sensitivity, loci), (*_, expected, expected_loci) = _margins_of(scaled, 1e-3), _margins_of(loop, 1e-3)
-    assert sensitivity == pytest.approx(expected, rel=1e-9)
-    assert np.sort(np.abs(loci)) == pytest.approx(np.sort(np.abs(expected_loci)), rel=1e-9)
+    found, expected = margins_of(scaled), margins_of(loop)
+    assert found.sensitivity == pytest.approx(expected.sensitivity, rel=1e-9)
+    assert np.sort(np.abs(found.loci)) == pytest.approx(np.sort(np.abs(expected.loci)), rel=1e-9)
 
 
 @pytest.mark.slow

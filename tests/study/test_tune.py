@@ -90,8 +90,8 @@ def test_a_search_reports_its_steps_and_rounds_its_values():
     assert tuned.cost <= tuned.cost_before
     parts = [part for _, part in steps]
     assert parts == sorted(parts) and (parts[0], parts[-1]) == (0.0, 1.0)
-    assert steps[0][0] == "searching" and steps[-1][0] == "evaluating"
-    lowest = [float(step.split()[3]) for step, _ in steps[1:-1]]
+    assert steps[1][0] == "searching" and steps[-1][0] == "evaluating"
+    lowest = [float(step.split()[3]) for step, _ in steps[2:-1]]
     assert lowest == sorted(lowest, reverse=True)
     for name, value in tuned.values.items():
         assert RANGES[name].low <= value <= RANGES[name].high

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, NamedTuple
 
@@ -41,8 +40,6 @@ from mckibben.units import deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
-_FEW_FREQUENCIES = 120  # at which the search for peaks of the sensitivity begins
-_REFINEMENTS = 4  # of the frequencies about each peak, each by a factor of four
 _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
@@ -201,12 +198,10 @@ def margins(
     loops, oscillations = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    rows = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*(leaf[0] for leaf in loops), strict=True)]
-    names = "radius", "gain", "phase", "delay", "disk", "peak", "loop", "sensitivity", "loci"
-    columns: dict[str, Any] = {name: np.array(values) for name, *values in zip(names, *rows, strict=True)}
-    friction, frequency = plant.friction is not None or plant.joint.has_friction, _frequencies(control_period)
-    columns |= {"oscillation": float(oscillations[0]), "friction": friction}
-    return Margins(time=times[chosen], frequency=frequency, **columns)
+    columns: dict[str, Any] = _margins_of(LinearLoop(*(leaf[0] for leaf in loops)), control_period)
+    columns["friction"] = plant.friction is not None or plant.joint.has_friction
+    columns["oscillation"] = float(oscillations[0])
+    return Margins(time=times[chosen], frequency=_frequencies(control_period), **columns)
 
 
 def disk_margins(
@@ -234,16 +229,15 @@ def disk_margins(
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
     chosen = evenly_spaced(times.size, points)
 
-    def of_chunk(piece: slice) -> list[float]:
+    def of_chunk(piece: slice) -> NDArray[np.float64]:
         some = jax.tree.map(lambda leaf: np.moveaxis(leaf, 0, -1), pad_chunk(lanes, piece, _LANES))
         setpoints = sampled_runs(some.reference, shared.reference, times)
         start, exists = starts_of(some, shared, setpoints)
         loops, oscillation = _linearised(some, shared, start, setpoints, control_period, chosen, substeps)
-        runs = zip(*loops, oscillation, exists, strict=True)
-        return [
-            (0.0 if oscillates else _least_disk_margin(LinearLoop(*loop), control_period)) if starts else np.nan
-            for *loop, oscillates, starts in itertools.islice(runs, piece.stop - piece.start)
-        ]
+        asked = slice(piece.stop - piece.start)
+        flat = LinearLoop(*(leaf[asked].reshape(-1, *leaf.shape[2:]) for leaf in loops))
+        margins = _disk_margins(flat, control_period).reshape(-1, chosen.size).min(axis=1)
+        return np.where(exists[asked], np.where(oscillation[asked] > 0, 0.0, margins), np.nan)
 
     return np.concatenate([margins_of_chunk for _, margins_of_chunk in map_chunks(of_chunk, count, _LANES)])
 
@@ -352,105 +346,118 @@ def _frequencies(period: float, count: int = _FREQUENCIES) -> NDArray[np.float64
     return np.geomspace(_LOWEST_FREQUENCY, 1 / (2 * period), count)
 
 
-def _radius(poles: NDArray[np.complex128]) -> float:
-    """Largest modulus of the poles that move."""
-    return float(np.abs(poles[np.abs(poles - 1) > _COUNTER]).max(initial=0.0))
-
-
-class Peak(NamedTuple):
-    """Disk margin, frequency [Hz] of the peak that limits it, and the loop in whose commands the peak is.
-
-    The loop of the angle drives the pressures apart, that of the stiffness both up and down.
-    """
-
-    disk: float
-    frequency: float
-    loop: str
+def _radii(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Largest moduli of the poles that move, of loops with poles of shape (loops, n)."""
+    return np.where(np.abs(poles - 1) > _COUNTER, np.abs(poles), 0.0).max(axis=1)
 
 
 class _Triangular(NamedTuple):
-    """A linear loop in the coordinates of a Schur decomposition, whose matrix is upper triangular."""
+    """Linear loops in the coordinates of a Schur decomposition, whose matrices are upper triangular.
+
+    Shapes (loops, n, n), (loops, n, 2) and (loops, 2, n).
+    """
 
     a: NDArray[np.complex128]
     b: NDArray[np.complex128]
     c: NDArray[np.complex128]
 
     @classmethod
-    def of(cls, loop: LinearLoop) -> _Triangular:
+    def of(cls, loops: LinearLoop) -> _Triangular:
         from scipy.linalg import get_lapack_funcs, schur
 
-        balance = get_lapack_funcs("gebal", (loop.a,))
-        scale = np.clip(balance(loop.a, scale=1)[3], 1 / _RANGE, _RANGE)
-        triangular, basis = map(np.asarray, schur(loop.a * scale / scale[:, None], output="complex")[:2])
-        return cls(triangular, basis.conj().T @ (loop.b / scale[:, None]), (loop.c * scale) @ basis)
+        balance = get_lapack_funcs("gebal", (loops.a,))
+        triangular = []
+        for a, b, c in zip(*loops, strict=True):
+            scale = np.clip(balance(a, scale=1)[3], 1 / _RANGE, _RANGE)
+            upper, basis = map(np.asarray, schur(a * scale / scale[:, None], output="complex")[:2])
+            triangular.append((upper, basis.conj().T @ (b / scale[:, None]), (c * scale) @ basis))
+        return cls(*map(np.array, zip(*triangular, strict=True)))
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        return np.diag(self.a)
+        return np.diagonal(self.a, axis1=1, axis2=2)
 
     def sensitivity(self, angles: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Commands over their disturbance, at angles [rad] of a control period; shape (angles, 2, 2)."""
-        z, states = np.exp(1j * angles), np.empty((self.poles.size, angles.size, 2), complex)
-        for k in reversed(range(self.poles.size)):  # substitution from the last state, at all angles at once
-            known = self.b[k] + np.tensordot(self.a[k, k + 1 :], states[k + 1 :], 1)
-            states[k] = known / (z - self.a[k, k])[:, None]
-        return np.eye(2) + np.moveaxis(np.tensordot(self.c, states, 1), 0, 1)
+        """Commands over their disturbance, at angles [rad] of a control period.
 
-    def peak(self, period: float) -> Peak:
-        """Largest response of S - 1/2 of a stable loop, whose inverse is the disk margin.
-
-        From frequencies in equal ratios and the resonances of the poles with their widths, the frequencies about each
-        large local maximum are refined, so that narrow peaks are met to well below 1 %.
+        Angles of shape (loops, frequencies) give (loops, frequencies, 2, 2).
         """
-        angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
-        resonance, width = np.abs(np.angle(self.poles)), 1 - np.abs(self.poles)
-        angles = np.concatenate([angles, resonance, resonance - width, resonance + width])
-        angles = np.unique(angles.clip(2 * np.pi * _LOWEST_FREQUENCY * period, np.pi))
+        count, size = self.poles.shape
+        z, b = np.repeat(np.exp(1j * angles), 2, axis=1), np.tile(self.b, angles.shape[1])
+        states = np.zeros((count, size, z.shape[1]), complex)
+        for k in reversed(range(size)):  # substitution from the last state, of all loops at all angles at once
+            known = b[:, k] + (self.a[:, k, None, k + 1 :] @ states[:, k + 1 :])[:, 0]
+            states[:, k] = known / (z - self.a[:, k, k, None])
+        return np.eye(2) + np.moveaxis((self.c @ states).reshape(count, 2, -1, 2), 1, 2)
+
+    def peaks(self, period: float, *, few: int = 120, tops: int = 4, rounds: int = 4) -> tuple[NDArray, ...]:
+        """Disk margins, frequencies [Hz] of the peaks that limit them, and the loops in whose commands the peaks are.
+
+        The disk margin is the inverse of the largest response of S - 1/2 of a stable loop. The loop of the angle drives
+        the pressures apart, that of the stiffness both up and down.
+
+        From frequencies in equal ratios and the resonances of the poles with their widths, the frequencies about the
+        largest local maxima, the `tops`, are refined by a factor of four in each round, so that narrow peaks are met
+        to well below 1 %.
+        """
+        lowest, poles = 2 * np.pi * _LOWEST_FREQUENCY * period, self.poles
+        resonance, width = np.where(poles.imag >= 0, np.angle(poles), np.pi), 1 - np.abs(poles)
+        even = np.tile(2 * np.pi * _frequencies(period, few) * period, (len(poles), 1))
+        angles = np.concatenate([even, resonance, resonance - width, resonance + width], axis=1)
+        angles = np.sort(angles.clip(lowest, np.pi), axis=1)
         sizes = _largest_singular(self.sensitivity(angles) - np.eye(2) / 2)
-        for _ in range(_REFINEMENTS):
-            padded = np.pad(sizes, 1)
-            tops = (sizes >= padded[:-2]) & (sizes >= padded[2:]) & (sizes > sizes.max() / 2)
-            neighbours = np.pad(angles, 1, mode="edge")
-            new = np.setdiff1d(np.linspace(neighbours[:-2][tops], neighbours[2:][tops], 9), angles)
-            order = np.argsort(angles := np.concatenate([angles, new]), kind="stable")
+        between = np.array([0.25, 0.5, 0.75])
+        for _ in range(rounds):
+            padded = np.pad(sizes, ((0, 0), (1, 1)))
+            maxima = np.where((sizes > padded[:, :-2]) & (sizes >= padded[:, 2:]), sizes, 0.0)
+            top = np.argsort(maxima, axis=1)[:, -tops:]
+            sides = (top[..., None] + [-1, 1]).clip(0, angles.shape[1] - 1)
+            middle = np.take_along_axis(angles, top, axis=1)[..., None, None]
+            towards = np.take_along_axis(angles[:, None], sides, axis=2)[..., None] - middle
+            new = (middle + towards * between).reshape(len(poles), -1)
             new_sizes = _largest_singular(self.sensitivity(new) - np.eye(2) / 2)
-            angles, sizes = angles[order], np.concatenate([sizes, new_sizes])[order]
-        top = int(np.argmax(sizes))
-        response = self.sensitivity(angles[top : top + 1])[0] - np.eye(2) / 2
-        common, difference = np.abs(np.linalg.svd(response)[2][0] @ [[1, 1], [1, -1]])
-        loop = "angle" if difference > common else "stiffness"
-        return Peak(1 / float(sizes[top]), float(angles[top] / (2 * np.pi * period)), loop)
+            angles, sizes = np.concatenate([angles, new], axis=1), np.concatenate([sizes, new_sizes], axis=1)
+            order = np.argsort(angles, axis=1, kind="stable")
+            angles, sizes = (np.take_along_axis(values, order, axis=1) for values in (angles, sizes))
+        top = np.argmax(sizes, axis=1)[:, None]
+        angle, size = (np.take_along_axis(values, top, axis=1) for values in (angles, sizes))
+        directions = np.linalg.svd(self.sensitivity(angle)[:, 0] - np.eye(2) / 2)[2][:, 0]
+        common, difference = np.abs(directions @ [[1, 1], [1, -1]]).T
+        loop = np.where(difference > common, "angle", "stiffness")
+        return 1 / size[:, 0], angle[:, 0] / (2 * np.pi * period), loop
 
 
 def _largest_singular(matrices: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Largest singular value of matrices of shape (n, 2, 2), from the invariants of each times its adjoint."""
-    trace = (np.abs(matrices) ** 2).sum(axis=(1, 2))
-    determinant = np.abs(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
+    """Largest singular values of matrices of shape (..., 2, 2), from the invariants of each times its adjoint."""
+    trace = (np.abs(matrices) ** 2).sum(axis=(-2, -1))
+    determinant = np.abs(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0])
     return np.sqrt((trace + np.sqrt(np.maximum(trace**2 - 4 * determinant**2, 0.0))) / 2)
 
 
-def _least_disk_margin(loops: LinearLoop, period: float) -> float:
-    """Least disk margin of the loops at several points; 0 if one is unstable."""
-    if not all(np.isfinite(leaf).all() for leaf in loops):
-        return 0.0
-    several = [_Triangular.of(LinearLoop(*leaves)) for leaves in zip(*loops, strict=True)]
-    if any(_radius(loop.poles) >= 1 for loop in several):
-        return 0.0
-    return min(loop.peak(period).disk for loop in several)
+def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
+    """Disk margins of loops, leaves (loops, ...); 0 of those that are unstable or not finite."""
+    margins = np.zeros(len(loops.a))
+    finite = np.logical_and.reduce([np.isfinite(leaf).all(axis=(1, 2)) for leaf in loops])
+    if finite.any():
+        triangular = _Triangular.of(LinearLoop(*(leaf[finite] for leaf in loops)))
+        stable = _radii(triangular.poles) < 1
+        margins[np.flatnonzero(finite)[stable]] = _Triangular(*(leaf[stable] for leaf in triangular)).peaks(period)[0]
+    return margins
 
 
-def _margins_of(loop: LinearLoop, period: float) -> tuple[Any, ...]:
-    """Radius, gain, phase, delay and disk margin, its frequency and loop, sensitivity and loci of a linear loop."""
-    triangular = _Triangular.of(loop)
-    radius = _radius(triangular.poles)
-    angles = 2 * np.pi * _frequencies(period) * period
-    sensitivity = triangular.sensitivity(angles)
+def _margins_of(loops: LinearLoop, period: float) -> dict[str, NDArray]:
+    """Columns of `Margins` of linear loops, leaves (loops, ...)."""
+    triangular = _Triangular.of(loops)
+    radius, angles = _radii(triangular.poles), 2 * np.pi * _frequencies(period) * period
+    sensitivity = triangular.sensitivity(np.broadcast_to(angles, (radius.size, angles.size)))
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
-    largest = _largest_singular(sensitivity)
-    if radius >= 1:
-        return radius, 0.0, 0.0, 0.0, 0.0, np.nan, "", largest, loci
-    return radius, *_crossings(loci, angles, period), *triangular.peak(period), largest, loci
+    gain, phase, delay = np.array([_crossings(rows, angles, period) for rows in loci]).T
+    disk, peak, loop = triangular.peaks(period)
+    margins: dict[str, NDArray] = {"gain": gain, "phase": phase, "delay": delay, "disk": disk}
+    margins = {name: np.where(radius < 1, values, 0.0) for name, values in margins.items()}
+    margins |= {"peak": np.where(radius < 1, peak, np.nan), "loop": np.where(radius < 1, loop, "")}
+    return margins | {"radius": radius, "sensitivity": _largest_singular(sensitivity), "loci": loci}
 
 
 def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> tuple[float, float, float]:

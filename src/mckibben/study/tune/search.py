@@ -29,6 +29,8 @@ def by_cma(
 ) -> None:
     """Search by CMA-ES (Hansen, arXiv:1604.00772) from the first point, which replaces the first draw.
 
+    It ends before its last generation where the points or their costs agree (section B.3 there).
+
     Parameters
     ----------
     costs
@@ -55,6 +57,8 @@ def by_cma(
         points[0] = mean if generation == 0 else points[0]
         strategy.tell(list(zip(points, costs(points[:, :count]).tolist(), strict=True)))
         progress((generation + 1) / generations)
+        if strategy.should_stop():
+            break
 
 
 def by_simplex(

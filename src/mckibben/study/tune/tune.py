@@ -129,6 +129,7 @@ def tune(
         begun.get("conditions") if conditions is None else conditions,
     )
     report = progress or notebook_progress() or silent
+    report("simulating the values of the file", 0.0)
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
         problem = asked.begin(store, engine)
         about = {"method": method if isinstance(method, str) else f"{search.__module__}.{search.__qualname__}"}
