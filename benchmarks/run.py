@@ -24,7 +24,7 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "robot")
+SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "robot", "umarm")
 
 
 def main() -> int:
@@ -73,6 +73,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from reference import reference_problem
     from robot import robot
     from single import single
+    from umarm import umarm
 
     problem = reference_problem()
     return {
@@ -84,6 +85,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "cold": lambda: cold(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
         "robot": lambda: robot(folder, quick=quick),
+        "umarm": lambda: umarm(folder, quick=quick),
     }
 
 

@@ -103,3 +103,11 @@ def test_no_degenerate_test_of_a_muscle_gives_a_law_in_silence(monkeypatch):
     found = importlib.import_module("designs").outcomes(20)
     assert len(found) == 5 and all(sum(numbers.values()) == 4 for numbers in found.values())
     assert not any(numbers["silent"] for numbers in found.values())
+
+
+@pytest.mark.slow
+def test_the_arm_of_the_benchmark_is_that_of_soromox(bench, tmp_path):
+    pytest.importorskip("soromox")
+    theirs, ours = importlib.import_module("umarm").umarm(tmp_path, quick=True).rows
+    assert theirs.seconds and ours.seconds
+    assert ours.deviation < 1e-12
