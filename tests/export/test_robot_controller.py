@@ -15,7 +15,7 @@ from mckibben.export import export_robot_controller
 from mckibben.joint import GeneralLoad
 from mckibben.plant import SampledSensors
 from mckibben.robot import (
-    CoupledControl,
+    ComputedTorque,
     JointwiseControl,
     PressureSchedule,
     RobotPlant,
@@ -45,10 +45,8 @@ def start(plant):
 @pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
 @pytest.mark.slow
 def test_it_repeats_the_recorded_run_of_three_joints(plant, start, single, tmp_path):
-    load = GeneralLoad(0.05, 0.0, 0.3)
-    each = tuple(DecouplingControl(plant.robot.pair(i), load, PolePlacement(30.0), valve=plant.valve) for i in range(3))
-    reference = TimedReference((Reference(Sine(4 * deg, 1.0), Step(14.5, 15.5, 0.2)),) * len(each))
-    controller = CoupledControl(each, reference, robot=plant.robot)
+    reference = TimedReference((Reference(Sine(4 * deg, 1.0), Step(14.5, 15.5, 0.2)),) * 3)
+    controller = ComputedTorque(PolePlacement(30.0), robot=plant.robot, valve=plant.valve, reference=reference)
     export_robot_controller(
         plant, controller, start, tmp_path, duration=DURATION, control_period=PERIOD, name="robot", single=single
     )
@@ -64,7 +62,7 @@ def test_a_duration_of_no_whole_periods_is_refused(plant, start, duration, tmp_p
         DecouplingControl(plant.robot.pair(i), GeneralLoad(0.05, 0.0, 0.3), PolePlacement(30.0), valve=plant.valve)
         for i in range(3)
     )
-    controller = JointwiseControl(each, TimedReference((Reference(0.0, 14.5),) * len(each)))
+    controller = JointwiseControl(each, reference=TimedReference((Reference(0.0, 14.5),) * len(each)))
     with pytest.raises(SimulationError) as refused:
         export_robot_controller(plant, controller, start, tmp_path, duration=duration, control_period=PERIOD)
     assert refused.value.value == duration

@@ -230,7 +230,7 @@ def test_controllers_of_another_robot(plant, start):
         simulate_robot(plant, PressureSchedule(((1e5,),) * 3), start, substeps=1, **STEP)
     assert caught.value.field == "commands" and caught.value.value == 3
     with pytest.raises(RangeError) as caught:
-        simulate_robot(plant, JointwiseControl((), TimedReference(())), start, substeps=1, **STEP)
+        simulate_robot(plant, JointwiseControl((), reference=TimedReference(())), start, substeps=1, **STEP)
     assert caught.value.field == "controllers"
 
 
@@ -303,7 +303,7 @@ def test_parts_of_a_controller_are_prepared_for_the_control_period():
         def telemetry(self, state):
             return {}
 
-    control = JointwiseControl((Prepared(), Prepared()), TimedReference(())).with_period(1e-3)
+    control = JointwiseControl((Prepared(), Prepared()), reference=TimedReference(())).with_period(1e-3)
     assert [one.periods for one in control.controllers] == [10, 10]
 
 

@@ -132,8 +132,8 @@ def test_stiffness_that_is_not_attainable(scenario):
 def test_step_that_is_too_long(scenario):
     for study in (study_landing, jumping.study_jump):
         with pytest.raises(ScenarioError) as caught:
-            study(scenario.model_copy(update={"step": 2e-3, "substeps": 1}))
-        assert caught.value.problems[0].field == "step" and caught.value.problems[0].remedy
+            study(scenario.model_copy(update={"control_period": 2e-3, "substeps": 1}))
+        assert caught.value.problems[0].field == "control_period" and caught.value.problems[0].remedy
 
 
 def test_supply_that_is_too_low(scenario):
@@ -224,7 +224,7 @@ def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypa
     with file_lock(tmp_path / ".study.sqlite.lock", "computing this study"), pytest.raises(FileError):
         study_landing(scenario, out=tmp_path, resume=True)
     with pytest.raises(FileError) as caught:
-        study_landing(scenario.model_copy(update={"step": 0.2e-3}), out=tmp_path, resume=True)
+        study_landing(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
     assert caught.value.problems
     before = len(runs)
     again = study_landing(scenario, out=tmp_path, resume=True)
@@ -419,7 +419,7 @@ def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeyp
     assert study_jump(scenario, out=tmp_path, resume=True).to_dict() == jumps.to_dict()
     assert len(computed) == before
     with pytest.raises(FileError):
-        study_jump(scenario.model_copy(update={"step": 0.2e-3}), out=tmp_path, resume=True)
+        study_jump(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
 
 
 @pytest.mark.slow

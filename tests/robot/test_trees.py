@@ -153,7 +153,7 @@ def test_random_trees_with_paths_are_those_of_mujoco(seed):
         mujoco.mj_forward(model, data)
         arms[:, k] = data.ten_velocity
     for path, length, own in zip(paths, lengths, arms, strict=True):
-        span, slopes = path_through(path, hinges, frames)
+        span, slopes, _ = path_through(path, hinges, frames)
         assert float(span) == pytest.approx(length, rel=1e-12)
         np.testing.assert_allclose([float(slopes.get(number, 0.0)) for number in ours], own, atol=1e-12)
 
@@ -222,7 +222,7 @@ def test_a_mistake_in_a_tree_has_its_line(old, new, line, field):
 
 def test_a_controller_of_pairs_is_refused_without_pairs():
     plant = RobotScenario.read(ARM).plant()
-    control = JointwiseControl((mk.PID(1.0, 1.0, 0.0),) * 12, TimedReference(()))
+    control = JointwiseControl((mk.PID(1.0, 1.0, 0.0),) * 12, reference=TimedReference(()))
     with pytest.raises(RangeError) as caught:
         simulate_robot(plant, control, RobotStart((0.0,) * 12, (1e5,) * 24, 0.2), duration=0.01)
     assert caught.value.field == "controllers"

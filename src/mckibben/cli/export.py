@@ -44,17 +44,14 @@ def export(
     if not to:
         raise ParameterError("the export needs a format", remedy="give one with --to FORMAT, such as --to c --out DIR")
     folder = required_folder(out, "export")
-    from mckibben.config.document import read_document
-    from mckibben.config.model import read_text
     from mckibben.export import export as write
     from mckibben.export.targets import CONTROLLERS
     from mckibben.firmware import Hardware
-    from mckibben.robot import RobotScenario
+    from mckibben.robot import read_scenario
     from mckibben.scenario import Scenario
 
-    kind = RobotScenario if "robot" in (read_document(read_text(scenario)).data or ()) else Scenario
     with keeping(folder):
-        read = kind.read(scenario)
+        read = read_scenario(scenario)
         parts = None if hardware is None else Hardware.read(hardware)
         exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
     if to in CONTROLLERS and isinstance(read, Scenario):

@@ -6,17 +6,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, ScenarioFile, keeping, parse_limits, parse_pair, results_folder
+from mckibben.cli.options import (
+    Progress,
+    ScenarioFile,
+    check_unused,
+    keeping,
+    parse_limits,
+    parse_pair,
+    results_folder,
+)
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
-    from mckibben.simulation import Margins, SimulationResult
+    from mckibben.simulation import Margins
+    from mckibben.simulation.result import RunResult
     from mckibben.study.stiffness import StiffnessTests
 
 
 @command
-def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> SimulationResult:
-    """Simulate a scenario: a controller on a joint.
+def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> RunResult:
+    """Simulate a scenario: a controller on a joint, or on all joints of a robot.
 
     Parameters
     ----------
@@ -28,9 +37,13 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    from mckibben.scenario import Scenario, run_scenario
+    from mckibben.robot import RobotScenario, read_scenario, run_tracking
+    from mckibben.scenario import run_scenario
 
-    read = Scenario.read(scenario)
+    read = read_scenario(scenario)
+    if isinstance(read, RobotScenario):
+        check_unused("simulate, of a robot,", animate=animate)
+        return run_tracking(read, source=str(scenario))
     result = run_scenario(read, source=str(scenario))
     if animate:
         from mckibben import report

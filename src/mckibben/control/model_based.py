@@ -228,7 +228,7 @@ class StatePrediction(Controller[State]):
     ) -> tuple[Estimates, Expected]:
         angle = measurement.angle
         delay = self._delay / jnp.asarray(period)
-        arrived = _means(last.sent, delay, delay + 1) if self._periods else last.sent[0]
+        arrived = mean_commands(last.sent, delay, delay + 1) if self._periods else last.sent[0]
         valves = self._valves(angle, last.motion.velocity, last.pressures, last.actuators)
         predicted, actuators = valves.predict(arrived, period)
         pressures = self.pressure_observer.step(predicted, measurement.pressures, period)
@@ -293,7 +293,9 @@ class StatePrediction(Controller[State]):
         """Estimates when the next commands arrive."""
         steps = self.steps
         delay, step = self._delay / jnp.asarray(period), jnp.asarray(self._delay) / steps
-        pairs = [_means(estimates.sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
+        pairs = [
+            mean_commands(estimates.sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)
+        ]
         commands = jnp.stack([first for first, _ in pairs]), jnp.stack([second for _, second in pairs])
         motion = estimates.motion
 
@@ -425,13 +427,12 @@ def valve_models(controller: Controller) -> list[Actuator]:
     return [model for model in models if isinstance(model, Actuator)]
 
 
-def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair:
-    """Mean commands [Pa] between two ages, in control periods; the last sent has an age of up to 1."""
+def mean_commands(sent: tuple[tuple[Scalar, ...], ...], newest: ArrayLike, oldest: ArrayLike) -> Any:
+    """Return the mean commands [Pa] between two ages, in control periods; the last sent has an age of up to 1."""
     span = jnp.maximum(jnp.asarray(oldest) - newest, 1e-9)
     shares = [
         jnp.clip((jnp.minimum(oldest, age + 1.0) - jnp.maximum(newest, float(age))) / span, 0.0, 1.0)
         for age in range(len(sent))
     ]
-    weighed = [(share * command1, share * command2) for share, (command1, command2) in zip(shares, sent, strict=True)]
-    first, second = (functools.reduce(operator.add, side) for side in zip(*weighed, strict=True))
-    return first, second
+    weighed = [tuple(share * command for command in commands) for share, commands in zip(shares, sent, strict=True)]
+    return tuple(functools.reduce(operator.add, side) for side in zip(*weighed, strict=True))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
-from mckibben.joint.geometry import Pair
 from mckibben.numerics.elementary import exp, floating, sincos
 from mckibben.units import Bandwidth, PoleDamping, Quantity
 
@@ -146,7 +145,7 @@ class PressureObserver(Component):
 
     bandwidth: SensorBandwidth = 200.0
 
-    def step(self, predicted: Pair, measured: Pair, period: ArrayLike) -> Pair:
+    def step(self, predicted: tuple[Scalar, ...], measured: tuple[Scalar, ...], period: ArrayLike) -> Any:
         """Return the estimated pressures [Pa] from the predicted and the measured ones."""
         gain = 1 - exp(-jnp.asarray(self.bandwidth) * period)
-        return predicted[0] + gain * (measured[0] - predicted[0]), predicted[1] + gain * (measured[1] - predicted[1])
+        return tuple(model + gain * (own - model) for model, own in zip(predicted, measured, strict=True))

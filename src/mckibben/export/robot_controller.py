@@ -19,7 +19,7 @@ from mckibben.export.controller import ControllerModule, recorded, stepping_modu
 from mckibben.export.controller_files import program_files
 from mckibben.export.targets import Exported, check_name
 from mckibben.numerics.compiled import numeric
-from mckibben.robot import JointwiseControl, RobotMeasurement, RobotPlant, RobotReference, RobotStart
+from mckibben.robot import RobotMeasurement, RobotPlant, RobotReference, RobotStart, TrackingControl
 from mckibben.simulation.problem import sampling_times
 
 
@@ -41,7 +41,7 @@ class _GivenSetpoints(RobotReference):
 
 def export_robot_controller(
     plant: RobotPlant,
-    controller: JointwiseControl,
+    controller: TrackingControl,
     start: RobotStart,
     out: str | os.PathLike[str],
     *,
@@ -64,7 +64,7 @@ def export_robot_controller(
     plant, start, duration
         Plant, start and duration [s] of the recorded run.
     controller
-        A `JointwiseControl` or a `CoupledControl`, whose real numbers are parameters of the program.
+        A `JointwiseControl` or a `ComputedTorque`, whose real numbers are parameters of the program.
     control_period
         Period [s] of the program, a constant.
     name
@@ -72,9 +72,9 @@ def export_robot_controller(
     single
         Whether numbers have 32 bits.
     """
-    if not isinstance(controller, JointwiseControl):
+    if not isinstance(controller, TrackingControl):
         message = f"a {type(controller).__name__} takes no setpoints of the joints"
-        remedy = "give a JointwiseControl or a CoupledControl"
+        remedy = "give a JointwiseControl or a ComputedTorque"
         raise ExportError(message, field="controller", value=type(controller).__name__, remedy=remedy)
     check_name(name)
     made = _module(plant.with_period(control_period), controller, start, name, duration, control_period)
@@ -85,14 +85,14 @@ def export_robot_controller(
 
 
 def _module(
-    plant: RobotPlant, controller: JointwiseControl, start: RobotStart, name: str, duration: float, period: float
+    plant: RobotPlant, controller: TrackingControl, start: RobotStart, name: str, duration: float, period: float
 ) -> ControllerModule:
     """Program and recorded run of a controller."""
     plant, controller, initial = numeric((plant, controller.with_period(period), plant.begin(start)))
-    zeros = (jnp.zeros(()),) * len(controller.controllers)
+    zeros = (jnp.zeros(()),) * len(plant.robot.joints)
     example, setpoint = _with_setpoints(controller, ()), {"angles": zeros, "stiffness": zeros}
 
-    def applied(controller: JointwiseControl, setpoint: PyTree) -> tuple[JointwiseControl, ArrayLike]:
+    def applied(controller: TrackingControl, setpoint: PyTree) -> tuple[TrackingControl, ArrayLike]:
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
         return _with_setpoints(controller, setpoints), jnp.zeros(())
 
@@ -104,13 +104,13 @@ def _module(
     return recorded(source, stepping_module(name, source), controller, times, substeps, _wanted)
 
 
-def _with_setpoints(controller: JointwiseControl, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
+def _with_setpoints(controller: TrackingControl, setpoints: tuple[Setpoint, ...]) -> TrackingControl:
     """A controller with given setpoints in place of its reference."""
     return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
 
 
 def _wanted(
-    controller: JointwiseControl, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    controller: TrackingControl, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
 ) -> tuple[ArrayLike, ...]:
     """Angles and stiffness of all joints at a time [s]."""
     angles, stiffness = zip(*controller.reference.step(state[0], time, measurement, period)[1], strict=True)

@@ -25,6 +25,7 @@ from .page import write_report as write_report
 from .robot import jump_traces as jump_traces
 from .robot import landing_forces as landing_forces
 from .robot import point_ellipses as point_ellipses
+from .robot import robot_tracking as robot_tracking
 from .study import planned as planned
 from .study import sweep as sweep
 from .study import tuning as tuning

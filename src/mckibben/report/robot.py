@@ -12,13 +12,23 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from mckibben.report.palette import BAND, BLACK, BLUE, GREY, ORANGE, VERMILLION
-from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, pressure_colours, styled
+from mckibben.report.palette import BAND, BLACK, BLUE, GREY, MEASURED, ORANGE, VERMILLION
+from mckibben.report.style import (
+    DESIRED,
+    DOUBLE,
+    blank,
+    draw_band,
+    legend_above,
+    letter,
+    looks_of,
+    pressure_colours,
+    styled,
+)
 from mckibben.robot.attainable import attainable_point_stiffness
 from mckibben.robot.landing import EDGES, LandingStudy
 from mckibben.robot.outline import outline
 from mckibben.robot.point_stiffness import stiffness_of
-from mckibben.units import bar, mm, ms
+from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
     from mckibben.robot.bodies import BodyPoint, Foot
@@ -26,6 +36,7 @@ if TYPE_CHECKING:
     from mckibben.robot.mechanism import Robot
     from mckibben.robot.point_stiffness import PointStiffness
     from mckibben.robot.statics import StaticPressures
+    from mckibben.robot.tracking import TrackingResult
 
 
 _LOOKS = ((VERMILLION, "-"), (BLUE, (0, (4, 2))))
@@ -183,6 +194,44 @@ def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | 
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(4))
     axes.view_init(elev=12, azim=-55)
+    return figure
+
+
+@styled
+def robot_tracking(run: TrackingResult) -> Figure:
+    """Angle [deg], its error [deg] and stiffness [N*m/rad] of each joint over time [s], and pressures of all muscles.
+
+    Dashed: references.
+
+    Parameters
+    ----------
+    run
+        Result of `mckibben.robot.run_tracking`.
+    """
+    count, time = len(run.joints), run["time"]
+    figure = blank(DOUBLE, 1.4 * (count + 1) + 0.6)
+    grid = figure.add_gridspec(count + 1, 3)
+    angles, wanted = run["angle"] / deg, run["desired_angle"] / deg
+    titles = ("angle [deg]", "angle error [deg]", "stiffness [N·m/rad]")
+    columns = ((angles, wanted), (angles - wanted, None), (run["stiffness"], run["desired_stiffness"]))
+    for j, (title, (values, reference)) in enumerate(zip(titles, columns, strict=True)):
+        for i, name in enumerate(run.joints):
+            axes = figure.add_subplot(grid[i, j])
+            axes.plot(time, values[i], color=MEASURED)
+            if reference is not None:
+                axes.plot(time, reference[i], **DESIRED)
+            axes.margins(x=0)
+            axes.tick_params(labelbottom=False)
+            if i == 0:
+                axes.set_title(title)
+            if j == 0:
+                axes.set_ylabel(name)
+    axes = figure.add_subplot(grid[count, :])
+    for muscle, (name, look) in enumerate(looks_of(list(run.muscles)).items()):
+        axes.plot(time, run["pressure"][muscle] / bar, label=name, **look)
+    axes.margins(x=0)
+    axes.set(xlabel="time [s]", ylabel="pressure [bar]")
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), ncols=1 + len(run.muscles) // 9)
     return figure
 
 

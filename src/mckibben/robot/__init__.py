@@ -2,13 +2,14 @@
 
 from mckibben.robot.attainable import attainable_point_stiffness
 from mckibben.robot.bodies import Body, BodyPoint, Foot, Joint, Place
+from mckibben.robot.computed_torque import ComputedTorque
 from mckibben.robot.control import (
-    CoupledControl,
     JointwiseControl,
     PressureSchedule,
     RobotController,
     RobotReference,
     TimedReference,
+    TrackingControl,
 )
 from mckibben.robot.ground import Ground
 from mckibben.robot.jumping import JumpStudy, study_jump
@@ -19,7 +20,7 @@ from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
 from mckibben.robot.point_stiffness import PointStiffness, point_stiffness
 from mckibben.robot.reading import ReadRobot, read_mjcf
-from mckibben.robot.scenario import RobotScenario, read_robot
+from mckibben.robot.scenario import RobotScenario, read_robot, read_scenario
 from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
 from mckibben.robot.statics import (
     JointRange,
@@ -30,11 +31,12 @@ from mckibben.robot.statics import (
     pressures_for_point_stiffness,
     stiffness_matrix,
 )
+from mckibben.robot.tracking import TrackingResult, run_tracking
 
 __all__ = [
     "Body",
     "BodyPoint",
-    "CoupledControl",
+    "ComputedTorque",
     "EnergyBalance",
     "Foot",
     "Ground",
@@ -63,6 +65,8 @@ __all__ = [
     "RobotState",
     "StaticPressures",
     "TimedReference",
+    "TrackingControl",
+    "TrackingResult",
     "attainable_point_stiffness",
     "attainable_statics",
     "holding_torques",
@@ -71,7 +75,9 @@ __all__ = [
     "pressures_for_point_stiffness",
     "read_mjcf",
     "read_robot",
+    "read_scenario",
     "robot_metrics",
+    "run_tracking",
     "simulate_robot",
     "simulate_robots",
     "stiffness_matrix",

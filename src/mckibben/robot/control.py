@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import abc
-import dataclasses
+import functools
+import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,14 +15,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.checks import check_count
-from mckibben.control import Controller, DecouplingControl, Reference
+from mckibben.control import Controller, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import GeneralLoad, Measurement
-from mckibben.robot.dynamics import joint_equations
+from mckibben.joint import Measurement
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.plant import RobotMeasurement
-from mckibben.units import Gravity, Instant, Pressure
+from mckibben.units import Instant, Pressure
 
 Scalar = Float[Array, ""]
 
@@ -123,7 +123,34 @@ class TimedReference(RobotReference):
         return (), tuple(reference(time) for reference in self.references)
 
 
-class JointwiseControl(RobotController):
+class TrackingControl(RobotController):
+    """Base of controllers whose joints follow a reference, that of a file or `reference`."""
+
+    default_class = "computed_torque"
+
+    reference: RobotReference | Any = eqx.field(kw_only=True, default=None)  # not in a section of a file
+
+    def step(
+        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Array, ...]]:
+        held, setpoints = self.reference.step(state.reference, time, measurement, period)
+        return self.step_toward(state._replace(reference=held), setpoints, measurement, period)
+
+    @abc.abstractmethod
+    def step_toward(
+        self, state: Any, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Array, ...]]:
+        """Return the next state, and the commands [Pa], for a setpoint of each joint."""
+
+
+class JointwiseState(NamedTuple):
+    """States of the reference and of the controllers."""
+
+    reference: Any
+    controllers: tuple[Any, ...]
+
+
+class JointwiseControl(TrackingControl):
     """A controller of position and stiffness for each joint with a pair, and constant pressures of other muscles.
 
     Parameters
@@ -137,32 +164,30 @@ class JointwiseControl(RobotController):
     """
 
     controllers: tuple[Controller, ...]
-    reference: RobotReference
     others: tuple[Pressure, ...] = ()
 
-    def init(self, measurement: RobotMeasurement) -> Any:
+    def init(self, measurement: RobotMeasurement) -> JointwiseState:
         check_count("controllers", len(self.controllers), len(measurement.angles), "joint, in their order")
         if any(controller.samples_ahead for controller in self.controllers):
             raise RangeError("a robot gives no setpoints ahead", field="controllers", remedy="leave preview out")
         states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
-        return self.reference.init(measurement), tuple(states)
+        return JointwiseState(self.reference.init(measurement), tuple(states))
 
-    def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Array, ...]]:
-        reference, setpoints = self.reference.step(state[0], time, measurement, period)
-        states, commands = [], []
-        for index, (one, held, setpoint) in enumerate(zip(self.controllers, state[1], setpoints, strict=True)):
-            held, pair = one.step(held, setpoint, _of_joint(measurement, index), period)
-            states.append(held)
-            commands += pair
-        return (reference, tuple(states)), (*commands, *map(jnp.asarray, self.others))
+    def step_toward(
+        self, state: JointwiseState, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[JointwiseState, tuple[Array, ...]]:
+        parts = enumerate(zip(self.controllers, state.controllers, setpoints, strict=True))
+        steps = [one.step(held, to, _of_joint(measurement, index), period) for index, (one, held, to) in parts]
+        commands = [command for _, pair in steps for command in pair]
+        return state._replace(controllers=tuple(held for held, _ in steps)), (*commands, *map(jnp.asarray, self.others))
 
-    def telemetry(self, state: Any) -> dict[str, Array]:
-        found = dict(self.reference.telemetry(state[0]))
-        for index, (one, held) in enumerate(zip(self.controllers, state[1], strict=True)):
-            found |= {f"{name}_{index}": value for name, value in one.telemetry(held).items()}
-        return found
+    def telemetry(self, state: JointwiseState) -> dict[str, Any]:
+        signals = [one.telemetry(held) for one, held in zip(self.controllers, state.controllers, strict=True)]
+        everywhere = [name for name in signals[0] if all(name in own for own in signals)]
+        joint = {name: tuple(own[name] for own in signals) for name in everywhere if name != "saturated"}
+        limited = [own["saturated"] for own in signals if "saturated" in own]
+        joint |= {"saturated": functools.reduce(operator.or_, limited)} if limited else {}
+        return dict(self.reference.telemetry(state.reference)) | joint
 
 
 def check_pairs(robot: Robot, controller: RobotController) -> None:
@@ -176,99 +201,3 @@ def check_pairs(robot: Robot, controller: RobotController) -> None:
 
 def _of_joint(measurement: RobotMeasurement, index: int) -> Measurement:
     return Measurement(measurement.angles[index], measurement.pressures[2 * index : 2 * index + 2])  # type: ignore
-
-
-class CoupledControl(JointwiseControl):
-    r"""Jointwise control that compensates the torques between the joints by a model of the robot.
-
-    In each period the load in the model of each joint's controller is that of the robot at the measured angles and the
-    estimated velocities, with its base at rest and its foot in the air:
-
-    .. math:: \tau_i = M_{ii}\,\ddot q_i + c_i\,\dot q_i
-              + \Big[ \sum_{k \ne i} M_{ik}\,\ddot q_{r,k} + h_i(q, \dot q) - \tau_{b,i} \Big]
-
-    with the mass matrix M and the torques h of velocities and gravity, the accelerations of the other joints'
-    references after the lag of their feedback, and the torques of the other muscles at their measured pressures.
-    The observers of the joints see what is left. Stiffness setpoints are those of a joint's own pair.
-
-    For controllers with a `command_delay` the load is that of the motion to be expected when their commands arrive.
-
-    Parameters
-    ----------
-    controllers, reference, others
-        As for `JointwiseControl`; the loads of the controllers are replaced.
-    robot
-        Model of the robot: masses, lengths, axes and damping; no joint is locked.
-    gravity
-        g [m/s^2].
-
-    References
-    ----------
-    J. Y. S. Luh, M. W. Walker and R. P. C. Paul, Resolved-acceleration control of mechanical manipulators, IEEE Trans.
-    Automatic Control 25, 1980 (computed torque).
-    """
-
-    robot: Robot = eqx.field(kw_only=True)
-    gravity: Gravity = eqx.field(kw_only=True, default=9.81)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_count("controllers", len(self.controllers), len(self.robot.joints), "joint, in their order")
-        for joint, one in zip(self.robot.joints, self.controllers, strict=True):
-            if not isinstance(one, DecouplingControl):
-                raise RangeError(
-                    f"{joint.name}: a {type(one).__name__} has no torque to add others to",
-                    field="controllers",
-                    value=type(one).__name__,
-                    remedy="give a DecouplingControl, or use JointwiseControl",
-                )
-            if joint.locked is not None:
-                remedy = "use JointwiseControl"
-                raise RangeError(f"{joint.name} is locked", field="robot", value=joint.name, remedy=remedy)
-
-    def init(self, measurement: RobotMeasurement) -> Any:
-        zero = tuple(map(jnp.zeros_like, measurement.angles))
-        return JointwiseControl.init(self._with_loads(self._loads(measurement, zero, zero)), measurement)
-
-    def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Array, ...]]:
-        controllers: Any = self.controllers
-        estimates = [one.estimates for one in state[1]]
-        delays = [0.0 if one.command_delay is None else one.command_delay for one in controllers]
-        planned = [
-            one.reference.acceleration_after(control.feedback.lag + delay + period, period)
-            for one, control, delay in zip(estimates, controllers, delays, strict=True)
-        ]
-        velocities = [one.motion.velocity for one in estimates]
-        angles = tuple(
-            angle + delay * velocity
-            for angle, velocity, delay in zip(measurement.angles, velocities, delays, strict=True)
-        )
-        loads = self._loads(measurement._replace(angles=angles), velocities, planned)
-        return JointwiseControl.step(self._with_loads(loads), state, time, measurement, period)
-
-    def _loads(self, at: RobotMeasurement, rates: Sequence[Array], planned: Sequence[Array]) -> list[GeneralLoad]:
-        """Loads of the joints in a motion, for accelerations [rad/s^2] of the others' references."""
-        angles = at.angles
-        made = joint_equations(self.robot, angles, rates, self.gravity)
-        others = list(made.bias)
-        units = self.robot.routed_muscles(angles)
-        for unit, pressure in list(zip(units, at.pressures, strict=True))[2 * len(angles) :]:
-            tension = unit.tension(pressure)
-            for joint, slope in unit.slopes.items():
-                others[joint] = others[joint] + tension * slope
-        loads = []
-        for i, joint in enumerate(self.robot.joints):
-            torque = others[i] + sum(made.matrix[i][k] * planned[k] for k in range(len(angles)) if k != i)
-            load = GeneralLoad(made.matrix[i][i], -torque, joint.damping, angles[i] + jnp.pi / 2)  # type: ignore
-            loads.append(load)  # its gravity acts at a right angle: the torque
-        return loads
-
-    def _with_loads(self, loads: Sequence[GeneralLoad]) -> JointwiseControl:
-        """The controller with other loads of its joints."""
-        controllers = tuple(
-            dataclasses.replace(one, load=load)  # type: ignore[call-arg]
-            for one, load in zip(self.controllers, loads, strict=True)
-        )
-        return dataclasses.replace(self, controllers=controllers)

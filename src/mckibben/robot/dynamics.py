@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.joint import GeneralLoad
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
 from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.mechanism import Robot
@@ -230,6 +232,20 @@ def joint_equations(
     made = _equations(held, posture, velocity, gravity)
     order = range(len(made.bias))
     return Equations([[made.matrix[max(i, j)][min(i, j)] for j in order] for i in order], made.bias)
+
+
+def joint_load(robot: Robot, angles: Sequence[ArrayLike], index: int, gravity: float) -> GeneralLoad:
+    """Return the load on a joint near a posture, the other joints held: inertia, damping, and torque of gravity."""
+
+    def held(angle: Array) -> Array:
+        posture = [*angles[:index], angle, *angles[index + 1 :]]
+        return joint_equations(robot, posture, [0.0] * len(posture), gravity).bias[index] * jnp.ones(())
+
+    at = jnp.asarray(angles[index], float)
+    torque, slope = (float(one) for one in jax.jvp(held, (at,), (jnp.ones_like(at),)))
+    inertia = float(joint_equations(robot, angles, [0.0] * len(angles), gravity).matrix[index][index])
+    hanging = float(angles[index]) - math.atan2(torque, slope)
+    return GeneralLoad(inertia, math.hypot(torque, slope), robot.joints[index].damping, hanging)
 
 
 def mobilities(

@@ -241,7 +241,7 @@ def study_jump(
     drawn = drawn_plant(scenario)
     standing, length = _standing_heights(plant, drawn)
     searches = [
-        JumpRuns(plant, start, variables, scenario.whole_steps(jump.duration), scenario.step, 1)
+        JumpRuns(plant, start, variables, scenario.whole_steps(jump.duration), scenario.control_period, 1)
         for variables in (
             ScheduleVariables(start.pressures, jump.low, jump.high, jump.latest, timed) for timed in (False, True)
         )
@@ -270,9 +270,11 @@ def _squat(scenario: RobotScenario, jump: JumpSettings, plant: RobotPlant, sourc
     try:
         torques = standing_torques(plant, angles).tolist()
         pressures = plant.robot.pressures_for(angles, torques, [None] * len(angles))
-        plant.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
+        plant.check_substeps(angles, None, scenario.control_period, scenario.substeps or MOST_SUBSTEPS)
     except SimulationError as error:
-        raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
+        raise ScenarioError(
+            source, [Problem(error.message, field="control_period", remedy="give a shorter one")]
+        ) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
     return RobotStart(angles, pressures)
@@ -281,9 +283,11 @@ def _squat(scenario: RobotScenario, jump: JumpSettings, plant: RobotPlant, sourc
 def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
     """Integration steps that the first schedule needs, for all jumps of a search."""
     schedule = runs.variables.schedule([0.5] * runs.variables.size)
-    nominal = simulate_robot(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.steps)
+    nominal = simulate_robot(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.control_periods)
     assert nominal.resolution is not None
-    return nominal.resolution.batch_substeps(runs.plant.needed_substeps(runs.start.angles, None, scenario.step))
+    return nominal.resolution.batch_substeps(
+        runs.plant.needed_substeps(runs.start.angles, None, scenario.control_period)
+    )
 
 
 def _report(progress: Progress | None, name: str, search: int, part: float) -> None:
@@ -301,7 +305,7 @@ def _jump(
     """A jump with its traces, and its results for plants that differ."""
     plant, start = runs.plant, runs.start
     duration = scenario.whole_steps(runs.duration + _LANDING)
-    run = simulate_robot(plant, controller, start, duration=duration, **scenario.steps)
+    run = simulate_robot(plant, controller, start, duration=duration, **scenario.control_periods)
     steps = {"control_period": runs.step, "substeps": runs.substeps}
     table = simulate_robots(drawn, controller, start, duration=duration, **steps)
     valve: Any = plant.valve

@@ -276,9 +276,9 @@ class Landings(Study):
             valves = _valves(plant, landing.time_constants)
             for valve in valves.values():
                 own = eqx.tree_at(lambda x: x.valve, plant, valve)
-                own.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
+                own.check_substeps(angles, None, scenario.control_period, scenario.substeps or MOST_SUBSTEPS)
         except SimulationError as error:
-            problem = Problem(error.message, field="step", remedy="give a shorter `step`")
+            problem = Problem(error.message, field="control_period", remedy="give a shorter one")
             raise ScenarioError(source, [problem]) from error
         except McKibbenError as error:
             field = "landing.time_constants" if error.field == "time_constants" else "landing.stiffness"
@@ -304,7 +304,7 @@ class Landings(Study):
         spans = (slice(*pair) for pair in itertools.pairwise(edges))
         parts = [self._land(select(rows, span), self.software["engine"]) for span in spans]
         if any(batch.failed.any() for batch in parts):
-            problem = Problem("landings diverge", field="step", remedy="give a shorter `step`")
+            problem = Problem("landings diverge", field="control_period", remedy="give a shorter one")
             raise ScenarioError(self.source, [problem])
         tables = [batch.table.isel(joint=self.scenario.robot.index(self._landing.joint)) for batch in parts]
         return {name: np.concatenate([table[name].to_numpy() for table in tables]) for name in _COLUMNS}
@@ -352,7 +352,7 @@ class Landings(Study):
             PressureSchedule(tuple((command,) for command in commands)),
             RobotStart(self.scenario.robot.posture_angles(self._landing.touchdown), commands, 0.0, speeds),
             duration=self.scenario.whole_steps(self._landing.duration),
-            **self.scenario.steps,
+            **self.scenario.control_periods,
             engine=engine,
             workers=1,
         )

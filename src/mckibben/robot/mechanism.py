@@ -19,6 +19,7 @@ from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
 from mckibben.muscle import Muscle
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, difference, total
 from mckibben.robot.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
 from mckibben.robot.muscles import MusclePair, MuscleUnit, Routed, Skeleton, check_contractions
@@ -291,7 +292,7 @@ class Robot(Component):
 
     def path_through(self, points: Sequence[BodyPoint], angles: Sequence[ArrayLike]) -> tuple[Array, dict[int, Array]]:
         """Return the length [m] of lines through points at angles [rad], and its derivatives [m/rad] by joint."""
-        return self._skeleton(angles).path_through(points)
+        return self._skeleton(angles).path_through(points)[:2]
 
     def hinges(self, angles: Sequence[Any], rates: Sequence[Any], base: int = 0) -> list[Hinge]:
         """Return the hinges of the joints at angles [rad] and rates [rad/s]; the base has a number."""
@@ -316,6 +317,18 @@ class Robot(Component):
             for joint, slope in routed.slopes.items():
                 torques[joint] = difference(torques[joint], tension * slope)
         return tuple(map(jnp.asarray, torques))
+
+    def stiffness(self, angles: Sequence[ArrayLike], pressures: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        """Return the isobaric stiffness [N*m/rad] of each joint, the others held, by all muscles' laws."""
+        found: list[Any] = [0.0] * len(self.joints)
+        for unit, pressure in zip(self.routed_muscles(angles), pressures, strict=True):
+            tension, slope = value_and_derivative(
+                lambda path, unit=unit, p=pressure: unit.tendon.tension(unit.muscle, path, p), unit.path
+            )
+            bends = unit.bends()
+            for joint, arm in unit.slopes.items():
+                found[joint] = total(found[joint], slope * arm * arm + tension * bends[joint, joint])
+        return tuple(map(jnp.asarray, found))
 
     def pressures_for(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import functools
 from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -16,8 +17,9 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Geometry, MusclePath, RigidTendon, Tendon
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.spatial import total
 from mckibben.robot.bodies import BodyPoint, Joint
-from mckibben.robot.tree import Frame, Hinge, path_through
+from mckibben.robot.tree import Bends, Frame, Hinge, path_through
 from mckibben.units import Coordinate, deg
 
 Action = Literal["lengthens", "shortens"]
@@ -25,12 +27,16 @@ Action = Literal["lengthens", "shortens"]
 
 
 class Routed(NamedTuple):
-    """A muscle in a posture: its path length [m], and the derivative [m/rad] of that over the angles of its joints."""
+    """A muscle in a posture: its path length [m], and the derivative [m/rad] of that over the angles of its joints.
+
+    `bends` computes the second derivatives [m/rad^2].
+    """
 
     muscle: Muscle
     tendon: Tendon
     path: Array
     slopes: dict[int, Array]
+    bends: Callable[[], Bends]
 
     def tension(self, pressure: ArrayLike) -> Array:
         """Return the tension [N] at a gauge pressure [Pa]."""
@@ -49,11 +55,15 @@ class Skeleton(NamedTuple):
         """Return the number of a joint."""
         return [joint.name for joint in self.joints].index(name)
 
-    def path_through(self, points: Sequence[BodyPoint]) -> tuple[Array, dict[int, Array]]:
+    def path_through(self, points: Sequence[BodyPoint]) -> tuple[Array, dict[int, Array], Callable[[], Bends]]:
         """Return the length [m] of lines through points, and its derivatives [m/rad] by the number of the joint."""
         places = [(self.frame_names.index(point.body), point.place.vector) for point in points]
-        length, by_body = path_through(places, *self.posed())
-        return length, {body - 1: slope for body, slope in by_body.items()}
+        length, slopes, bends = path_through(places, *self.posed())
+
+        def by_joints() -> Bends:
+            return {(i - 1, j - 1): bend for (i, j), bend in bends().items()}
+
+        return length, {body - 1: slope for body, slope in slopes.items()}, by_joints
 
 
 class MuscleUnit(Component):
@@ -140,10 +150,15 @@ class MusclePair(MuscleUnit):
 
     def routed(self, skeleton: Skeleton) -> list[Routed]:
         index = skeleton.number(self.over)
-        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(skeleton.angles[index])
+        angle = skeleton.angles[index]
+        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
+
+        def bend(side: int) -> Bends:
+            return {(index, index): value_and_derivative(self.geometry.moment_arms, angle)[1][side] * (1 - 2 * side)}
+
         return [
-            Routed(self.muscle1, self.tendon, path1, {index: arm1}),
-            Routed(self.muscle2, self.tendon, path2, {index: -arm2}),
+            Routed(self.muscle1, self.tendon, path1, {index: arm1}, lambda: bend(0)),
+            Routed(self.muscle2, self.tendon, path2, {index: -arm2}, lambda: bend(1)),
         ]
 
     def check_range(self, joints: Sequence[Joint]) -> None:
@@ -236,18 +251,25 @@ class PathMuscle(MuscleUnit):
         return self.through
 
     def routed(self, skeleton: Skeleton) -> list[Routed]:
-        slopes: dict[int, Any] = {}
-        length: Any = None
-        for part in self.over:
-            index = skeleton.number(part.joint)
-            own, slopes[index] = part.length(skeleton.angles[index])
-            length = own if length is None else length + own
+        over = [(skeleton.number(part.joint), part) for part in self.over]
+        lengths = {index: part.length(skeleton.angles[index]) for index, part in over}
+        slopes: dict[int, Any] = {index: slope for index, (_, slope) in lengths.items()}
+        length = functools.reduce(total, (own for own, _ in lengths.values()), 0.0)
+        straight: Callable[[], Bends] = dict
         if self.through:
-            straight, by_joint = skeleton.path_through(self.through)
-            length = straight if length is None else length + straight
+            lines, by_joint, straight = skeleton.path_through(self.through)
+            length = total(length, lines)
             for joint, slope in by_joint.items():
-                slopes[joint] = slopes[joint] + slope if joint in slopes else slope
-        return [Routed(self.muscle, self.tendon, length - self.connector_length, slopes)]
+                slopes[joint] = total(slopes.get(joint, 0.0), slope)
+
+        def bends() -> Bends:
+            found = dict(straight())
+            for index, part in over:
+                bend = value_and_derivative(lambda x, part=part: part.length(x)[1], skeleton.angles[index])[1]
+                found[index, index] = total(found.get((index, index), 0.0), bend)
+            return found
+
+        return [Routed(self.muscle, self.tendon, length - self.connector_length, slopes, bends)]
 
     def check_range(self, joints: Sequence[Joint]) -> None:
         for joint, part in zip(joints, self.over, strict=True):

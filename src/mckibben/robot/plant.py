@@ -424,21 +424,8 @@ class RobotPlant(Plant[RobotState]):
         return functools.reduce(lambda one, i: reweighted(i, one), range(_PASSES), found)
 
     def air_volumes(self, state: RobotState) -> list[AirVolume]:
-        dead = self.valve.attached_volume
-        volumes = []
-        units = self.robot.routed_muscles(state.posture.angles)
-        for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
-
-            def volume(path: Array, pressure: Array, unit: Routed = unit, held: MuscleState = held) -> Array:
-                contraction = unit.tendon.contraction(unit.muscle, path, pressure, held)
-                return unit.muscle.specimen.volume(contraction) + dead
-
-            at, slope = value_and_derivative(lambda path, p=pressure: volume(path, p), unit.path)
-            by_pressure = None
-            if not isinstance(unit.tendon, RigidTendon):
-                by_pressure = value_and_derivative(lambda p, path=unit.path: volume(path, p), pressure)[1]
-            volumes.append(AirVolume(at, slope * _path_rate(unit, state.velocity.angles), by_pressure))
-        return volumes
+        motion = state.posture.angles, state.velocity.angles
+        return muscle_air(self.robot, self.valve, *motion, state.pressures, state.muscles)
 
     def project(self, state: RobotState) -> RobotState:
         if state.friction:
@@ -458,6 +445,31 @@ class RobotPlant(Plant[RobotState]):
         """Return the mechanical energy of the bodies [J]."""
         found = motion(self.robot, state.posture, state.velocity, self.gravity)
         return found.kinetic + found.potential
+
+
+def muscle_air(
+    robot: Robot,
+    valve: Actuator,
+    angles: Sequence[Array],
+    rates: Sequence[Array],
+    pressures: Sequence[Array],
+    states: Sequence[MuscleState] | None = None,
+) -> list[AirVolume]:
+    """Return the volumes of the air in the muscles, at angles [rad], rates [rad/s] and gauge pressures [Pa]."""
+    volumes = []
+    states = [MuscleState((), ())] * len(pressures) if states is None else states
+    for unit, pressure, held in zip(robot.routed_muscles(angles), pressures, states, strict=True):
+
+        def volume(path: Array, pressure: Array, unit: Routed = unit, held: MuscleState = held) -> Array:
+            contraction = unit.tendon.contraction(unit.muscle, path, pressure, held)
+            return unit.muscle.specimen.volume(contraction) + valve.attached_volume
+
+        at, slope = value_and_derivative(lambda path, p=pressure: volume(path, p), unit.path)
+        by_pressure = None
+        if not isinstance(unit.tendon, RigidTendon):
+            by_pressure = value_and_derivative(lambda p, path=unit.path: volume(path, p), pressure)[1]
+        volumes.append(AirVolume(at, slope * _path_rate(unit, rates), by_pressure))
+    return volumes
 
 
 def _path_rate(unit: Routed, rates: Sequence[Array]) -> Array:

@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from typing import Annotated, Any
+from types import SimpleNamespace
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from mckibben.actuator import IdealValve
-from mckibben.component.schema import ComponentField, parse_component
-from mckibben.config.document import to_text
+from mckibben.component.schema import ComponentField, inherit, parse_component
+from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Flag, Title
-from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.errors import quoted, suggest
+from mckibben.config.model import ConfigModel, fail_validation, located_below, read_text
+from mckibben.control import Controller
+from mckibben.errors import RangeError, quoted, suggest
 from mckibben.muscle import SpringLaw
 from mckibben.plant import PerfectSensors
 from mckibben.robot.bodies import BodyPoint
+from mckibben.robot.control import JointwiseControl, TimedReference, TrackingControl, check_pairs
+from mckibben.robot.dynamics import joint_load
 from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.plant import RobotPlant
-from mckibben.scenario.scenario import RunSettings, SensorsPart, Substeps, ValvePart
+from mckibben.robot.plant import RobotPlant, RobotStart
+from mckibben.robot.statics import holding_torques, is_affine, pressures_for_joint_stiffness
+from mckibben.scenario.scenario import (
+    ControllerPart,
+    ReferencePart,
+    RunSettings,
+    Scenario,
+    SensorsPart,
+    Substeps,
+    ValvePart,
+)
 from mckibben.simulation.accuracy import ACCURACY
 from mckibben.units import (
     Accuracy,
@@ -161,11 +175,26 @@ class StiffnessSettings(ConfigModel):
         return self
 
 
-class RobotScenario(RunSettings):
-    """Robot, valves, ground, and studies; `read` and `dumps` know the units.
+class StartSettings(ConfigModel):
+    """Start of a run, at rest: angles by joint (default: those of the references), and clearance of the foot [m]."""
 
-    Forces are sampled every `step` [s], which has as many integration steps as the `accuracy` of the angles [rad]
-    needs, or `substeps`.
+    angles: Angles = Field(default_factory=dict)
+    clearance: DropHeight = 0.0
+
+
+class RobotScenario(RunSettings):
+    """Robot, valves, ground, control of its joints, and studies; `read` and `dumps` know the units.
+
+    Attributes
+    ----------
+    reference
+        Reference of angle and stiffness of each joint.
+    controllers, controller
+        A controller for each joint with a pair of muscles, or one for all joints and muscles. Parts of their models
+        that the file does not give are those of the plant.
+    control_period
+        Time between samples of the controller, and of the forces [s]; it has as many integration steps as the
+        `accuracy` of the angles [rad] needs, or `substeps`.
 
     Examples
     --------
@@ -187,9 +216,34 @@ class RobotScenario(RunSettings):
     jump: JumpSettings | None = None
     stiffness: StiffnessSettings | None = None
     uncertainty: DrawSettings = DrawSettings()
-    step: PositiveTime = 0.25e-3
+    reference: dict[str, ReferencePart] = Field(default_factory=dict)
+    controllers: dict[str, ControllerPart] = Field(default_factory=dict)
+    controller: Annotated[TrackingControl, ComponentField(TrackingControl)] | None = None
+    start: StartSettings = StartSettings()
+    duration: Duration | None = None
+    control_period: PositiveTime = 0.25e-3
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
+
+    @field_validator("controllers", mode="wrap")
+    @classmethod
+    def _in_their_joints(cls, value: Any, handler: Any, info: ValidationInfo) -> Any:
+        robot, valve = info.data.get("robot"), info.data.get("valve")
+        if robot is None or valve is None or not isinstance(value, dict):
+            return handler(value)
+        made = {}
+        for name, section in value.items():
+            try:
+                scope = _joint_scope(robot, valve, info.data.get("command_delay"), robot.index(name))
+            except RangeError as error:
+                fail_validation(error.message, error.remedy, field=name)
+            context = dict(info.context or {}) | {"scope": (scope,)}
+            within = cast(ValidationInfo, SimpleNamespace(context=context, field_name=name, data={}))
+            try:
+                made[name] = ComponentField(Controller).read(section, within)
+            except ValidationError as error:
+                raise located_below(error, (name,)) from None
+        return made
 
     @field_validator("ground", mode="after")
     @classmethod
@@ -304,19 +358,91 @@ class RobotScenario(RunSettings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _controlled(self) -> RobotScenario:
+        joints = [joint.name for joint in self.robot.joints]
+        if not (self.controllers or self.controller or self.reference):
+            return self
+        if self.controllers and self.controller:
+            fail_validation("has a controller of each joint and one of all", "give controllers, or controller")
+        if isinstance(self.controller, JointwiseControl):
+            fail_validation("is a list of controllers", "give `controllers` by joint", field="controller")
+        if not (self.controllers or self.controller):
+            remedy = "give `controller: {class: computed_torque, ...}`, or `controllers` by joint"
+            fail_validation("has references, and no controller", remedy)
+        for field in ("reference", "controllers") if self.controllers else ("reference",):
+            given = getattr(self, field)
+            for name in given:
+                if name not in joints:
+                    fail_validation(*_unknown_joint(self.robot, name), field=f"{field}.{name}")
+            if missing := [name for name in joints if name not in given]:
+                fail_validation(f"lacks {', '.join(missing)}", "give one for each joint", field=field)
+        if self.duration is None:
+            fail_validation("lacks the duration of the run", "give one, such as `duration: 5 s`", field="duration")
+        if self.controllers:
+            try:
+                check_pairs(self.robot, self.control())
+            except RangeError as error:
+                fail_validation(error.message, "give `controller`, which commands all muscles", field="controllers")
+        _check_posture(self.robot, self.start.angles, "start.angles")
+        return self
+
     @property
     def steps(self) -> dict[str, Any]:
         """Arguments of a simulation for its integration steps."""
-        return {"control_period": self.step, "accuracy": self.accuracy, "substeps": self.substeps}
+        return {"control_period": self.control_period, "accuracy": self.accuracy, "substeps": self.substeps}
 
     def whole_steps(self, duration: float) -> float:
-        """The duration [s] as a multiple of the step."""
-        return self.step * round(duration / self.step)
+        """The duration [s] as a multiple of the control period."""
+        return self.control_period * round(duration / self.control_period)
 
     def plant(self) -> RobotPlant:
         """The simulated robot."""
         plant = RobotPlant(self.robot, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
-        return plant.with_period(self.step)
+        return plant.with_period(self.control_period)
+
+    def control(self) -> TrackingControl:
+        """Return the controller of all joints with its reference; what its models lack is that of the plant."""
+        reference = TimedReference(tuple(self.reference[joint.name] for joint in self.robot.joints))
+        if self.controller is not None:
+            scope = {name: getattr(self, name) for name in ("robot", "valve", "command_delay")}
+            return dataclasses.replace(inherit(self.controller, scope), reference=reference)
+        scopes = [_joint_scope(self.robot, self.valve, self.command_delay, i) for i in range(len(self.robot.joints))]
+        joints = zip(self.robot.joints, scopes, strict=True)
+        return JointwiseControl(
+            tuple(inherit(self.controllers[joint.name], scope) for joint, scope in joints), reference=reference
+        )
+
+    def initial(self) -> RobotStart:
+        """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.
+
+        Raises `McKibbenError` if the muscles cannot hold the posture.
+        """
+        first = {name: reference(0.0) for name, reference in self.reference.items()}
+        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | self.start.angles
+        angles, robot = self.robot.posture_angles(wanted), self.robot
+        stiffness = [float(first[joint.name].stiffness) for joint in robot.joints]
+        torques = holding_torques(robot, angles, RobotPlant.gravity)
+        if is_affine(robot):
+            supply = float(getattr(self.valve, "supply", None) or np.inf)
+            pressures = pressures_for_joint_stiffness(
+                robot, angles, stiffness, torques=torques, supply=supply
+            ).pressures
+        else:
+            pressures = robot.pressures_for(angles, torques, stiffness)
+        return RobotStart(angles, tuple(pressures), clearance=self.start.clearance)
+
+
+def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: int) -> dict[str, Any]:
+    """Models of a joint for its controller: its pair of muscles, the load with all angles near 0, and the valve."""
+    load = joint_load(robot, robot.posture_angles({}), index, RobotPlant.gravity)
+    return {"joint": robot.pair(index), "load": load, "valve": valve, "command_delay": command_delay}
+
+
+def read_scenario(path: str | os.PathLike[str]) -> Scenario | RobotScenario:
+    """Read a scenario of a joint, or of a robot, which has a section `robot`; raises `ScenarioError`."""
+    known = read_document(read_text(path, "a scenario", "examples/")).data
+    return (RobotScenario if isinstance(known, dict) and "robot" in known else Scenario).read(path)
 
 
 def _unknown_joint(robot: Robot, name: str) -> tuple[str, str]:

@@ -52,7 +52,8 @@ class RobotProblem(NamedTuple):
     start: RobotStart
 
 
-declare(__name__, {"command": Label("Pa", "commanded pressure", along="muscle")})
+_COMMAND = {"command": Label("Pa", "commanded pressure", along="muscle")}
+declare(__name__, _COMMAND)
 
 
 class RobotResult(RunResult):
@@ -98,13 +99,13 @@ class RobotResult(RunResult):
 
     def _rows_of(self, name: str) -> tuple[str, ...]:
         label = _LABELS.get(name)
-        return (label.along if label else "muscle",) if np.ndim(self.columns[name]) > 1 else ()
+        return (label.along if label else "joint",) if np.ndim(self.columns[name]) > 1 else ()
 
     def _coordinates(self) -> dict[str, list[str]]:
         return {"joint": list(self.joints), "muscle": list(self.muscles)}
 
 
-_LABELS = labels_of(RobotSample)
+_LABELS = labels_of(RobotSample) | _COMMAND
 
 
 def robot_metrics(

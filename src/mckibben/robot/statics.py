@@ -10,22 +10,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_count, check_within
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
 from mckibben.joint import RigidTendon
 from mckibben.muscle import PressureAffineLaw
+from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Listing
+from mckibben.robot.allocation import JointTerms, joint_terms
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.muscles import check_contractions
 from mckibben.robot.point_stiffness import PointStiffness, movable, point_jacobian, stiffness_of, stiffness_through
+from mckibben.simulation.engine import BatchFunction
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
@@ -68,12 +70,27 @@ class StaticsMap(NamedTuple):
 
 def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
     """Return the map at angles [rad] of a robot that `check_affine` accepts."""
-    (torque, gain, offset, slope), (stiffness, coupling) = _affine(robot, tuple(map(float, angles)))
-    return StaticsMap(
-        (np.asarray(torque), np.asarray(gain)),
-        (-np.asarray(stiffness), -np.asarray(coupling).transpose(0, 2, 1)),
-        (np.asarray(offset), np.asarray(slope)),
-    )
+    terms, _ = _terms("auto", (numeric(robot), tuple(np.asarray(angle, float) for angle in angles)))
+    count, muscles = len(robot.joints), len(terms.tension)
+    torque, gain = np.zeros(count), np.zeros((count, muscles))
+    stiffness, slopes = np.zeros((count, count)), np.zeros((count, count, muscles))
+    for i, row in enumerate(terms.torque):
+        for muscle, (offset, slope) in row.items():
+            torque[i] += offset
+            gain[i, muscle] = slope
+    for (i, j), row in terms.stiffness.items():
+        stiffness[i, j] = stiffness[j, i] = sum(float(offset) for offset, _ in row.values())
+        for muscle, (_, slope) in row.items():
+            slopes[i, j, muscle] = slopes[j, i, muscle] = slope
+    tension = np.array(terms.tension, float).reshape(muscles, 2).T
+    return StaticsMap((torque, gain), (stiffness, slopes), (tension[0], tension[1]))
+
+
+@BatchFunction
+def _terms(parts: tuple[Robot, tuple[ArrayLike, ...]], _: None) -> JointTerms:
+    """Terms in a posture."""
+    robot, angles = parts
+    return joint_terms(robot, robot.held(angles))
 
 
 def check_affine(robot: Robot) -> None:
@@ -98,31 +115,6 @@ def _not_affine(robot: Robot) -> Iterator[tuple[str, str]]:
         for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
             if not isinstance(part, kind):
                 yield name, type(part).__name__
-
-
-def _affine(robot: Robot, angles: tuple[ArrayLike, ...]) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
-    """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles.
-
-    Not compiled as a whole: of an arm of 24 muscles XLA takes ten times as long for that as for the first posture.
-    """
-
-    def terms(q: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        units = robot.routed_muscles(robot.held(tuple(q)))
-        pairs = [
-            unit.muscle.force_law.pressure_terms(unit.muscle.specimen.contraction_at(unit.path))  # type: ignore
-            for unit in units
-        ]
-        offset, gain = (jnp.stack([jnp.asarray(one) for one in column]) for column in zip(*pairs, strict=True))
-        zero = jnp.zeros(())
-        arms = jnp.stack(
-            [jnp.stack([-unit.slopes.get(joint, zero) for unit in units]) for joint in range(len(robot.joints))]
-        )
-        return (arms @ offset, arms * gain), (offset, gain)
-
-    q = jnp.stack([jnp.asarray(one) for one in angles])
-    (torque, gain), (offset, slope) = terms(q)
-    stiffness, coupling = jax.jacfwd(lambda x: terms(x)[0])(q)
-    return (torque, gain, offset, slope), (stiffness, coupling)
 
 
 class HeldPosture(NamedTuple):

@@ -9,7 +9,7 @@ after its parent. At the angles 0 the axes of all bodies are those of the base.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -122,26 +122,45 @@ def ancestors(hinges: Sequence[Hinge], body: int) -> list[int]:
     return found
 
 
+Bends = dict[tuple[int, int], Any]
+"""Second derivatives [m/rad^2] of a path, by two hinges or joints, the first of which is not after the second."""
+
+
 def path_through(
     points: Sequence[tuple[int, Vector]], hinges: Sequence[Hinge], frames: Sequence[Frame]
-) -> tuple[Any, dict[int, Any]]:
+) -> tuple[Any, dict[int, Any], Callable[[], Bends]]:
     """Return the length [m] of straight lines through points of bodies, and its derivatives [m/rad] by hinge.
 
-    A hinge has the number of its body; of a line between two bodies only those between them change the length.
+    A hinge has the number of its body; of a line between two bodies only those between them change the length. The
+    function computes the second derivatives.
     """
     places = [(body, frames[body].point(place)[0]) for body, place in points]
     length: Any = 0.0
     slopes: dict[int, Any] = {}
+    lines = []
     for (body, start), (other, end) in itertools.pairwise(places):
         line = end - start
         span = jnp.sqrt(line.dot(line))
         length = total(length, span)
         before, after = set(ancestors(hinges, body)), set(ancestors(hinges, other))
+        moves = {}  # of the line, by hinge, and whether the hinge moves its end
         for index in sorted(before ^ after):
-            moved = end if index in after else start
-            pull = line.dot(frames[index].axis.cross(moved - frames[index].position)) / span
-            slopes[index] = total(slopes.get(index, 0.0), pull if index in after else -pull)
-    return length, slopes
+            moved = frames[index].axis.cross((end if index in after else start) - frames[index].position)
+            moves[index] = moved if index in after else -moved, index in after
+            slopes[index] = total(slopes.get(index, 0.0), line.dot(moves[index][0]) / span)
+        lines.append((line, span, moves))
+
+    def bends() -> Bends:
+        found: Bends = {}
+        for line, span, moves in lines:
+            for (i, (first, at_end)), (j, (second, other)) in itertools.combinations_with_replacement(moves.items(), 2):
+                bend = difference(first.dot(second), line.dot(first) * line.dot(second) / (span * span))
+                if at_end == other:  # the hinge nearer to the base turns the motion by the other
+                    bend = total(bend, line.dot(frames[i].axis.cross(second)))
+                found[i, j] = total(found.get((i, j), 0.0), bend / span)
+        return found
+
+    return length, slopes, bends
 
 
 class Equations(NamedTuple):

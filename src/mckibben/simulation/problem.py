@@ -153,10 +153,10 @@ def _has_nan(leaf: object) -> bool:
     return known and bool(np.isnan(np.asarray(leaf, float)).any())
 
 
-def check_frequencies(reference: Reference | None, control_period: float) -> None:
+def check_frequencies(reference: Reference | None, control_period: float, owner: str = "reference") -> None:
     """Raise `SimulationError` if a frequency [Hz] of a signal is at or above half the control rate."""
     highest = 0.5 / control_period
-    for name, leaf in named_leaves({"reference": reference}).items():
+    for name, leaf in named_leaves({owner: reference}).items():
         if name.split(".")[-1] == "frequency" or "frequencies" in name.split("."):
             value = float(np.max(np.asarray(leaf, float)))
             if value >= highest * (1 - 1e-9):

@@ -1,0 +1,337 @@
+"""Computed torque with the stiffness of all joints: pressures of all muscles by a bounded quadratic program."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import operator
+from collections.abc import Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.actuator import Actuator
+from mckibben.actuator.base import AirVolume, delay_periods
+from mckibben.component.base import Inherited
+from mckibben.component.columns import Label
+from mckibben.control.base import Setpoint, ValveModel
+from mckibben.control.feedback import Feedback
+from mckibben.control.model_based import mean_commands
+from mckibben.control.observer import ExtendedStateObserver, MotionEstimate, Observer, PressureObserver
+from mckibben.control.reference import ReferenceDerivatives
+from mckibben.errors import RangeError
+from mckibben.muscle import SpringLaw
+from mckibben.numerics.elementary import exp, floating
+from mckibben.robot.allocation import Allocation, bounded_least_squares, joint_terms
+from mckibben.robot.control import TrackingControl
+from mckibben.robot.dynamics import joint_equations
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.plant import RobotMeasurement, muscle_air
+from mckibben.robot.statics import check_affine
+from mckibben.units import CommandDelay, Force, Gravity, bar
+
+Scalar = Float[Array, ""]
+
+_TORQUE = 30.0  # weight of the torques, relative to the errors of the stiffness
+_CENTRED = 1e-3  # weight of the distance from the middle of the range, which selects among equal solutions
+_SHARE = 0.5  # of the rate of the torque, for the feedback
+
+
+class ComputedTorqueState(NamedTuple):
+    """Estimates of the motion and of the valves, the references so far, and the last allocation."""
+
+    reference: Any
+    motions: tuple[MotionEstimate, ...]
+    derivatives: tuple[ReferenceDerivatives, ...]
+    feedback: tuple[Any, ...]
+    pressures: tuple[Scalar, ...]
+    valves: tuple[Any, ...]
+    sent: tuple[tuple[Scalar, ...], ...]  # commands on their way [Pa], the last first
+    allocation: Allocation
+    stiffness: tuple[Scalar, ...]  # of the model [N*m/rad]
+
+
+class _Coming(NamedTuple):
+    """Predicted motion, pressures and valves at the arrival of the next commands."""
+
+    angles: tuple[Scalar, ...]
+    velocities: tuple[Scalar, ...]
+    pressures: tuple[Scalar, ...]
+    valves: tuple[Any, ...]
+
+
+class ComputedTorque(TrackingControl):
+    r"""Computed torque, and the stiffness of all joints, by the pressures of all muscles.
+
+    The torques for the accelerations of references and feedback follow from a model of the robot, with its base at rest
+    and its foot in the air,
+
+    .. math:: \tau = M(q)\,(\ddot q_r + a(e, \dot e) - \hat d) + h(q, \dot q) + c\,\dot q
+
+    at the angles to be expected after the lag T of the feedback. Torques T p + t and stiffness K p + k of the joints
+    are affine in the pressures of taut muscles, and the pressures those of
+
+    .. math:: \min_p\; W^2 \| T p + t - \tau \|^2 + \sum_i \Big( \frac{K_i p + k_i}{K_{r,i}} - 1 \Big)^2,
+              \qquad \underline p \le p \le \overline p
+
+    with muscles taut, below their ratings, and within what the valves reach; torques have priority by their weight. An
+    active set is continued from period to period. ``allocation_gap`` is a certificate: no pressures have errors whose
+    sum of squares is smaller by more. Laws are affine in pressure, and tendons rigid.
+
+    Parameters
+    ----------
+    feedback
+        Outer loop of each joint: `PolePlacement` or `SlidingMode`.
+    observer, pressure_observer
+        Observers of the motion of each joint with its disturbance, and of the pressures.
+    robot, valve, gravity, command_delay
+        Models of robot and valves, g [m/s^2], and delay of the commands [s] over which the motion is predicted; in a
+        file, by default, those of the plant. No joint is locked.
+    minimum_tension
+        Lower limit of each muscle's tension [N].
+
+    References
+    ----------
+    J. Y. S. Luh, M. W. Walker and R. P. C. Paul, Resolved-acceleration control of mechanical manipulators, IEEE Trans.
+    Automatic Control 25, 1980 (computed torque); O. Harkegard, Efficient active set algorithms for solving constrained
+    least squares problems in aircraft control allocation, CDC 2002.
+    """
+
+    short_name = "computed_torque"
+    telemetry_labels: ClassVar = {
+        "allocation_gap": Label("1", "bound on the squared error of torques and stiffness above the least possible"),
+    }
+
+    feedback: Feedback
+    observer: Observer = ExtendedStateObserver()
+    pressure_observer: PressureObserver = PressureObserver()
+    robot: Annotated[Robot, Inherited(lambda scope: scope["robot"])] = eqx.field(kw_only=True)
+    valve: ValveModel = eqx.field(kw_only=True)
+    command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
+        kw_only=True, default=None
+    )
+    gravity: Gravity = eqx.field(kw_only=True, default=9.81)
+    minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
+    periods: int = eqx.field(kw_only=True, default=0, static=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_affine(self.robot)
+        for joint in self.robot.joints:
+            if joint.locked is not None:
+                remedy = "unlock it, or give each joint its own of `controllers`"
+                raise RangeError(f"{joint.name} is locked", field="robot", value=joint.name, remedy=remedy)
+        if not (self.valve.holds_air or self.valve.lag is not None):
+            remedy = "give the controller a `valve` with a time_constant"
+            raise RangeError("the response of the valve is unknown", field="valve", remedy=remedy)
+
+    def with_period(self, period: float) -> Self:
+        prepared = super().with_period(period)
+        if self.command_delay is None:
+            return prepared
+        return dataclasses.replace(prepared, periods=delay_periods(self.command_delay, period))
+
+    def init(self, measurement: RobotMeasurement) -> ComputedTorqueState:
+        angles, pressures = tuple(map(floating, measurement.angles)), tuple(map(floating, measurement.pressures))
+        zero = jnp.zeros_like(angles[0])
+        still = (zero,) * len(angles)
+        known = self._accelerations(angles, still, pressures)
+        terms = joint_terms(self.robot, angles)
+        return ComputedTorqueState(
+            self.reference.init(measurement),
+            tuple(map(self.observer.init, angles, known)),
+            tuple(map(ReferenceDerivatives.init, angles)),
+            tuple(map(self.feedback.init, still)),
+            pressures,
+            tuple(self.valve.for_muscle(i).init_model(pressure) for i, pressure in enumerate(pressures)),
+            (pressures,) * (self.periods + 1),
+            Allocation(tuple(pressure / bar for pressure in pressures), (zero,) * len(pressures), zero),
+            terms.stiffness_at(pressures),
+        )
+
+    def step_toward(
+        self,
+        state: ComputedTorqueState,
+        setpoints: Sequence[Setpoint],
+        measurement: RobotMeasurement,
+        period: ArrayLike,
+    ) -> tuple[ComputedTorqueState, tuple[Array, ...]]:
+        robot, lag = self.robot, self.feedback.lag
+        lead = period / (1 - exp(-jnp.asarray(period) / lag))  # with which sampled pressures follow a ramp exactly
+        rates = tuple(motion.velocity for motion in state.motions)
+        age = 0.0 if self.command_delay is None else self.command_delay / jnp.asarray(period)
+        arrived = mean_commands(state.sent, age, age + 1) if self.periods else state.sent[0]
+        pressures, valves = self._valves_after(
+            measurement.angles, rates, state.pressures, state.valves, arrived, period
+        )
+        pressures = self.pressure_observer.step(pressures, measurement.pressures, period)
+        known = self._accelerations(measurement.angles, rates, pressures)
+        motions = tuple(
+            self.observer.step(motion, angle, acceleration, period)
+            for motion, angle, acceleration in zip(state.motions, measurement.angles, known, strict=True)
+        )
+        derivatives = tuple(
+            of.update(setpoint.angle, period) for of, setpoint in zip(state.derivatives, setpoints, strict=True)
+        )
+        coming = _Coming(tuple(measurement.angles), tuple(motion.velocity for motion in motions), pressures, valves)
+        ahead = derivatives
+        if self.command_delay is not None:
+            coming = self._predicted(coming, motions, state.sent, period)
+            ahead = tuple(of.after(self.command_delay) for of in derivatives)
+
+        expected = tuple(
+            motion.angle + lead * rate if self.command_delay is None else angle + lead * rate
+            for motion, angle, rate in zip(motions, coming.angles, coming.velocities, strict=True)
+        )
+        made, terms = joint_equations(robot, expected, coming.velocities, self.gravity), joint_terms(robot, expected)
+        lower, upper, swings = self._window(expected, terms.tension, coming, period)
+        accelerations, feedback = [], []
+        for i, reference in enumerate(ahead):
+            error, rate = reference.angle - coming.angles[i], reference.velocity - coming.velocities[i]
+            torque_rate = sum(jnp.abs(gain) * swings[m] for m, (_, gain) in terms.torque[i].items()) / (2 * lag)
+            jerk = _SHARE * torque_rate / made.matrix[i][i]
+            held, correction = self.feedback.step(state.feedback[i], error, rate, jerk, period)
+            feedback.append(held)
+            accelerations.append(reference.acceleration_after(lead, period) + correction - motions[i].disturbance)
+        torques = [
+            sum(entry * acceleration for entry, acceleration in zip(row, accelerations, strict=True))
+            + bias
+            + joint.damping * rate
+            for row, bias, joint, rate in zip(made.matrix, made.bias, robot.joints, coming.velocities, strict=True)
+        ]
+        allocation = bounded_least_squares(
+            *terms.errors(torques, [setpoint.stiffness for setpoint in setpoints], _TORQUE, _CENTRED, lower, upper),
+            tuple(one / bar for one in lower),
+            tuple(one / bar for one in upper),
+            state.allocation,
+        )
+        targets = tuple(one * bar for one in allocation.values)
+        short = [wanted - given for wanted, given in zip(torques, terms.torque_at(targets), strict=True)]
+        feedback = [
+            self.feedback.track(held, torque / made.matrix[i][i], period)
+            for i, (held, torque) in enumerate(zip(feedback, short, strict=True))
+        ]
+        commands = self._commands(coming, targets, lag, period)
+        return ComputedTorqueState(
+            state.reference,
+            motions,
+            derivatives,
+            tuple(feedback),
+            pressures,
+            valves,
+            (commands, *state.sent[: self.periods]),
+            allocation,
+            terms.stiffness_at(pressures),
+        ), commands
+
+    def telemetry(self, state: ComputedTorqueState) -> dict[str, Any]:
+        muscles = zip(self.robot.all_muscles, state.allocation.active, strict=True)
+        held = [active for muscle, active in muscles if not isinstance(muscle.law, SpringLaw)]
+        return {
+            "stiffness_estimate": state.stiffness,
+            "disturbance_estimate": tuple(motion.disturbance for motion in state.motions),
+            "allocation_gap": state.allocation.gap,
+            "saturated": functools.reduce(operator.or_, [one != 0 for one in held]),
+        }
+
+    def _accelerations(
+        self, angles: Sequence[Array], rates: Sequence[Array], pressures: Sequence[Array]
+    ) -> tuple[Array, ...]:
+        """Accelerations [rad/s^2] of the joints by the model."""
+        made = joint_equations(self.robot, angles, rates, self.gravity)
+        torques = self.robot.torques(angles, pressures)
+        driven = [
+            torque - joint.damping * rate for torque, joint, rate in zip(torques, self.robot.joints, rates, strict=True)
+        ]
+        return tuple(made.accelerations(driven))
+
+    def _air(
+        self, angles: Sequence[Array], rates: Sequence[Array], pressures: Sequence[Array]
+    ) -> Sequence[AirVolume | None]:
+        """Volume of the air of each muscle, for valves that need it."""
+        if not self.valve.holds_air:
+            return (None,) * len(pressures)
+        return muscle_air(self.robot, self.valve, angles, rates, pressures)
+
+    def _valves_after(
+        self,
+        angles: Sequence[Array],
+        rates: Sequence[Array],
+        pressures: tuple[Scalar, ...],
+        valves: tuple[Any, ...],
+        commands: Sequence[ArrayLike],
+        duration: ArrayLike,
+    ) -> tuple[tuple[Scalar, ...], tuple[Any, ...]]:
+        """Pressures [Pa] and states of the model of the valves a time [s] later, under constant commands [Pa]."""
+        muscles = zip(pressures, valves, commands, self._air(angles, rates, pressures), strict=True)
+        found = [self.valve.for_muscle(i).predict(*muscle, duration) for i, muscle in enumerate(muscles)]
+        return tuple(pressure for pressure, _ in found), tuple(held for _, held in found)
+
+    def _predicted(
+        self,
+        now: _Coming,
+        motions: Sequence[MotionEstimate],
+        sent: tuple[tuple[Scalar, ...], ...],
+        period: ArrayLike,
+    ) -> _Coming:
+        """Motion and pressures when the next commands arrive."""
+        steps = max(self.periods, 1)
+        delay, step = self.command_delay / jnp.asarray(period), self.command_delay / steps
+        means = [mean_commands(sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
+
+        def advance(at: _Coming, commands: Sequence[Array]) -> tuple[_Coming, None]:
+            following, valves = self._valves_after(at.angles, at.velocities, at.pressures, at.valves, commands, step)
+            middle = tuple((one + other) / 2 for one, other in zip(at.pressures, following, strict=True))
+            midway = tuple(angle + step / 2 * rate for angle, rate in zip(at.angles, at.velocities, strict=True))
+            rates = [
+                own + motion.disturbance
+                for own, motion in zip(self._accelerations(midway, at.velocities, middle), motions, strict=True)
+            ]
+            angles = tuple(
+                angle + step * (velocity + step / 2 * rate)
+                for angle, velocity, rate in zip(at.angles, at.velocities, rates, strict=True)
+            )
+            velocities = tuple(v + step * rate for v, rate in zip(at.velocities, rates, strict=True))
+            return _Coming(angles, velocities, following, valves), None
+
+        return lax.scan(advance, now, tuple(jnp.stack(side) for side in zip(*means, strict=True)))[0]
+
+    def _window(
+        self, angles: Sequence[Array], tension: Sequence[tuple[Any, Any]], coming: _Coming, period: ArrayLike
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...], list[Any]]:
+        """Limits of the pressures [Pa]: taut, rated and within reach of the valves; and widths of that reach."""
+        covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)
+        air = self._air(coming.angles, coming.velocities, coming.pressures)
+        lower, upper, swings = [], [], []
+        for i, (muscle, (offset, gain)) in enumerate(zip(self.robot.all_muscles, tension, strict=True)):
+            own: Actuator = self.valve.for_muscle(i)
+            pressure, commands = coming.pressures[i], own.command_range(muscle.domain)
+            if isinstance(muscle.law, SpringLaw):
+                lower.append(jnp.zeros_like(pressure))
+                upper.append(jnp.zeros_like(pressure))
+                swings.append(0.0)
+                continue
+            reach = own.attainable(pressure, coming.valves[i], commands, air[i], period)(pressure)
+            slowest, fastest = ((limit - pressure) / covered for limit in reach)
+            rated = (muscle.specimen.force_limit - offset) / gain
+            high = jnp.minimum(jnp.minimum(rated, commands[1]), pressure + fastest)
+            low = jnp.maximum((self.minimum_tension - offset) / gain, muscle.domain.pressure_min)
+            upper.append(jnp.maximum(high, commands[0]))
+            lower.append(jnp.minimum(jnp.maximum(low, pressure + slowest), upper[-1]))
+            swings.append(fastest - slowest)
+        return tuple(lower), tuple(upper), swings
+
+    def _commands(
+        self, coming: _Coming, targets: Sequence[Array], lag: ArrayLike, period: ArrayLike
+    ) -> tuple[Array, ...]:
+        """Commands [Pa] that lead the pressures to targets [Pa] with a lag [s]."""
+        air = self._air(coming.angles, coming.velocities, coming.pressures)
+        commands = []
+        for i, (target, muscle) in enumerate(zip(targets, self.robot.all_muscles, strict=True)):
+            own: Actuator = self.valve.for_muscle(i)
+            wanted = own.command_toward(coming.pressures[i], coming.valves[i], target, air[i], lag, period)
+            commands.append(jnp.clip(wanted, *own.command_range(muscle.domain)))
+        return tuple(commands)

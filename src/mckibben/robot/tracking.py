@@ -1,0 +1,157 @@
+"""Runs of a robot whose joints follow references of angle and stiffness."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Array
+
+from mckibben.component.columns import Label, labelled
+from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.numerics.compiled import numeric
+from mckibben.result import Column, Remark
+from mckibben.robot.mechanism import Robot
+from mckibben.robot.scenario import RobotScenario
+from mckibben.robot.simulate import RobotResult, simulate_robot
+from mckibben.robot.statics import EXACT, attainable_statics, holding_torques, is_affine, pressures_for_joint_stiffness
+from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.problem import check_frequencies, sampled
+from mckibben.units import deg
+
+_POSTURES = 25  # of a run, in which what is attainable is computed
+
+
+@labelled
+class TrackingMetrics(NamedTuple):
+    """Metrics of a robot whose joints follow references."""
+
+    angle_rmse: Annotated[tuple[float, ...], Label("rad", "angle error (RMS)", "deg", along="joint")]
+    angle_max: Annotated[tuple[float, ...], Label("rad", "largest angle error", "deg", along="joint")]
+    stiffness_rmse: Annotated[tuple[float, ...], Label("N*m/rad", "stiffness error (RMS)", along="joint")]
+    time_saturated: Annotated[float, Label("s", "time saturated")]
+    time_outside_domain: Annotated[float, Label("s", "time with a muscle outside its domain")]
+    air_mass: Annotated[float, Label("kg", "mass of air into the muscles", "g")]
+
+
+class TrackingResult(RobotResult):
+    """A controlled run of a robot: columns of `RobotResult`, references, and stiffness of the joints.
+
+    Attributes
+    ----------
+    notes
+        What is not attainable, computed before the run.
+    """
+
+    kind = TrackingMetrics
+    figures: ClassVar = ("robot_tracking",)
+    files: ClassVar = ("result.nc", "scenario.yaml")
+
+    notes: tuple[Remark, ...] = ()
+
+    def _measure(self) -> TrackingMetrics:
+        error = self["angle"] - self["desired_angle"]
+        return TrackingMetrics(
+            tuple(np.sqrt(np.mean(error**2, axis=1))),
+            tuple(np.abs(error).max(axis=1)),
+            tuple(np.sqrt(np.mean((self["stiffness"] - self["desired_stiffness"]) ** 2, axis=1))),
+            float(self["saturated"].sum() * self.control_period),
+            float(self["outside"].sum() * self.control_period),
+            float(np.maximum(np.diff(self["air_mass"], axis=1), 0.0).sum()),
+        )
+
+    def verdict(self) -> str:
+        """Return duration, size of the robot, and the errors of the worst joints."""
+        angle, stiffness = self.metrics["angle_rmse"] / deg, self.metrics["stiffness_rmse"]
+        return (
+            f"{self.duration:g} s, {len(self.joints)} joints, {len(self.muscles)} muscles; "
+            f"RMS errors up to {angle.max():.3g} deg ({self.joints[angle.argmax()]}) and "
+            f"{stiffness.max():.3g} N*m/rad ({self.joints[stiffness.argmax()]})"
+        )
+
+    def declared(self) -> dict[str, tuple[Column, object]]:
+        """Return the joints, and the metrics."""
+        return {"joint": (Column(), list(self.joints))} | super().declared()
+
+    def remarks(self) -> Iterator[Remark]:
+        """Return what is not attainable, muscles outside their domain, and the integration error."""
+        yield from self.notes
+        if left := self.metrics["time_outside_domain"]:
+            yield Remark.warning("domain", f"a muscle is outside its domain for {left:.4g} s")
+        yield from super().remarks()
+
+    def write(self, folder: Path) -> None:
+        """Write the columns as NetCDF, and the scenario."""
+        self.to_netcdf(folder / "result.nc")
+        RobotScenario.parse(self.scenario).to_yaml(folder / "scenario.yaml")
+
+
+def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult:
+    """Simulate a robot under the controller of its scenario; `source` is its file, for errors.
+
+    Raises `ScenarioError` if the scenario has no controller, or its parts do not fit together.
+    """
+    source = source or scenario.name
+    if scenario.duration is None:
+        remedy = "give it `controller` or `controllers`, `reference` and `duration`, or use `mckibben robot`"
+        raise ScenarioError(source, [Problem("the robot has no controller", field="controller", remedy=remedy)])
+    period = scenario.control_period
+    try:
+        for name, reference in scenario.reference.items():
+            check_frequencies(reference, period, f"reference.{name}")
+        parts = [sampled(scenario.reference[joint.name], scenario.duration, period) for joint in scenario.robot.joints]
+        desired = {
+            "desired_angle": np.stack([np.asarray(setpoints.angle) for _, setpoints in parts]),
+            "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
+        }
+        notes = tuple(_unattainable(scenario, parts[0][0], *desired.values()))
+        start, plant = scenario.initial(), scenario.plant()
+        run = simulate_robot(plant, scenario.control(), start, duration=scenario.duration, **scenario.steps)
+    except FileError:
+        raise
+    except McKibbenError as error:
+        raise ScenarioError(source, [Problem.of(error, field=error.field or "start")]) from error  # type: ignore
+    lanes = tuple(run["angle"]), tuple(run["pressure"])
+    stiffness, _ = _stiffness("auto", numeric(scenario.robot), lanes)
+    columns = dict(run.columns) | desired | {"stiffness": np.stack(stiffness)}
+    given = {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}  # type: ignore[arg-type]
+    return TrackingResult(**given | {"columns": columns, "scenario": scenario.dumps(), "notes": notes})
+
+
+@BatchFunction
+def _stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
+    """Stiffness of the joints at one sample."""
+    return robot.stiffness(*lane)
+
+
+def _unattainable(scenario: RobotScenario, times: Any, angles: Any, stiffness: Any) -> Iterator[Remark]:
+    """Remarks on postures that the muscles cannot hold, and on stiffness that they do not attain there, at rest."""
+    robot, valve = scenario.robot, scenario.valve
+    if not is_affine(robot):
+        yield Remark.note("reference", "not checked: a law is not affine in pressure, or a tendon not rigid")
+        return
+    supply = float(getattr(valve, "supply", None) or np.inf)
+    worst: dict[str, tuple[float, Remark]] = {}
+    for index in np.unique(np.linspace(0, times.size - 1, _POSTURES).astype(int)):
+        posture, wanted, at = angles[:, index], stiffness[:, index], f"at {times[index]:.3g} s"
+        try:
+            torques = holding_torques(robot, posture)
+            ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
+            found = pressures_for_joint_stiffness(robot, posture, list(wanted), torques=torques, supply=supply)
+        except McKibbenError as error:
+            yield Remark.warning("reference", f"{at}: {error.message}", error.remedy)
+            return
+        own = {joint.name: value for joint, value in zip(robot.joints, wanted, strict=True) if joint.name in ranges}
+        for name, value in own.items():
+            (low, high), limits = ranges[name].stiffness, ranges[name].limits
+            if (excess := max(low - value, value - high)) > max(EXACT * value, worst.get(name, (0.0,))[0]):
+                text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"
+                by = limits[2 if value < low else 3]
+                worst[name] = excess, Remark.warning("reference", f"{text} ({by})", "choose a stiffness between")
+        if not (found.exact or worst):
+            text = f"{at} the joints do not attain their stiffness together: relative error {found.error:.2g}"
+            worst["all"] = found.error, Remark.warning("reference", text, "the nearest is given")
+    yield from (remark for _, remark in worst.values())

@@ -1,0 +1,195 @@
+"""Position and stiffness of all joints of a robot at once, from a file."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import RangeError, ScenarioError
+from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
+from mckibben.robot.allocation import Allocation, bounded_least_squares, joint_terms
+from mckibben.robot.dynamics import joint_equations, joint_load
+from mckibben.robot.statics import HeldPosture
+from mckibben.units import bar, deg
+
+ONE = """
+name: one joint
+robot:
+  bodies:
+    - {name: thigh, mass: 1 kg}
+    - {name: shank, mass: 0.5 kg, centre: [0 mm, 0 mm, -180 mm], inertia: [0.004 kg*m^2, 0 kg*m^2]}
+  joints:
+    - {name: knee, axis: [0, -1, 0], body: shank, lower: -20 deg, upper: 20 deg, damping: 0.05 N*m*s/rad}
+  muscles:
+    - over: knee
+      geometry: {joint_length: 370 mm, joint_radius: 30 mm, connector_length: 208 mm}
+      muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+valve: {time_constant: 20 ms}
+sensors: {encoder: 0.022 deg, pressure_noise: 2 kPa}
+command_delay: 3 ms
+reference:
+  knee:
+    angle: {class: sine, amplitude: 5 deg, frequency: 0.5 Hz}
+    stiffness: {class: step, before: 14 N*m/rad, after: 16 N*m/rad, at: 0.2 s}
+duration: 0.4 s
+control_period: 2 ms
+substeps: 4
+"""
+PID = """
+controllers:
+  knee:
+    position: {kp: 2 bar/rad, ki: 12 bar/(rad*s), kd: 0.05 bar*s/rad}
+    stiffness: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
+"""
+DECOUPLING = "\ncontrollers: {knee: {class: decoupling, feedback: {bandwidth: 40 rad/s}}}\n"
+TORQUE = "\ncontroller: {feedback: {bandwidth: 40 rad/s}}\n"
+FULL = "examples/robot/lei-leg-control.yaml"
+KEPT = ("angle", "pressure", "command", "stiffness")
+
+
+@pytest.mark.parametrize("controllers", [PID, DECOUPLING], ids=["pid", "decoupling"])
+@pytest.mark.slow
+def test_a_robot_of_one_joint_moves_as_the_joint(controllers):
+    scenario = RobotScenario.parse(ONE + controllers)
+    run = run_tracking(scenario)
+    parts = {name: getattr(scenario, name) for name in ("valve", "sensors", "command_delay")}
+    alone = mk.Scenario(
+        name="joint",
+        joint=scenario.robot.pair(0),
+        load=joint_load(scenario.robot, (0.0,), 0, 9.81),
+        controller=scenario.controllers["knee"],
+        reference=scenario.reference["knee"],
+        start={"angle": 0.0, "stiffness": 14.0},
+        **parts,
+        **{key: value for key, value in scenario.timing.items() if key != "accuracy"},
+    ).simulate()
+    np.testing.assert_allclose(run["angle"][0], alone["angle"], atol=1e-11)
+    np.testing.assert_allclose(run["stiffness"][0], alone["stiffness"], rtol=1e-9)
+    np.testing.assert_allclose(run["pressure"], [alone["pressure1"], alone["pressure2"]], atol=1e-2)
+    for name in ("angle_rmse", "stiffness_rmse"):
+        assert run.metrics[name][0] == pytest.approx(alone.metrics[name], rel=1e-9)
+
+
+def test_a_file_of_a_controlled_robot_reads_back():
+    scenario = RobotScenario.parse(ONE + PID)
+    again = RobotScenario.parse(scenario.dumps())
+    assert again.dumps() == scenario.dumps()
+    assert again.control() == scenario.control()
+    assert again.controllers["knee"].model is not again.robot.pair(0)
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        (ONE, None),
+        (ONE + PID + TORQUE, None),
+        (ONE + TORQUE.replace("feedback", "feedbck"), "controller.feedbck"),
+        (ONE + PID.replace("kp: 2 bar/rad", "kp: 2 kg"), "controllers.knee.position.kp"),
+        (ONE + PID.replace("knee", "kne"), "controllers.kne"),
+        (ONE.replace("duration: 0.4 s", "") + PID, None),
+        (ONE.replace("  knee:", "  hip:") + TORQUE, "reference.hip"),
+    ],
+)
+def test_mistakes_are_named(text, field):
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.parse(text)
+    assert (caught.value.problems[0].field or None) == field
+    assert caught.value.problems[0].remedy
+
+
+@pytest.mark.slow
+def test_all_joints_follow_position_and_stiffness_while_the_others_move():
+    scenario = RobotScenario.read(FULL)
+    run = run_tracking(scenario)
+    late = run["time"] > 0.3
+    error = np.abs(run["angle"] - run["desired_angle"])[:, late].max(axis=1) / deg
+    np.testing.assert_array_less(error, [0.1, 0.2, 0.6])
+    steady = late & (np.abs(run["time"] - 1.1) > 0.11)
+    assert np.abs(run["stiffness"] - run["desired_stiffness"])[:, steady].max() < 0.1
+    assert run["allocation_gap"].max() < 1e-8
+    assert list(run.notes) == []
+    late_commands = RobotScenario.parse(scenario.dumps().replace("ground:", "command_delay: 8 ms\nground:"))
+    aware = run_tracking(late_commands)
+    unaware = dataclasses.replace(late_commands.controller, command_delay=None)
+    blind = run_tracking(late_commands.model_copy(update={"controller": unaware}))
+    left = [np.std((r["angle"] - r["desired_angle"])[:, late], axis=1) for r in (aware, blind)]
+    np.testing.assert_array_less(*left)
+
+
+@pytest.mark.slow
+def test_what_is_not_attainable_is_a_remark():
+    text = RobotScenario.read("examples/robot/neck.yaml").dumps().partition("reference:")[0]
+    reference = "reference:\n" + "".join(
+        f"  {name}: {{angle: 2 deg, stiffness: 60 N*m/rad}}\n" for name in ("side", "nod")
+    )
+    run = run_tracking(RobotScenario.parse(text + reference + TORQUE + "duration: 0.1 s\ncontrol_period: 2 ms\n"))
+    assert {remark.field for remark in run.notes} == {"reference"} and "attains" in str(run.notes[0])
+    assert run["saturated"].all()
+
+
+@pytest.mark.parametrize("stiffness", [(15.0, 15.0, 15.0), (9.0, 16.0, 30.0)])
+def test_pressures_in_the_loop_are_those_of_the_statics(stiffness):
+    robot, angles, torques = read_robot("lei-leg"), (0.02, -0.03, -0.2), (0.5, -0.8, 0.3)
+    wanted = pressures_for_joint_stiffness(robot, angles, stiffness, torques=torques, minimum_tension=5.0)
+    limits = HeldPosture.of(robot, angles, torques, np.inf, 5.0)
+    terms = joint_terms(robot, tuple(map(jnp.asarray, angles)))
+    low, high = (tuple(map(jnp.asarray, side)) for side in (limits.low, limits.high))
+    zero = jnp.zeros(())
+    start = Allocation(tuple((a + b) / 2 for a, b in zip(low, high, strict=True)), (zero,) * 6, zero)
+    errors = terms.errors(torques, stiffness, 30.0, 1e-3, [a * bar for a in low], [a * bar for a in high])
+    found = bounded_least_squares(*errors, low, high, start)
+    np.testing.assert_allclose(found.values, np.array(wanted.pressures) / bar, atol=2e-4)
+    assert abs(float(found.gap)) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_certificate_bounds_what_few_steps_leave(seed):
+    rng = np.random.default_rng(seed)
+    factors, right, size = rng.normal(size=(9, 7)), rng.normal(size=9), 7
+    low, high = -rng.uniform(0, 0.3, size), rng.uniform(0, 0.3, size)
+    rows = [dict(enumerate(map(jnp.asarray, row))) for row in factors]
+    limits = tuple(map(jnp.asarray, low)), tuple(map(jnp.asarray, high))
+    zero = jnp.zeros(())
+    start = Allocation((zero,) * size, (zero,) * size, zero)
+    from scipy.optimize import lsq_linear
+
+    least = 2 * lsq_linear(factors, right, (low, high), tol=1e-14).cost
+    for steps in (1, 3, None):
+        found = bounded_least_squares(rows, right, *limits, start, steps)
+        total = float(np.sum((factors @ np.array(found.values, float) - right) ** 2))
+        assert total - least <= float(found.gap) + 1e-9
+    assert total == pytest.approx(least, abs=1e-9)
+
+
+def test_stiffness_of_a_spatial_robot_is_the_slope_of_its_torques():
+    robot = RobotScenario.read("examples/robot/platform.yaml").robot
+    angles, pressures = np.array([0.05, -0.04, 0.08]), np.linspace(4e5, 6e5, 6)
+    steps = 1e-6 * np.eye(3)
+    pushed = [
+        -(np.array(robot.torques(angles + h, pressures)) - np.array(robot.torques(angles - h, pressures))) / 2e-6
+        for h in steps
+    ]
+    np.testing.assert_allclose(robot.stiffness(tuple(angles), pressures), np.diag(pushed), rtol=1e-6)
+    terms = joint_terms(robot, tuple(map(jnp.asarray, angles)))
+    coupling = [
+        sum(float(a + b * pressures[m]) for m, (a, b) in terms.stiffness[pair].items()) for pair in ((0, 1), (1, 2))
+    ]
+    np.testing.assert_allclose(coupling, [pushed[1][0], pushed[2][1]], rtol=1e-6)
+
+
+def test_the_load_of_a_joint_has_its_gravity():
+    robot = read_robot("lei-leg")
+    load = joint_load(robot, (0.0, 0.0, -0.1), 2, 9.81)
+    needed = joint_equations(robot, (0.0, 0.0, 0.2), (0.0,) * 3, 9.81).bias[2]
+    assert float(load.required_torque(0.2, 0.0, 0.0)) == pytest.approx(float(needed), rel=1e-9)
+
+
+def test_a_locked_joint_is_refused():
+    robot = read_robot("lei-leg")
+    first, *others = robot.joints
+    locked = dataclasses.replace(robot, joints=(dataclasses.replace(first, locked=0.0), *others))
+    with pytest.raises(RangeError) as caught:
+        ComputedTorque(mk.PolePlacement(30.0), robot=locked, valve=mk.FirstOrderValve(0.02))
+    assert caught.value.field == "robot" and caught.value.remedy
