@@ -159,7 +159,9 @@ def hop(duration: float = 4.0):
     angles = (0 * deg, -8 * deg)
     pressures = plant.robot.pressures_for(angles, (0.0, 0.0), (16.0, 14.0))
     start = RobotStart(angles, pressures, clearance=0.03)
-    return simulate_robot(plant, JointwiseControl(controllers, reference=reference), start, duration=duration, accuracy=1e-4)
+    return simulate_robot(
+        plant, JointwiseControl(controllers, reference=reference), start, duration=duration, accuracy=1e-4
+    )
 
 
 def flights(run):
