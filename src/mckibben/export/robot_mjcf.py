@@ -84,7 +84,7 @@ def robot_files(plant: RobotPlant, name: str = "robot", title: str = "a robot", 
 def mjcf_files(scenario: RobotScenario, name: str, folder: Path) -> Exported:
     """The robot of a scenario in its touchdown or squat posture, and the plugin for its muscles."""
     plant, start = plant_and_start(scenario)
-    return robot_files(plant, name, scenario.name, timestep=scenario.step, start=start)
+    return robot_files(plant, name, scenario.name, timestep=scenario.control_period, start=start)
 
 
 def plant_and_start(scenario: RobotScenario) -> tuple[RobotPlant, RobotState]:

@@ -279,7 +279,8 @@ class ComputedTorque(TrackingControl):
     ) -> _Coming:
         """Motion and pressures when the next commands arrive."""
         steps = max(self.periods, 1)
-        delay, step = self.command_delay / jnp.asarray(period), self.command_delay / steps
+        late = jnp.asarray(self.command_delay)
+        delay, step = late / period, late / steps
         means = [mean_commands(sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
 
         def advance(at: _Coming, commands: Sequence[Array]) -> tuple[_Coming, None]:

@@ -244,7 +244,7 @@ def joint_load(robot: Robot, angles: Sequence[ArrayLike], index: int, gravity: f
     at = jnp.asarray(angles[index], float)
     torque, slope = (float(one) for one in jax.jvp(held, (at,), (jnp.ones_like(at),)))
     inertia = float(joint_equations(robot, angles, [0.0] * len(angles), gravity).matrix[index][index])
-    hanging = float(angles[index]) - math.atan2(torque, slope)
+    hanging = float(at) - math.atan2(torque, slope)
     return GeneralLoad(inertia, math.hypot(torque, slope), robot.joints[index].damping, hanging)
 
 

@@ -283,7 +283,7 @@ def _squat(scenario: RobotScenario, jump: JumpSettings, plant: RobotPlant, sourc
 def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
     """Integration steps that the first schedule needs, for all jumps of a search."""
     schedule = runs.variables.schedule([0.5] * runs.variables.size)
-    nominal = simulate_robot(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.control_periods)
+    nominal = simulate_robot(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.steps)
     assert nominal.resolution is not None
     return nominal.resolution.batch_substeps(
         runs.plant.needed_substeps(runs.start.angles, None, scenario.control_period)
@@ -305,7 +305,7 @@ def _jump(
     """A jump with its traces, and its results for plants that differ."""
     plant, start = runs.plant, runs.start
     duration = scenario.whole_steps(runs.duration + _LANDING)
-    run = simulate_robot(plant, controller, start, duration=duration, **scenario.control_periods)
+    run = simulate_robot(plant, controller, start, duration=duration, **scenario.steps)
     steps = {"control_period": runs.step, "substeps": runs.substeps}
     table = simulate_robots(drawn, controller, start, duration=duration, **steps)
     valve: Any = plant.valve

@@ -352,7 +352,7 @@ class Landings(Study):
             PressureSchedule(tuple((command,) for command in commands)),
             RobotStart(self.scenario.robot.posture_angles(self._landing.touchdown), commands, 0.0, speeds),
             duration=self.scenario.whole_steps(self._landing.duration),
-            **self.scenario.control_periods,
+            **self.scenario.steps,
             engine=engine,
             workers=1,
         )

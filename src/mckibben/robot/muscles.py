@@ -254,7 +254,7 @@ class PathMuscle(MuscleUnit):
         over = [(skeleton.number(part.joint), part) for part in self.over]
         lengths = {index: part.length(skeleton.angles[index]) for index, part in over}
         slopes: dict[int, Any] = {index: slope for index, (_, slope) in lengths.items()}
-        length = functools.reduce(total, (own for own, _ in lengths.values()), 0.0)
+        length: Any = functools.reduce(total, (own for own, _ in lengths.values()), 0.0)
         straight: Callable[[], Bends] = dict
         if self.through:
             lines, by_joint, straight = skeleton.path_through(self.through)

@@ -429,7 +429,7 @@ class RobotScenario(RunSettings):
                 robot, angles, stiffness, torques=torques, supply=supply
             ).pressures
         else:
-            pressures = robot.pressures_for(angles, torques, stiffness)
+            pressures = robot.pressures_for(angles, torques.tolist(), stiffness)
         return RobotStart(angles, tuple(pressures), clearance=self.start.clearance)
 
 

@@ -88,7 +88,7 @@ class RobotResult(RunResult):
         states = record.state, final, plant
         return cls(stacked, control_period, "", engine, resolution, joints=joints, muscles=muscles, _run=states)
 
-    def _measure(self) -> RobotMetrics:
+    def _measure(self) -> Any:
         samples, final, plant = self._run
         return _measured(samples, final, np.asarray(self.control_period), plant)
 
