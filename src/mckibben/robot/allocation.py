@@ -5,20 +5,22 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mckibben.muscle import PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.elementary import Number
 from mckibben.numerics.spatial import product, total
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.tree import solve_symmetric
 from mckibben.units import bar
 
 Scalar = Float[Array, ""]
-Row = dict[int, tuple[Any, Any]]
+Row = dict[int, tuple[Number, Number]]
 """Offset, and slope over its pressure [1/Pa], that each muscle by its number adds to a sum."""
 
 
@@ -30,7 +32,7 @@ class JointTerms(NamedTuple):
 
     torque: list[Row]
     stiffness: dict[tuple[int, int], Row]
-    tension: list[tuple[Any, Any]]
+    tension: list[tuple[Number, Number]]
 
     def torque_at(self, pressures: Sequence[Array]) -> tuple[Array, ...]:
         """Return the torques [N*m] at gauge pressures [Pa]."""
@@ -42,13 +44,13 @@ class JointTerms(NamedTuple):
 
     def errors(
         self,
-        torques: Sequence[Any],
-        stiffness: Sequence[Any],
+        torques: Sequence[Number],
+        stiffness: Sequence[Number],
         weight: float,
         centred: float,
         lower: Sequence[Array],
         upper: Sequence[Array],
-    ) -> tuple[list[dict[int, Any]], list[Any]]:
+    ) -> tuple[list[dict[int, Number]], list[Number]]:
         """Return rows, over pressures in bar, and right sides of the weighted errors."""
         rows, right = [], []
         for row, wanted in zip(self.torque, torques, strict=True):
@@ -66,13 +68,13 @@ class JointTerms(NamedTuple):
         return rows, right
 
 
-def joint_terms(robot: Robot, angles: Sequence[Any]) -> JointTerms:
+def joint_terms(robot: Robot, angles: Sequence[Number]) -> JointTerms:
     """Return the terms of a robot whose laws are affine in pressure at angles [rad]."""
-    tension: list[tuple[Any, Any]] = []
+    tension: list[tuple[Number, Number]] = []
     torque: list[Row] = [{} for _ in angles]
     stiffness: dict[tuple[int, int], Row] = {}
     for number, unit in enumerate(robot.routed_muscles(angles)):
-        law: Any = unit.muscle.force_law
+        law = cast(PressureAffineLaw, unit.muscle.force_law)
         terms, slopes = value_and_derivative(
             lambda path, unit=unit, law=law: law.pressure_terms(unit.muscle.specimen.contraction_at(path)), unit.path
         )
@@ -90,7 +92,7 @@ def joint_terms(robot: Robot, angles: Sequence[Any]) -> JointTerms:
     return JointTerms(torque, stiffness, tension)
 
 
-def _offset(row: Row) -> Any:
+def _offset(row: Row) -> Number:
     return functools.reduce(total, (offset for offset, _ in row.values()), 0.0)
 
 
@@ -117,8 +119,8 @@ class Allocation(NamedTuple):
 
 
 def bounded_least_squares(
-    rows: Sequence[dict[int, Any]],
-    right: Sequence[Any],
+    rows: Sequence[dict[int, Number]],
+    right: Sequence[Number],
     lower: Sequence[Array],
     upper: Sequence[Array],
     start: Allocation,
@@ -143,22 +145,22 @@ def bounded_least_squares(
     linear function below a convex one.
     """
     size = len(lower)
-    matrix: list[list[Any]] = [[0.0] * (i + 1) for i in range(size)]
+    matrix: list[list[Number]] = [[0.0] * (i + 1) for i in range(size)]
     for row in rows:
         for i, factor in row.items():
             for j, other in row.items():
                 if j <= i:
                     matrix[i][j] = total(matrix[i][j], product(factor, other))
 
-    def gradient(x: Sequence[Array]) -> list[Any]:
-        slopes: list[Any] = [0.0] * size
+    def gradient(x: Sequence[Array]) -> list[Number]:
+        slopes: list[Number] = [0.0] * size
         for row, value in zip(rows, right, strict=True):
             error = functools.reduce(total, (product(factor, x[i]) for i, factor in row.items())) - value
             for i, factor in row.items():
                 slopes[i] = total(slopes[i], product(factor, error))
         return slopes
 
-    def step(_: Any, at: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    def step(_: object, at: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         x, active = at
         free = [jnp.where(one == 0, 1.0, 0.0) for one in active]
         slopes = gradient(x)

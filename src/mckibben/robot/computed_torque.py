@@ -6,12 +6,12 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator
 from mckibben.actuator.base import AirVolume, delay_periods
@@ -37,18 +37,17 @@ Scalar = Float[Array, ""]
 
 _TORQUE = 30.0  # weight of the torques, relative to the errors of the stiffness
 _CENTRED = 1e-3  # weight of the distance from the middle of the range, which selects among equal solutions
-_SHARE = 0.5  # of the rate of the torque, for the feedback
 
 
 class ComputedTorqueState(NamedTuple):
     """Estimates of the motion and of the valves, the references so far, and the last allocation."""
 
-    reference: Any
+    reference: PyTree
     motions: tuple[MotionEstimate, ...]
     derivatives: tuple[ReferenceDerivatives, ...]
-    feedback: tuple[Any, ...]
+    feedback: tuple[PyTree, ...]
     pressures: tuple[Scalar, ...]
-    valves: tuple[Any, ...]
+    valves: tuple[PyTree, ...]
     sent: tuple[tuple[Scalar, ...], ...]  # commands on their way [Pa], the last first
     allocation: Allocation
     stiffness: tuple[Scalar, ...]  # of the model [N*m/rad]
@@ -60,7 +59,7 @@ class _Coming(NamedTuple):
     angles: tuple[Scalar, ...]
     velocities: tuple[Scalar, ...]
     pressures: tuple[Scalar, ...]
-    valves: tuple[Any, ...]
+    valves: tuple[PyTree, ...]
 
 
 class ComputedTorque(TrackingControl):
@@ -192,7 +191,7 @@ class ComputedTorque(TrackingControl):
         for i, reference in enumerate(ahead):
             error, rate = reference.angle - coming.angles[i], reference.velocity - coming.velocities[i]
             torque_rate = sum(jnp.abs(gain) * swings[m] for m, (_, gain) in terms.torque[i].items()) / (2 * lag)
-            jerk = _SHARE * torque_rate / made.matrix[i][i]
+            jerk = torque_rate / (2 * made.matrix[i][i])  # half of it is for the feedback
             held, correction = self.feedback.step(state.feedback[i], error, rate, jerk, period)
             feedback.append(held)
             accelerations.append(reference.acceleration_after(lead, period) + correction - motions[i].disturbance)
@@ -227,7 +226,7 @@ class ComputedTorque(TrackingControl):
             terms.stiffness_at(pressures),
         ), commands
 
-    def telemetry(self, state: ComputedTorqueState) -> dict[str, Any]:
+    def telemetry(self, state: ComputedTorqueState) -> dict[str, PyTree]:
         muscles = zip(self.robot.all_muscles, state.allocation.active, strict=True)
         held = [active for muscle, active in muscles if not isinstance(muscle.law, SpringLaw)]
         return {
@@ -261,10 +260,10 @@ class ComputedTorque(TrackingControl):
         angles: Sequence[Array],
         rates: Sequence[Array],
         pressures: tuple[Scalar, ...],
-        valves: tuple[Any, ...],
+        valves: tuple[PyTree, ...],
         commands: Sequence[ArrayLike],
         duration: ArrayLike,
-    ) -> tuple[tuple[Scalar, ...], tuple[Any, ...]]:
+    ) -> tuple[tuple[Scalar, ...], tuple[PyTree, ...]]:
         """Pressures [Pa] and states of the model of the valves a time [s] later, under constant commands [Pa]."""
         muscles = zip(pressures, valves, commands, self._air(angles, rates, pressures), strict=True)
         found = [self.valve.for_muscle(i).predict(*muscle, duration) for i, muscle in enumerate(muscles)]
@@ -301,8 +300,8 @@ class ComputedTorque(TrackingControl):
         return lax.scan(advance, now, tuple(jnp.stack(side) for side in zip(*means, strict=True)))[0]
 
     def _window(
-        self, angles: Sequence[Array], tension: Sequence[tuple[Any, Any]], coming: _Coming, period: ArrayLike
-    ) -> tuple[tuple[Array, ...], tuple[Array, ...], list[Any]]:
+        self, angles: Sequence[Array], tension: Sequence[tuple[PyTree, PyTree]], coming: _Coming, period: ArrayLike
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...], list[ArrayLike]]:
         """Limits of the pressures [Pa]: taut, rated and within reach of the valves; and widths of that reach."""
         covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)
         air = self._air(coming.angles, coming.velocities, coming.pressures)

@@ -7,12 +7,12 @@ import functools
 import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.checks import check_count
 from mckibben.control import Controller, Reference
@@ -34,8 +34,8 @@ class RobotController(DiscreteTimeSystem):
 
     @abc.abstractmethod
     def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Array, ...]]:
+        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PyTree, tuple[Array, ...]]:
         """Return the next state, and the commands [Pa] for the coming control period [s]."""
 
 
@@ -87,8 +87,8 @@ class PressureSchedule(RobotController):
         return ()
 
     def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Array, ...]]:
+        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PyTree, tuple[Array, ...]]:
         commands = []
         for levels, times in zip(self.levels, self.switches or ((),) * len(self.levels), strict=True):
             command = jnp.asarray(levels[0])
@@ -104,8 +104,8 @@ class RobotReference(DiscreteTimeSystem):
 
     @abc.abstractmethod
     def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Setpoint, ...]]:
+        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PyTree, tuple[Setpoint, ...]]:
         """Return the next state, and the setpoint of each joint at a time [s]."""
 
 
@@ -118,8 +118,8 @@ class TimedReference(RobotReference):
         return ()
 
     def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Setpoint, ...]]:
+        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PyTree, tuple[Setpoint, ...]]:
         return (), tuple(reference(time) for reference in self.references)
 
 
@@ -128,26 +128,26 @@ class TrackingControl(RobotController):
 
     default_class = "computed_torque"
 
-    reference: RobotReference | Any = eqx.field(kw_only=True, default=None)  # not in a section of a file
+    reference: RobotReference | PyTree = eqx.field(kw_only=True, default=None)  # not in a section of a file
 
     def step(
-        self, state: Any, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Array, ...]]:
+        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PyTree, tuple[Array, ...]]:
         held, setpoints = self.reference.step(state.reference, time, measurement, period)
         return self.step_toward(state._replace(reference=held), setpoints, measurement, period)
 
     @abc.abstractmethod
     def step_toward(
-        self, state: Any, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Array, ...]]:
+        self, state: PyTree, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PyTree, tuple[Array, ...]]:
         """Return the next state, and the commands [Pa], for a setpoint of each joint."""
 
 
 class JointwiseState(NamedTuple):
     """States of the reference and of the controllers."""
 
-    reference: Any
-    controllers: tuple[Any, ...]
+    reference: PyTree
+    controllers: tuple[PyTree, ...]
 
 
 class JointwiseControl(TrackingControl):
@@ -181,7 +181,7 @@ class JointwiseControl(TrackingControl):
         commands = [command for _, pair in steps for command in pair]
         return state._replace(controllers=tuple(held for held, _ in steps)), (*commands, *map(jnp.asarray, self.others))
 
-    def telemetry(self, state: JointwiseState) -> dict[str, Any]:
+    def telemetry(self, state: JointwiseState) -> dict[str, PyTree]:
         signals = [one.telemetry(held) for one, held in zip(self.controllers, state.controllers, strict=True)]
         everywhere = [name for name in signals[0] if all(name in own for own in signals)]
         joint = {name: tuple(own[name] for own in signals) for name in everywhere if name != "saturated"}

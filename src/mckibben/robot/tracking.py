@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Array
@@ -17,12 +17,17 @@ from mckibben.result import Column, Remark
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot
-from mckibben.robot.statics import EXACT, attainable_statics, holding_torques, is_affine, pressures_for_joint_stiffness
+from mckibben.robot.statics import (
+    EXACT,
+    Floats,
+    attainable_statics,
+    holding_torques,
+    is_affine,
+    pressures_for_joint_stiffness,
+)
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.units import deg
-
-_POSTURES = 25  # of a run, in which what is attainable is computed
 
 
 @labelled
@@ -127,7 +132,9 @@ def _stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) 
     return robot.stiffness(*lane)
 
 
-def _unattainable(scenario: RobotScenario, times: Any, angles: Any, stiffness: Any) -> Iterator[Remark]:
+def _unattainable(
+    scenario: RobotScenario, times: Floats, angles: Floats, stiffness: Floats, postures: int = 25
+) -> Iterator[Remark]:
     """Remarks on postures that the muscles cannot hold, and on stiffness that they do not attain there, at rest."""
     robot, valve = scenario.robot, scenario.valve
     if not is_affine(robot):
@@ -135,12 +142,12 @@ def _unattainable(scenario: RobotScenario, times: Any, angles: Any, stiffness: A
         return
     supply = float(getattr(valve, "supply", None) or np.inf)
     worst: dict[str, tuple[float, Remark]] = {}
-    for index in np.unique(np.linspace(0, times.size - 1, _POSTURES).astype(int)):
-        posture, wanted, at = angles[:, index], stiffness[:, index], f"at {times[index]:.3g} s"
+    for index in np.unique(np.linspace(0, times.size - 1, postures).astype(int)):
+        posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {times[index]:.3g} s"
         try:
             torques = holding_torques(robot, posture)
             ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
-            found = pressures_for_joint_stiffness(robot, posture, list(wanted), torques=torques, supply=supply)
+            found = pressures_for_joint_stiffness(robot, posture, wanted, torques=torques, supply=supply)
         except McKibbenError as error:
             yield Remark.warning("reference", f"{at}: {error.message}", error.remedy)
             return
