@@ -112,7 +112,7 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
             "desired_angle": np.stack([np.asarray(setpoints.angle) for _, setpoints in parts]),
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
-        notes = tuple(_unattainable(scenario, parts[0][0], *desired.values()))
+        notes = tuple(_unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"]))
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, duration=scenario.duration, **scenario.steps)
     except FileError:
