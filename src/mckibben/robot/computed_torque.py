@@ -54,7 +54,7 @@ class ComputedTorqueState(NamedTuple):
 
 
 class _Coming(NamedTuple):
-    """Predicted motion, pressures and valves at the arrival of the next commands."""
+    """Motion, pressures and valves at a sample, or predicted at the arrival of the next commands."""
 
     angles: tuple[Scalar, ...]
     velocities: tuple[Scalar, ...]
@@ -158,56 +158,37 @@ class ComputedTorque(TrackingControl):
         measurement: RobotMeasurement,
         period: ArrayLike,
     ) -> tuple[ComputedTorqueState, tuple[Array, ...]]:
-        robot, lag = self.robot, self.feedback.lag
+        lag = self.feedback.lag
         lead = period / (1 - exp(-jnp.asarray(period) / lag))  # with which sampled pressures follow a ramp exactly
-        rates = tuple(motion.velocity for motion in state.motions)
-        age = 0.0 if self.command_delay is None else self.command_delay / jnp.asarray(period)
-        arrived = mean_commands(state.sent, age, age + 1) if self.periods else state.sent[0]
-        pressures, valves = self._valves_after(
-            measurement.angles, rates, state.pressures, state.valves, arrived, period
-        )
-        pressures = self.pressure_observer.step(pressures, measurement.pressures, period)
-        known = self._accelerations(measurement.angles, rates, pressures)
-        motions = tuple(
-            self.observer.step(motion, angle, acceleration, period)
-            for motion, angle, acceleration in zip(state.motions, measurement.angles, known, strict=True)
-        )
+        now, motions = self._updated(state, measurement, period)
         derivatives = tuple(
             of.update(setpoint.angle, period) for of, setpoint in zip(state.derivatives, setpoints, strict=True)
         )
-        coming = _Coming(tuple(measurement.angles), tuple(motion.velocity for motion in motions), pressures, valves)
-        ahead = derivatives
+        coming, ahead = now, derivatives
         if self.command_delay is not None:
-            coming = self._predicted(coming, motions, state.sent, period)
+            coming = self._predicted(now, motions, state.sent, period)
             ahead = tuple(of.after(self.command_delay) for of in derivatives)
-
-        expected = tuple(
-            motion.angle + lead * rate if self.command_delay is None else angle + lead * rate
-            for motion, angle, rate in zip(motions, coming.angles, coming.velocities, strict=True)
-        )
-        made, terms = joint_equations(robot, expected, coming.velocities, self.gravity), joint_terms(robot, expected)
-        lower, upper, swings = self._window(expected, terms.tension, coming, period)
-        accelerations, feedback = [], []
+        expected = tuple(angle + lead * rate for angle, rate in zip(coming.angles, coming.velocities, strict=True))
+        made = joint_equations(self.robot, expected, coming.velocities, self.gravity)
+        terms = joint_terms(self.robot, expected)
+        lower, upper, swings = self._window(terms.tension, coming, period)
+        torques, feedback = list(made.bias), []
         for i, reference in enumerate(ahead):
             error, rate = reference.angle - coming.angles[i], reference.velocity - coming.velocities[i]
             torque_rate = sum(jnp.abs(gain) * swings[m] for m, (_, gain) in terms.torque[i].items()) / (2 * lag)
             jerk = torque_rate / (2 * made.matrix[i][i])  # half of it is for the feedback
             held, correction = self.feedback.step(state.feedback[i], error, rate, jerk, period)
             feedback.append(held)
-            accelerations.append(reference.acceleration_after(lead, period) + correction - motions[i].disturbance)
-        torques = [
-            sum(entry * acceleration for entry, acceleration in zip(row, accelerations, strict=True))
-            + bias
-            + joint.damping * rate
-            for row, bias, joint, rate in zip(made.matrix, made.bias, robot.joints, coming.velocities, strict=True)
-        ]
+            acceleration = reference.acceleration_after(lead, period) + correction - motions[i].disturbance
+            torques[i] = torques[i] + self.robot.joints[i].damping * coming.velocities[i]
+            torques = [torque + row[i] * acceleration for torque, row in zip(torques, made.matrix, strict=True)]
         allocation = bounded_least_squares(
             *terms.errors(torques, [setpoint.stiffness for setpoint in setpoints], _TORQUE, _CENTRED, lower, upper),
-            tuple(one / bar for one in lower),
-            tuple(one / bar for one in upper),
+            tuple(limit / bar for limit in lower),
+            tuple(limit / bar for limit in upper),
             state.allocation,
         )
-        targets = tuple(one * bar for one in allocation.values)
+        targets = tuple(value * bar for value in allocation.values)
         short = [wanted - given for wanted, given in zip(torques, terms.torque_at(targets), strict=True)]
         feedback = [
             self.feedback.track(held, torque / made.matrix[i][i], period)
@@ -219,11 +200,11 @@ class ComputedTorque(TrackingControl):
             motions,
             derivatives,
             tuple(feedback),
-            pressures,
-            valves,
+            now.pressures,
+            now.valves,
             (commands, *state.sent[: self.periods]),
             allocation,
-            terms.stiffness_at(pressures),
+            terms.stiffness_at(now.pressures),
         ), commands
 
     def telemetry(self, state: ComputedTorqueState) -> dict[str, PyTree]:
@@ -246,6 +227,24 @@ class ComputedTorque(TrackingControl):
             torque - joint.damping * rate for torque, joint, rate in zip(torques, self.robot.joints, rates, strict=True)
         ]
         return tuple(made.accelerations(driven))
+
+    def _updated(
+        self, state: ComputedTorqueState, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[_Coming, tuple[MotionEstimate, ...]]:
+        """Estimates after a further sample."""
+        rates = tuple(motion.velocity for motion in state.motions)
+        age = 0.0 if self.command_delay is None else self.command_delay / jnp.asarray(period)
+        arrived = mean_commands(state.sent, age, age + 1) if self.periods else state.sent[0]
+        held = state.pressures, state.valves, arrived
+        pressures, valves = self._valves_after(measurement.angles, rates, *held, period)
+        pressures = self.pressure_observer.step(pressures, measurement.pressures, period)
+        known = self._accelerations(measurement.angles, rates, pressures)
+        motions = tuple(
+            self.observer.step(motion, angle, acceleration, period)
+            for motion, angle, acceleration in zip(state.motions, measurement.angles, known, strict=True)
+        )
+        angles = tuple(motion.angle for motion in motions)
+        return _Coming(angles, tuple(motion.velocity for motion in motions), pressures, valves), motions
 
     def _air(
         self, angles: Sequence[Array], rates: Sequence[Array], pressures: Sequence[Array]
@@ -300,7 +299,7 @@ class ComputedTorque(TrackingControl):
         return lax.scan(advance, now, tuple(jnp.stack(side) for side in zip(*means, strict=True)))[0]
 
     def _window(
-        self, angles: Sequence[Array], tension: Sequence[tuple[PyTree, PyTree]], coming: _Coming, period: ArrayLike
+        self, tension: Sequence[tuple[PyTree, PyTree]], coming: _Coming, period: ArrayLike
     ) -> tuple[tuple[Array, ...], tuple[Array, ...], list[ArrayLike]]:
         """Limits of the pressures [Pa]: taut, rated and within reach of the valves; and widths of that reach."""
         covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)
