@@ -5,7 +5,6 @@ Modules that need another package: `casadi`, `gym`, `mujoco`.
 
 from mckibben.export.controller import ControllerModule, controller_module
 from mckibben.export.plant import PlantModule, plant_module
-from mckibben.export.robot_controller import export_robot_controller
 from mckibben.export.targets import ROBOT_TARGETS, TARGETS, Exported, export
 
 __all__ = [
@@ -16,6 +15,5 @@ __all__ = [
     "PlantModule",
     "controller_module",
     "export",
-    "export_robot_controller",
     "plant_module",
 ]

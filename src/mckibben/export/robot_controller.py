@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import os
+import hashlib
+from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, PyTree
 
@@ -17,10 +17,11 @@ from mckibben.control import Setpoint
 from mckibben.errors import ExportError
 from mckibben.export.controller import ControllerModule, recorded, stepping_module
 from mckibben.export.controller_files import program_files
-from mckibben.export.targets import Exported, check_name
+from mckibben.export.targets import Exported
 from mckibben.numerics.compiled import numeric
-from mckibben.robot import RobotMeasurement, RobotPlant, RobotReference, RobotStart, TrackingControl
+from mckibben.robot import Robot, RobotMeasurement, RobotReference, RobotScenario, TrackingControl
 from mckibben.simulation.problem import sampling_times
+from mckibben.units import deg
 
 
 class _GivenSetpoints(RobotReference):
@@ -39,56 +40,34 @@ class _GivenSetpoints(RobotReference):
         return (), self.setpoints
 
 
-def export_robot_controller(
-    plant: RobotPlant,
-    controller: TrackingControl,
-    start: RobotStart,
-    out: str | os.PathLike[str],
-    *,
-    duration: float,
-    control_period: float,
-    name: str = "controller",
-    single: bool = False,
-    overwrite: bool = False,
+def c_files(
+    scenario: RobotScenario, name: str, folder: Path, *, single: bool = False, limits: Limits | None = None
 ) -> Exported:
-    """Write a controller of all joints of a robot as C99 into a folder; its inputs are setpoints and measurements.
+    """The controller of all joints of a robot as C99; its inputs are setpoints and measurements.
 
-    `make check` there replays a run of the plant with the controller's own reference, and times the steps.
+    `make check` replays a run of the plant with the references of the scenario, and times the steps. Parameters are
+    those of `mckibben.export.controller_files.c_files`.
 
-    Raises `ExportError` for a controller of another class, and for parts that C cannot express, before any file is
-    written; `FileError` if the files exist, unless they may be overwritten; `SimulationError` if the duration is not a
-    positive multiple of the control period.
-
-    Parameters
-    ----------
-    plant, start, duration
-        Plant, start and duration [s] of the recorded run.
-    controller
-        A `JointwiseControl` or a `ComputedTorque`, whose real numbers are parameters of the program.
-    control_period
-        Period [s] of the program, a constant.
-    name
-        Name of the program, an identifier.
-    single
-        Whether numbers have 32 bits.
+    Raises `ExportError` for a scenario without a controller, and for parts that C cannot express.
     """
-    if not isinstance(controller, TrackingControl):
-        message = f"a {type(controller).__name__} takes no setpoints of the joints"
-        remedy = "give a JointwiseControl or a ComputedTorque"
-        raise ExportError(message, field="controller", value=type(controller).__name__, remedy=remedy)
-    check_name(name)
-    made = _module(plant.with_period(control_period), controller, start, name, duration, control_period)
-    text = f"Controller of a robot, written by mckibben {mckibben.__version__}."
-    exported = Exported(program_files(made, name, "a robot", text, control_period, single=single))
-    exported.save(out, force=overwrite)
-    return exported
+    if scenario.duration is None:
+        remedy = "give it `controller` or `controllers`, `reference` and `duration`"
+        raise ExportError("the robot has no controller", field="controller", remedy=remedy)
+    made, text = _module(scenario, name, scenario.duration, limits or Limits()), scenario.dumps(folder=folder)
+    comment = (
+        f"Controller of the robot {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
+        f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
+    )
+    title = f'the robot "{scenario.name}"'
+    files = program_files(made, name, title, comment, scenario.control_period, single=single)
+    return Exported({**files, "scenario.yaml": text}, made.left_out, made.module.worst_case("step"))
 
 
-def _module(
-    plant: RobotPlant, controller: TrackingControl, start: RobotStart, name: str, duration: float, period: float
-) -> ControllerModule:
+def _module(scenario: RobotScenario, name: str, duration: float, limits: Limits) -> ControllerModule:
     """Program and recorded run of a controller."""
-    plant, controller, initial = numeric((plant, controller.with_period(period), plant.begin(start)))
+    period, start = scenario.control_period, scenario.initial()
+    plant = scenario.plant()
+    plant, controller, initial = numeric((plant, scenario.control().with_period(period), plant.begin(start)))
     zeros = (jnp.zeros(()),) * len(plant.robot.joints)
     example, setpoint = _with_setpoints(controller, ()), {"angles": zeros, "stiffness": zeros}
 
@@ -96,12 +75,30 @@ def _module(
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
         return _with_setpoints(controller, setpoints), jnp.zeros(())
 
-    sample = ControlSample(setpoint, plant.sample(initial, 0.0)[1])
-    lowest, highest = (jax.tree.map(lambda _, bound=bound: bound, sample) for bound in (-FINITE, FINITE))
-    limits = Limits().containment(plant, lowest, highest)
-    source = functions_of(plant, example, initial, period, setpoint, limits, applied)
-    times, substeps = sampling_times(duration, period), plant.needed_substeps(start.angles, None, period)
+    bounds = limits.containment(plant, *(_bounds(scenario.robot, limits, side) for side in (-1, 1)))
+    source = functions_of(plant, example, initial, period, setpoint, bounds, applied)
+    substeps = scenario.substeps or plant.needed_substeps(start.angles, None, period)
+    times = sampling_times(duration, period)
     return recorded(source, stepping_module(name, source), controller, times, substeps, _wanted)
+
+
+def _bounds(robot: Robot, limits: Limits, side: int) -> ControlSample:
+    """Lowest or highest sample: by default angles 10 deg beyond the joints, pressures 5 % beyond the rated ones."""
+    angle, pressure = (
+        (limits.lowest_angle, limits.lowest_pressure) if side < 0 else (limits.highest_angle, limits.highest_pressure)
+    )
+    ends = [joint.lower if side < 0 else joint.upper for joint in robot.joints]
+    angles = tuple(jnp.asarray(end + side * 10 * deg if angle is None else angle) for end in ends)
+    rated = [muscle.specimen.domain for muscle in robot.all_muscles]
+    pressures = [
+        (domain.pressure_min if side < 0 else domain.pressure_max) + side * 0.05 * domain.pressure_max
+        for domain in rated
+    ]
+    stiffest = FINITE if limits.highest_stiffness is None else limits.highest_stiffness
+    stiffness = (jnp.asarray(0.0 if side < 0 else stiffest),) * len(angles)
+    measured = tuple(jnp.asarray(own if pressure is None else pressure) for own in pressures)
+    measurement = RobotMeasurement(angles, measured, jnp.asarray(side * FINITE))
+    return ControlSample({"angles": angles, "stiffness": stiffness}, measurement)
 
 
 def _with_setpoints(controller: TrackingControl, setpoints: tuple[Setpoint, ...]) -> TrackingControl:

@@ -90,6 +90,7 @@ TARGETS = {
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
 ROBOT_TARGETS = {
+    "c": ("mckibben.export.robot_controller:c_files", "controller", "controller of all joints as C99"),
     "mjcf": ("mckibben.export.robot_mjcf:mjcf_files", "robot", "bodies and muscles for MuJoCo, with the C of a plugin"),
     "warp": ("mckibben.export.warp:robot_files", "robot", "bodies and muscles for MuJoCo Warp, in Python"),
 }
