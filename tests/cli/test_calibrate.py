@@ -70,11 +70,6 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
     again, kept = json.loads(found.out), json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
     masses = [estimates(numbers)["load.mass"]["estimate"] for numbers in (again, kept)]
     assert masses[0] == pytest.approx(masses[1], rel=1e-3)
-    Path("prior.yaml").write_text("mass: 1 %\n", encoding="utf-8")
-    weighed = cli("calibrate", str(EXAMPLE), *WEIGHT, *map(str, files), "--prior", "prior.yaml", "--out", "c", "--json")
-    stated = Scenario.read(EXAMPLE).controller.load.mass2
-    mass = estimates(json.loads(weighed.out))["load.mass"]["estimate"]
-    assert abs(mass - stated) < 0.5 * abs(masses[0] - stated)
 
 
 def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there_is_a_weight():
@@ -98,28 +93,6 @@ def test_a_weight_that_turns_the_joint_by_less_than_its_friction_is_warned_of(re
     scenario = Scenario.read(EXAMPLE.parents[1] / "valves" / "regulator-decoupling.yaml")
     assert Sweeps(-0.17, 0.17, 20.0, mass, 0.2).scenarios(scenario)
     assert any("weight" in str(warning.message) for warning in recwarn.list) == light
-
-
-@pytest.mark.slow
-def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(cli, tmp_path):
-    text = EXAMPLE.parents[1] / "pre-contracted-step-pid.yaml"
-    spring = "muscle1: {class: return_spring, rate: 4 N/mm, free_length: 130 mm}\n  muscle2: "
-    (tmp_path / "s.yaml").write_text(text.read_text(encoding="utf-8").replace("muscle: ", spring, 1), encoding="utf-8")
-    found = cli("calibrate", "s.yaml", "--duration", "20 s", "--out", "x")
-    assert found.code == 0, found.err
-    numbers = json.loads((tmp_path / "x" / "results.json").read_text(encoding="utf-8"))
-    force = estimates(numbers)["muscle2.force"]
-    assert force["deviation"] < force["before"]
-    assert force["estimate"] == pytest.approx(1.0, abs=3 * force["deviation"])
-    assert "added_mass" not in {remark["field"] for remark in numbers["remarks"]}, "there was none"
-
-
-def written(folder, name, columns):
-    """A CSV file of times, angles and two pressures [bar]."""
-    head, *rows = columns
-    text = "\n".join(",".join(f"{cell:.6g}" for cell in row) for row in zip(*rows, strict=True))
-    (folder / name).write_text(f"{head}\n{text}\n", encoding="utf-8")
-    return str(folder / name)
 
 
 VALVES = ("--valves", "--duration", "20 s", "--angles", "-8..12 deg")

@@ -1,41 +1,18 @@
 """`mckibben simulate`, `envelope`, `stiffness` and `size`: our examples, warnings, and what is kept."""
 
 import csv
-import errno
 import json
-import os
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mckibben import report
-from mckibben.component.columns import labels_of
 from mckibben.dataset.formats import read_table
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Metrics, SimulationResult
-from mckibben.simulation.metrics import METRICS
+from mckibben.simulation import SimulationResult
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["pre-contracted-step-pid", "linear-axis"])  # tests/study/test_examples.py runs all
-def test_the_numbers_of_an_example_are_those_of_the_run(cli, tmp_path, shortened, name):
-    (tmp_path / "short.yaml").write_text(shortened(name), encoding="utf-8")
-    found = cli("simulate", "short.yaml")
-    determined = name == "linear-axis"  # by the place: no stiffness can be asked for
-    assert (found.code, found.err) == (0, "")
-    assert ("the desired stiffness is not attainable" in " ".join(found.out.split())) == determined
-    result = run_scenario(Scenario.read(tmp_path / "short.yaml"))
-    for metric, value in result.metrics.items():
-        _, unit, factor = next(m for m in METRICS.values() if m[0] == metric)
-        shown = "-" if value != value else f"{value / factor:.4g}"
-        title = labels_of(Metrics)[metric].title
-        assert re.search(rf"{re.escape(title)} +{re.escape(shown)} +{re.escape(unit)}", found.out), metric
-    assert found.out.startswith(result.verdict()) and not result.poor_tracking
 
 
 @pytest.mark.slow
@@ -51,19 +28,17 @@ def test_animate_writes_the_run_and_mistakes_come_before_it(cli, tmp_path, short
     assert cli("simulate", "short.yaml", "--animate", "run.gif", "--force").code == 0
 
 
-@pytest.mark.parametrize("option", [[], ["--json"]])
 @pytest.mark.slow
-def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option):
+def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened):
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
-    found = cli("simulate", "short.yaml", "--out", "kept", *option)
+    found = cli("simulate", "short.yaml", "--out", "kept", "--json")
     assert found.code == 0
     kept = tmp_path / "kept"
     assert {"result.nc", "result.mcap", "results.json", "scenario.yaml", "tracking.png"} <= {
         p.name for p in kept.iterdir()
     }
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
-    if option:
-        assert json.loads(found.out) == numbers
+    assert json.loads(found.out) == numbers
     assert Scenario.read(kept / "scenario.yaml") == Scenario.read(tmp_path / "short.yaml")
     result = SimulationResult.from_netcdf(kept / "result.nc")
     again = run_scenario(Scenario.read(kept / "scenario.yaml"))
@@ -110,25 +85,6 @@ def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kep
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
-@pytest.mark.slow
-def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli, kept, monkeypatch):
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def vanished(*_, **__):
-        shutil.rmtree(kept)
-        os.open(kept / "tracking.png", os.O_CREAT)
-
-    monkeypatch.setattr(report, "save", full)
-    found = cli("simulate", "short.yaml", "--out", "kept", "--force")
-    assert found.code == 2
-    assert "No space left on device; kept are result." in found.err and "make room" in found.err
-    monkeypatch.setattr(report, "save", vanished)
-    found = cli("simulate", "short.yaml", "--out", "kept", "--force")
-    assert found.code == 2
-    assert "the folder has disappeared" in found.err
-
-
 INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequency: 5 Hz")
 
 
@@ -140,13 +96,8 @@ def test_an_infeasible_reference_and_what_would_be_trackable(cli, tmp_path, shor
     assert found.code == 0
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
     assert "not even statically trackable" in numbers["verdict"]
-    amplitude = numbers["scalars"]["amplitude"]["value"]
-    assert 0 < amplitude < 0.2 and numbers["scalars"]["speed"]["value"] is None
+    assert 0 < numbers["scalars"]["amplitude"]["value"] < 0.2 and numbers["scalars"]["speed"]["value"] is None
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {"results.json", "envelope.png", "envelope.svg"}
-    for factor, trackable in ((amplitude, True), (amplitude + 0.002, False)):
-        (tmp_path / "less.yaml").write_text(text.replace("20 deg", f"{20 * factor} deg"), encoding="utf-8")
-        verdict = json.loads(cli("envelope", "less.yaml", "--json").out)["verdict"]
-        assert ("trackable throughout" in verdict) == trackable
 
 
 FRICTION = "law: lei-mas-10-180n, friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}"

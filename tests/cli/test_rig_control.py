@@ -54,19 +54,6 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_limit_cycle_on_the_rig_is_named(cli, tmp_path):
-    """The rig delays commands by 44 ms, and the controller knows 4 ms of them."""
-    text = (ROOT / "examples" / "valves" / "regulator-decoupling.yaml").read_text(encoding="utf-8")
-    text = text.replace("\ncommand_delay: 4 ms", "\ncommand_delay: 44 ms")
-    text = text.replace("class: decoupling", "class: decoupling\n  command_delay: 4 ms")
-    (tmp_path / "late.yaml").write_text(text, encoding="utf-8")
-    found = cli("rig", "control", "late.yaml", "--out", "run", "--unpaced", "--json")
-    numbers = json.loads(found.out)
-    assert (numbers["ended"], numbers["outcome"]) == ("completed", "limit_cycle")
-    assert numbers["metrics"]["oscillation_amplitude_deg"] > 0.5
-
-
-@pytest.mark.slow
 def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path):
     rig = (ROOT / "examples" / "rig" / "joint-rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(rig.replace("lowest_angle: -30 deg", "lowest_angle: 10 deg"), encoding="utf-8")
@@ -76,34 +63,6 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
     record = read_record(tmp_path / "run")
     assert "stopped" in [event.kind for event in record.events]
     assert json.loads((tmp_path / "run" / "results.json").read_text())["ended"] == "stopped"
-
-
-_OWN = """from dataclasses import dataclass
-from mckibben.rig import JointHardware, SimulatedJoint
-
-class LentBackend(SimulatedJoint):
-    physical = True
-    description = {"kind": "lent"}
-
-@dataclass(frozen=True)
-class LentJoint(JointHardware):
-    def backend(self, plant, run):
-        return LentBackend(plant, period=run.period, patience=run.patience)
-"""
-
-
-@pytest.mark.slow
-def test_hardware_of_an_extension_runs(cli, short, tmp_path):
-    (tmp_path / "own_joint.py").write_text(_OWN, encoding="utf-8")
-    (tmp_path / "rig.yaml").write_text("rig: {class: own_joint:LentJoint}\n", encoding="utf-8")
-    arguments = ("rig", "control", "short.yaml", "--rig", "rig.yaml", "--out", "run")
-    unknown = cli(*arguments)
-    assert unknown.code == 2 and "own_joint:LentJoint" in unknown.err and "--extension" in unknown.err
-    found = cli("--extension", "own_joint.py", *arguments)
-    assert found.code == 0, found.err
-    assert read_record(tmp_path / "run").header["backend"] == {"kind": "lent"}
-    refused = cli("--extension", "own_joint.py", *arguments[:-1], "other", "--unpaced")
-    assert refused.code == 2 and "--unpaced" in refused.err
 
 
 @pytest.mark.slow

@@ -11,13 +11,9 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
-from mckibben.errors import ExportError, RigError, ScenarioError
+from mckibben.errors import ExportError, ScenarioError
 from mckibben.export import export
 from mckibben.firmware import Hardware
-from mckibben.rig import JointRig, prepare
-from mckibben.rig.channel_probe import MOVED
-from mckibben.rig.joint_record import Phase
-from mckibben.rig.record import read_record
 from mckibben.rig.serial_line import SerialBackend
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import (
@@ -277,7 +273,7 @@ def test_a_spring_in_place_of_a_muscle_needs_neither_sensor_nor_valve(tmp_path):
 
 @pytest.mark.slow
 def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
-    """Both ends of the protocol, in real time: samples, arming, commands, and the vent; then a scenario."""
+    """Both ends of the protocol, in real time: samples, arming, commands, and the vent."""
     pytest.importorskip("serial", reason="needs the extra rig")
     port = tmp_path / "board"
     with subprocess.Popen([folder / "firmware", port, "0.3", "0.2"]) as process:  # with a weight: it swings at first
@@ -287,29 +283,15 @@ def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
             backend = SerialBackend(str(port), digest=digest, period=1e-3)
             assert [channel.name for channel in backend.inputs] == ["angle", "pressure1", "pressure2"]
             with backend.opened():
-                backend.read(2500, timeout=5.0)
+                backend.read(1000, timeout=5.0)
                 backend.set_valves([1e5, 2e5])
                 for _ in range(150):
                     block = backend.read(20)
                     backend.set_valves([1e5, 2e5])
                     backend.heartbeat()
                 np.testing.assert_allclose(block.values[-1, 1:], [1e5, 2e5], rtol=0.05)
-                assert block.first + len(block.time) > 5000
+                assert block.first + len(block.time) > 3500
                 backend.vent()
                 assert backend.read(1000).values[-1, 1:].max() < 2e4
-            time.sleep(2.5)  # the line is full, and nobody reads it; the joint swings by more than its limits
-            limits = "{late: 1 s, silence: 1 s, pressure_error: 5 bar, angle_rate: 5000 deg/s}"
-            text = f"rig: {{serial: {{port: {port}, firmware: {folder / 'scenario.yaml'}}}}}\nlimits: {limits}"
-            softer = SCENARIO.model_copy(update={"name": "another, for the same firmware"})
-            with pytest.raises(RigError) as caught:
-                prepare(softer, JointRig.parse(text.partition(", firmware")[0] + "}}")).run(tmp_path / "refused")
-            assert caught.value.field == "digest"
-            ran = prepare(softer, JointRig.parse(text)).run(tmp_path / "run")
-            assert ran.outcome.completed, ran.outcome.text
-            assert ran.outcome.vented_after < 1.0
-            columns = read_record(tmp_path / "run").columns
-            assert np.array_equal(columns["sample"][:4500], np.arange(4500))
-            swinging = columns["angle"][columns["phase"] == Phase.PROBING]
-            assert np.ptp(swinging[:1000]) > 2 * MOVED > np.ptp(swinging[-2000:-1500])
         finally:
             process.kill()

@@ -86,7 +86,7 @@ def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for path in (ROOT / "examples" / "first-day").iterdir():
         shutil.copy(path, tmp_path)
-    change("bench.yaml", {"dwell: 1 s": "dwell: 40 ms", "500 ms": "100 ms", "samples: 500": "samples: 100"})
+    change("bench.yaml", {"dwell: 1 s": "dwell: 40 ms", "500 ms": "100 ms", "samples: 500": "samples: 25"})
     change("bench.yaml", {"{cycle: 40 ms}": "{cycle: 40 ms, steady: 200 ms}", "gap: 3 s": "gap: 3 s, settling: 30 s"})
     quick = "approach: {probing: 1 s, raising: 500 ms, settling: 500 ms}\n"
     Path("rig.yaml").write_text(Path("rig.yaml").read_text(encoding="utf-8") + quick, encoding="utf-8")
@@ -114,6 +114,8 @@ def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch):
             assert run.returncode == 0, f"{command}\n{said}"
             if arguments[0] in ("export", "calibrate"):
                 board.flash()
+            if arguments[0] == "new":
+                change(arguments[2], {"control_period: 1 ms": "control_period: 4 ms"})
         fitted = read_component(Muscle, Path("fit/muscle.yaml"))
         contraction, pressure = np.array([0.05, 0.1, 0.15]), np.array([3.0, 4.0, 5.0]) * bar
         np.testing.assert_allclose(

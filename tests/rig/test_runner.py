@@ -13,7 +13,7 @@ from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.muscle import ExponentialLaw, MaxwellSlip, Muscle, forces
-from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, recorder
+from mckibben.rig import IsobaricProtocol, recorder
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import assemble, read_record, segments
 from mckibben.rig.recorder import Recorder
@@ -96,21 +96,14 @@ def test_at_constant_length_and_at_constant_force(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_test_at_constant_forces_is_identified_as_the_isobaric_one(tmp_path):
+def test_a_test_at_constant_forces_is_identified(tmp_path):
     muscle = replace(MUSCLE, friction=MaxwellSlip(12.0, 0.5 * mm))
     protocol = IsotonicProtocol(repeats=1, **QUICK)
     data = assemble(tmp_path, run(tmp_path, steps_of(protocol, muscle), of=muscle, muscle=muscle))
-    isobaric = IsobaricProtocol(pressures=np.arange(2, 7) * bar, repeats=1)
-    found, other = (
-        identify_with_friction(ExponentialLaw, points)
-        for points in (data, SimulatedIsobaricTest(muscle).run(isobaric, seed=1))
-    )
+    found = identify_with_friction(ExponentialLaw, data)
     assert found.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.5)
-    assert other.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.1)
-    ours, theirs = (fit.force_intervals(data.contraction, data.pressure) for fit in (found, other))
-    assert np.mean(ours.prediction.contains(theirs.prediction.value)) > 0.95
-    truth = forces(MUSCLE.law, data.contraction, data.pressure)
-    assert np.sqrt(np.mean((ours.confidence.value - truth) ** 2)) < 1.0
+    fitted, truth = (forces(law, data.contraction, data.pressure) for law in (found.law, MUSCLE.law))
+    assert np.sqrt(np.mean((fitted - truth) ** 2)) < 1.0
 
 
 def test_plateaus_are_recorded_whole_and_the_way_between_thinned_out(tmp_path):
@@ -156,7 +149,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_its_last_vent(tmp_path):
     counting = Interrupting()
     whole = assemble(tmp_path / "whole", run(tmp_path / "whole", steps, muscle=slow, report=counting))
     partly = 0
-    for after in np.linspace(1, counting.cycles - 2, 9, dtype=int).tolist():
+    for after in np.linspace(1, counting.cycles - 2, 5, dtype=int).tolist():
         folder = tmp_path / str(after)
         twin = SimulatedRig(slow, seed=3, regulator=EXACT)
         bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
@@ -220,10 +213,10 @@ def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_pat
 def test_every_fault_at_some_instants_ends_vented_and_recorded(tmp_path):
     generator, stopped = np.random.default_rng(7), 0
     for name, make in faults.FAULTS.items():
-        for number in range(5):
+        for number in range(3):
             fault = make(float(generator.uniform(0, faults.DURATION)))
             stopped += bool(faults.broken(fault, number, tmp_path / f"{name} {number}"))
-    assert stopped > 2.5 * len(faults.FAULTS)
+    assert stopped > 1.5 * len(faults.FAULTS)
 
 
 def go_on(folder, told=None):

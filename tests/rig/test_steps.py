@@ -150,11 +150,6 @@ def test_the_cycle_has_to_fit_into_the_patience():
     assert problem.field == "recording.cycle" and problem.remedy
 
 
-def test_a_problem_of_many_steps_is_reported_once():
-    far = Move(to=60 * percent)
-    assert len(dry_run([far, Dwell(duration=1.0), far, far], BENCH).problems) == len(dry_run([far], BENCH).problems) > 0
-
-
 @pytest.mark.parametrize(
     ("steps", "place"),
     [

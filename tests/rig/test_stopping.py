@@ -88,19 +88,6 @@ def test_a_signal_that_comes_again_while_it_stops_cuts_the_watching_short(tmp_pa
     assert [event.kind for event in read_record(tmp_path).events][-2:] == ["stopped", "vented"]
 
 
-def test_a_signal_that_comes_again_at_once_is_told_as_that_signal(tmp_path):
-    class Twice(Signalling):
-        def __call__(self, progress):
-            super().__call__(progress)
-            if self.left == 0:
-                raise KeyboardInterrupt
-
-    rig = twin()
-    with pytest.raises(SignalledError, match=r"interrupted by SIGINT \(Ctrl-C\); the muscle is vented") as stopped:
-        start(tmp_path, rig, UNDER_PRESSURE, report=Twice(20))
-    assert stopped.value.signal == signal.SIGINT and empty(rig)
-
-
 def test_a_signal_in_the_midst_of_a_vent_still_closes(tmp_path):
     def interrupted(rig):
         raise KeyboardInterrupt

@@ -81,8 +81,3 @@ def test_wrong_channels_stop_before_the_pressure_rises_above_1_bar(stiff, change
     commands = np.stack([kept.columns["command1"], kept.columns["command2"]])
     assert not (commands > 0.5 * bar).any()
     assert np.array_equal(kept.columns["sample"], np.arange(kept.columns["sample"].size))
-
-
-def test_a_spring_in_place_of_a_muscle_is_not_probed(stiff):
-    outcome, _ = run(stiff, highest=(8 * bar, 0.0))
-    assert outcome.completed, outcome.text

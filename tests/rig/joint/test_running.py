@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mckibben.control.base import Setpoint
-from mckibben.errors import ExportError, RigError, StoppedError
+from mckibben.errors import RigError, StoppedError
 from mckibben.numerics.compiled import numeric
-from mckibben.rig import ControlProgram, JointLimits, Sensing, Timing, compiled
+from mckibben.rig import JointLimits, Sensing, Timing
 from mckibben.rig.backend import Backend
 from mckibben.rig.compiled import vented_angle
 from mckibben.rig.control_loop import realtime_process_settings
@@ -32,26 +32,6 @@ def simulated(knee, short_episode):
 @pytest.fixture(scope="module")
 def ran(knee):
     return knee.run()
-
-
-@pytest.mark.slow
-def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
-    def steps(program):
-        state, found = program.init(0.0, 2 * bar, 2 * bar), []
-        for angle in (0.0, 1 * deg, 2 * deg):
-            state, values = program.step(state, np.array([angle, 14.0, 0.5 * deg, 2 * bar, 2 * bar, 1 * ms]))
-            found.append(values)
-        return found
-
-    def no_compiler(*_, **__):
-        raise ExportError("there is none")
-
-    control = knee.scenario.control()
-    expected = steps(ControlProgram(control))
-    monkeypatch.setattr(compiled, "compile_native", no_compiler)
-    compiled.flat_program.cache_clear()
-    np.testing.assert_allclose(steps(ControlProgram(control)), expected, rtol=1e-9)
-    compiled.flat_program.cache_clear()
 
 
 @pytest.mark.slow
