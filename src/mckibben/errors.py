@@ -173,7 +173,9 @@ class UnitError(McKibbenError, ValueError):
 
 
 class RangeError(McKibbenError, ValueError):
-    """A number is outside its allowed range."""
+    """A number is outside its allowed range; of several in one object, `problems` has each."""
+
+    problems: tuple[Problem, ...] = ()
 
 
 class CallError(McKibbenError, TypeError):
@@ -329,6 +331,8 @@ def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
     if problems:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
         text, first = "\n  ".join([heading, *map(str, problems)]), problems[0]
-        raise RangeError(
+        error = RangeError(
             text, field=first.field, value=first.value, lower=first.lower, upper=first.upper, unit=first.unit
         )
+        error.problems = tuple(problems)
+        raise error

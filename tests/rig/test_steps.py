@@ -165,20 +165,15 @@ def test_a_test_that_would_take_years_is_refused(steps, place):
     assert problem.remedy
 
 
-@pytest.mark.slow
-def test_more_steps_or_points_than_a_test_may_have_are_refused_before_they_are_laid_out(monkeypatch):
+def test_more_steps_or_points_than_a_test_may_have_are_refused_before_they_are_done(monkeypatch):
+    monkeypatch.setattr(importlib.import_module("mckibben.rig.dry_run"), "MOST_POINTS", 3_000)
     steps = (Vent(),)
     for _ in range(8):
         steps = (Repeat(times=10_000, steps=steps),)
     (problem,) = dry_run((Vent(), *steps), BENCH).problems
-    assert problem.field == "[1].repeat.times"
-    assert f"{10**32 + 1} steps" in problem.message and "1000000" in problem.message
-    monkeypatch.setattr(importlib.import_module("mckibben.rig.dry_run"), "MOST_POINTS", 30_000)
-    walk = Walk(to=0.2, step=MUSCLE.specimen.initial_length / 180 / 400)
-    (problem,) = dry_run([Repeat(times=1000, steps=(Move(to=0.0), walk))], BENCH).problems
-    assert problem.field == "[0].repeat.steps[1].walk" and "30000" in problem.message
-    back = Repeat(times=10_000, steps=(Walk(to=None, step=0.0025 * mm),))  # leads back only every other time
-    (problem,) = dry_run([Move(to=0.1), Walk(to=0.12, step=0.0025 * mm), back], BENCH).problems
+    assert problem.field.startswith("[1].repeat.steps[0]") and "3000" in problem.message
+    back = Repeat(times=100, steps=(Walk(to=None, step=0.025 * mm),))  # leads back only every other time
+    (problem,) = dry_run([Move(to=0.1), Walk(to=0.12, step=0.025 * mm), back], BENCH).problems
     assert problem.field == "[2].repeat.steps[0].walk"
 
 

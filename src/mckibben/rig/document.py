@@ -8,24 +8,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
 from mckibben.component.base import Checked, Component, Inherited
-from mckibben.component.schema import ComponentField, section_of
+from mckibben.component.schema import ComponentField
 from mckibben.config.document import Document
 from mckibben.config.fields import Title
-from mckibben.config.model import DocumentModel, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, DocumentModel, parse_model, read_text
 from mckibben.errors import RangeError
 from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import Backend, MovingBackend, MuscleRig
-from mckibben.rig.bench import Bench, RigLimits
+from mckibben.rig.bench import Bench, MonitorTime, RigLimits
 from mckibben.rig.by_hand import HandBench
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.rig.ni import Card, NiBackend
 from mckibben.rig.protocol import Protocol
 from mckibben.rig.simulated.rig import Regulator
-from mckibben.units import BoundedInt, Contraction, Strength
+from mckibben.units import BoundedInt, Contraction, Duration, Force, PressureScale, SampleRate, Strength
 
 
 class MountedMuscle(Component):
@@ -154,17 +154,15 @@ class ModbusBench(HandMovedRig):
         return ModbusBackend(RegisterMap.read(self.registers))
 
 
-class RecordingSettings(section_of(Bench, partial=True)):
-    """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
+class RecordingSettings(ConfigModel):
+    """Cycle of the safety monitor, record between plateaus, and when a pressure is settled or vented, see `Bench`."""
 
-    @field_validator(
-        "of", "mounted_at", "limits", "rate", "shuts", "supply", "fastest", mode="before", check_fields=False
-    )
-    @classmethod
-    def _of_the_rig(cls, value: object) -> object:
-        if value is not None:
-            fail_validation("follows from muscle, rig and limits", "leave it out")
-        return value
+    cycle: MonitorTime | None = None
+    between: SampleRate | None = None
+    settled: PressureScale | None = None
+    vented: PressureScale | None = None
+    steady: Duration | None = None
+    slack_force: Force | None = None
 
 
 class RigTest(DocumentModel):

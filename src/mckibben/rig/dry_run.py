@@ -12,8 +12,8 @@ from mckibben.errors import Problem
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
-from mckibben.rig.protocol import MOST_POINTS, MOST_STEPS
-from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, StepInterpreter, Walk, count_steps
+from mckibben.rig.protocol import MOST_POINTS
+from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, StepInterpreter, Walk
 from mckibben.units import bar, mm, percent
 
 
@@ -54,7 +54,7 @@ class DryRun(StepInterpreter):
         self.estimated = self.shuts = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
-        self._acquired, self._domain = 0, bench.of.domain
+        self._acquired, self._steps, self._domain = 0, 0, bench.of.domain
         self._reported: set[str] = set()
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
@@ -67,7 +67,8 @@ class DryRun(StepInterpreter):
     def run(self, steps: Sequence[ProtocolStep], channels: Sequence[Channel], patience: float) -> None:
         """Go through the steps, and check the bench; arguments as for `dry_run`."""
         bench, limits = self.bench, self.bench.limits
-        self._do_within_limits(steps)
+        with contextlib.suppress(_TooLongError):
+            self._do(steps)
         if 2 * bench.cycle > patience:
             message = f"{bench.cycle:g} s is more than half of the {patience:g} s after which the rig vents by itself"
             self._report(message, "recording.cycle", "shorten it")
@@ -78,25 +79,12 @@ class DryRun(StepInterpreter):
         if limits.pressure > 1.1 * highest:
             message = f"{limits.pressure / bar:g} bar is more than a tenth above the {highest / bar:g} bar of {name}"
             self._report(message, "limits.pressure", "lower it")
-        if self.duration > 365 * 86400 and self._acquired <= MOST_POINTS:
+        if self.duration > 365 * 86400:
             message = f"the test takes {self.duration / 86400:.3g} days, more than a year"
             self._report(message, self._place, "raise the speed or rate, or split it into several tests")
         self._check_law()
         if channels:
             self._check_sensors(channels)
-
-    def _do_within_limits(self, steps: Sequence[ProtocolStep]) -> None:
-        counts = [count_steps([step]) for step in steps]
-        if sum(counts) > MOST_STEPS:
-            longest = counts.index(max(counts))
-            message = f"{sum(counts)} steps with all repeats are more than {MOST_STEPS}"
-            self._report(message, f"[{longest}].repeat.times", "repeat less often, or split it into several tests")
-            return
-        with contextlib.suppress(_TooLongError):
-            self._do(steps)
-        if self._acquired > MOST_POINTS:
-            message = f"the points are {self._acquired} or more, and {MOST_POINTS} at most are allowed"
-            self._report(message, self._place, "lengthen the step of walks, or repeat less often")
 
     # what the steps do
 
@@ -104,6 +92,8 @@ class DryRun(StepInterpreter):
         """Check the numbers of a step."""
         bench = self.bench
         self._place = place = f"{place}.{step.short_name}"
+        self._steps += 1
+        self._check_count(self._steps, "steps")
         self._by_force = isinstance(step, Walk) and step.force is not None
         match step:
             case Move():
@@ -153,8 +143,7 @@ class DryRun(StepInterpreter):
 
     def _acquire(self, acquire: Acquire) -> float:
         self._acquired += 1
-        if self._acquired > MOST_POINTS:
-            raise _TooLongError
+        self._check_count(self._acquired, "points")
         every = max(1, round(self.bench.rate * acquire.duration / acquire.samples))
         self._add(acquire.duration, (acquire.samples - 1) * every + 1)
         if acquire.keep:
@@ -202,6 +191,12 @@ class DryRun(StepInterpreter):
         if message not in self._reported:
             self._reported.add(message)
             self.problems.append(Problem(message, field=place, remedy=remedy))
+
+    def _check_count(self, count: int, what: str) -> None:
+        if count > MOST_POINTS:
+            message = f"the {what} are {count} or more, and {MOST_POINTS} at most are allowed"
+            self._report(message, self._place, "repeat less often, lengthen the step of walks, or split the test")
+            raise _TooLongError
 
     def _check_speed(self, speed: float) -> None:
         fastest = self.bench.fastest / mm

@@ -123,8 +123,8 @@ def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.where(where.any(axis=1), count - np.argmax(where[:, ::-1], axis=1), 0).astype(np.int64)
 
 
-MOST_POINTS, MOST_STEPS = 100_000, 1_000_000
-"""Largest number of points and steps of a test with all its repeats: more are refused before they are expanded."""
+MOST_POINTS = 100_000
+"""Largest number of points of a test with all its repeats, and of its steps: more are refused."""
 
 StepTravel = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]  # more is one in millimetres
 PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))

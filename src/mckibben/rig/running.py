@@ -109,9 +109,8 @@ def check(
     try:
         steps = steps_of(test.protocol, setup.bench.of)
     except RangeError as error:
-        raise ScenarioError(
-            source, _parse_problems(str(error), ("protocol", test.protocol.short_name), lines)
-        ) from None
+        problems = error.problems or [Problem.of(error, field=error.field)]
+        raise ScenarioError(source, [_of_protocol(problem, test, lines) for problem in problems]) from None
     run = dry_run(steps, setup.bench, [*setup.backend.inputs, *setup.backend.outputs], patience=setup.backend.patience)
     if run.problems:
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
@@ -139,15 +138,11 @@ def _with_line(problem: Problem, test: RigTest, lines: Document) -> Problem:
     return Problem(problem.message, lines.line(place), dotted(place), problem.remedy)
 
 
-def _parse_problems(text: str, place: Place, lines: Document) -> list[Problem]:
-    """Problems of a whole test, from a text of a heading and lines of ``field: problem``."""
-    heading, *said = text.splitlines()
-    problems = []
-    for line in said or [heading]:
-        field, colon, message = line.strip().partition(": ")
-        at = (*place, field) if colon and field.isidentifier() else place
-        problems.append(Problem(message if len(at) > len(place) else line.strip(), lines.line(at), dotted(at)))
-    return problems
+def _of_protocol(problem: Problem, test: RigTest, lines: Document) -> Problem:
+    """A problem of a protocol as a whole, with its line in the file."""
+    place: Place = "protocol", test.protocol.short_name
+    place = (*place, problem.field) if problem.field in vars(test.protocol) else place
+    return Problem(problem.message, lines.line(place), dotted(place), problem.remedy)
 
 
 def _time(duration: float) -> str:
