@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.rig.record import read_record
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import Recorder, read_record
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import in_shown_units

@@ -283,14 +283,14 @@ def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
             backend = SerialBackend(str(port), digest=digest, period=1e-3)
             assert [channel.name for channel in backend.inputs] == ["angle", "pressure1", "pressure2"]
             with backend.opened():
-                backend.read(1000, timeout=5.0)
+                backend.read(2500, timeout=5.0)
                 backend.set_valves([1e5, 2e5])
                 for _ in range(150):
                     block = backend.read(20)
                     backend.set_valves([1e5, 2e5])
                     backend.heartbeat()
                 np.testing.assert_allclose(block.values[-1, 1:], [1e5, 2e5], rtol=0.05)
-                assert block.first + len(block.time) > 3500
+                assert block.first + len(block.time) > 5000
                 backend.vent()
                 assert backend.read(1000).values[-1, 1:].max() < 2e4
         finally:

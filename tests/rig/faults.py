@@ -21,8 +21,7 @@ from mckibben.errors import SilentError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle
 from mckibben.rig.backend import Block
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import read_record
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import Recorder, read_record
 from mckibben.rig.runner import STOPPED, Runner, columns_of
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.rig.simulated.joint import SimulatedJoint

@@ -8,8 +8,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import PLACE, POINT, Event, Point, Recorder, assemble, points
 from mckibben.rig.runner import columns_of
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 

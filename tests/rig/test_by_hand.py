@@ -12,8 +12,7 @@ from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.by_hand import HandBench
 from mckibben.rig.document import RigTest
 from mckibben.rig.modbus import RegisterMap
-from mckibben.rig.record import assemble
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import Recorder, assemble
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise

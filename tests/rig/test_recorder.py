@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import DatasetError, FileError, McKibbenWarning, RigError
-from mckibben.rig import recorder as recorder_module
-from mckibben.rig.record import read_record, segments
-from mckibben.rig.recorder import Recorder
+from mckibben.rig import record as recorder_module
+from mckibben.rig.record import Recorder, read_record, segments
 from mckibben.storage.mcap import Column, McapWriter
 
 COLUMNS = [Column("time", "s"), Column("force", "N", "float32"), Column("position", "1", "int32")]

@@ -13,10 +13,9 @@ from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.muscle import ExponentialLaw, MaxwellSlip, Muscle, forces
-from mckibben.rig import IsobaricProtocol, recorder
+from mckibben.rig import IsobaricProtocol, record
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import assemble, read_record, segments
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import Recorder, assemble, read_record, segments
 from mckibben.rig.runner import BLOCK, Runner, columns_of
 from mckibben.rig.safety import StopFlag
 from mckibben.rig.simulated import Regulator, SimulatedRig
@@ -244,7 +243,7 @@ def go_on(folder, told=None):
 @pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore:.*fork:DeprecationWarning")
 def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(tmp_path, monkeypatch):
     """No row that was reported to be on the disk is missing, and rows are those of a test that nobody killed."""
-    monkeypatch.setattr(recorder, "PERIOD", 2e-3)  # s
+    monkeypatch.setattr(record, "PERIOD", 2e-3)  # s
     go_on(tmp_path / "warm")  # the table of the law is made once
     begin = time.perf_counter()
     expected, whole = go_on(tmp_path / "reference"), read_record(tmp_path / "reference")

@@ -128,7 +128,7 @@ def test_a_finished_test_never_moves_again_whatever_bit_of_it_is_damaged(tmp_pat
 
 
 def test_a_damaged_test_that_is_not_finished_goes_on_at_its_first_lost_point(tmp_path, monkeypatch):
-    monkeypatch.setattr("mckibben.rig.recorder.PERIOD", 5e-3)  # s: many chunks
+    monkeypatch.setattr("mckibben.rig.record.PERIOD", 5e-3)  # s: many chunks
     with pytest.raises(SignalledError):
         run_test(checked(), tmp_path, report=stopping(11))
     (path,) = segments(tmp_path)

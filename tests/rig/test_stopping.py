@@ -10,8 +10,7 @@ from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import read_record
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import Recorder, read_record
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
 from mckibben.rig.simulated import Regulator

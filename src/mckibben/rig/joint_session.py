@@ -18,8 +18,7 @@ from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
 from mckibben.rig.joint_record import Timing, columns, measured_result
 from mckibben.rig.joint_rig import JointRig, RunConditions
-from mckibben.rig.record import read_record, segments
-from mckibben.rig.recorder import Recorder, software_versions
+from mckibben.rig.record import Recorder, read_record, segments, software_versions
 from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario

@@ -17,8 +17,7 @@ from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Block, Channel, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.by_hand import HandBench, length_of
-from mckibben.rig.record import PLACE, POINT, Point
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import PLACE, POINT, Point, Recorder
 from mckibben.rig.safety import PROBED, STILL, BlockMeans, RigMonitor, StopFlag
 from mckibben.rig.steps import SPEED, Acquire, HoldForce, ProtocolStep, StepInterpreter
 from mckibben.storage.mcap import Column

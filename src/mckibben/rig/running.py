@@ -18,8 +18,16 @@ from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
-from mckibben.rig.record import Point, assemble, header_of, read_record, recording_of, segments
-from mckibben.rig.recorder import Recorder, software_versions
+from mckibben.rig.record import (
+    Point,
+    Recorder,
+    assemble,
+    header_of,
+    read_record,
+    recording_of,
+    segments,
+    software_versions,
+)
 from mckibben.rig.runner import BLOCK, DONE, VENTED, ProgressCallback, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of

@@ -9,7 +9,7 @@ import pytest
 
 from mckibben.errors import RigError, StoppedError
 from mckibben.rig import JointSession, control_loop
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.record import Recorder
 from mckibben.rig.safety import StopFlag
 from mckibben.units import bar, ms
 from tests.rig.faults import (
