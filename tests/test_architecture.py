@@ -114,7 +114,7 @@ BUDGET = {
     "plant": 530,
     "reachability": 1210,
     "report": 2320,
-    "rig": 4630,
+    "rig": 4600,
     "scenario": 730,
     "serial_protocol": 160,
     "simulation": 2770,
