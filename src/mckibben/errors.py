@@ -332,7 +332,7 @@ def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
         text, first = "\n  ".join([heading, *map(str, problems)]), problems[0]
         error = RangeError(
-            text, field=first.field, value=first.value, lower=first.lower, upper=first.upper, unit=first.unit
+            text, **{name: getattr(first, name) for name in ("field", "value", "lower", "upper", "unit")}
         )
         error.problems = tuple(problems)
         raise error
