@@ -331,8 +331,7 @@ def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
     if problems:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
         text, first = "\n  ".join([heading, *map(str, problems)]), problems[0]
-        error = RangeError(
-            text, **{name: getattr(first, name) for name in ("field", "value", "lower", "upper", "unit")}
-        )
+        limits = ("field", "value", "lower", "upper", "unit")
+        error = RangeError(text, **{name: getattr(first, name) for name in limits})
         error.problems = tuple(problems)
         raise error
