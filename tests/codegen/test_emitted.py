@@ -1,5 +1,6 @@
 """Emitted C, of one run and of many side by side, against JAX."""
 
+import functools
 import subprocess
 
 import jax
@@ -9,7 +10,7 @@ import pytest
 from jax import lax
 
 from mckibben.codegen import SourceModule, write_c
-from mckibben.codegen.native import NativeFunction, Split, compiler
+from mckibben.codegen.native import NativeFunction, Split, compiler, over_periods
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
@@ -217,3 +218,26 @@ def test_an_array_in_two_places_of_a_tree_is_one_argument():
     assert len(split.arrays) == 2
     assert split.filled([3.0, 5.0]) == {"model": 3.0, "other": 5.0, "plant": 3.0}
     assert split.key != Split.of({"model": np.array(2.0), "other": array, "plant": array}).key
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_one_program_serves_runs_of_any_number_of_periods(many):
+    def function(shared, lane):
+        factor, rows = shared
+        x = lane if many else rows
+
+        def following(total, at):
+            index, value = at
+            return total + factor * value, (total, index + 1)
+
+        total, rows = lax.scan(following, jnp.zeros(()), (lax.iota(int, x.shape[0]), x))
+        return total / jnp.asarray(x.shape[0]), rows
+
+    emitted = NativeFunction(function)
+    for length in (3, 400):
+        x = np.random.default_rng(3).normal(size=(length, 5))
+        shared = np.array(2.0), over_periods(x[:, 0])
+        found = emitted(shared, over_periods(x) if many else None)
+        right = jax.vmap(function, (None, -1), -1)(shared, x) if many else function(shared, None)
+        jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12), found, right)
+    assert len(emitted._known) == 1

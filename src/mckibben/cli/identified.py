@@ -13,7 +13,6 @@ from mckibben.component.schema import write as write_component
 from mckibben.errors import ParameterError
 from mckibben.identification.with_friction import titled
 from mckibben.result import Remark
-from mckibben.scenario import write_muscle
 from mckibben.storage.files import make_folder
 from mckibben.units import show
 
@@ -33,6 +32,8 @@ class Source(NamedTuple):
 
     def write(self, folder: Path, fit: Fit, loops: HysteresisFit | None = None) -> None:
         """Write fit, recipe and points, and the muscle if its initial length is known."""
+        from mckibben.scenario import write_muscle  # 0.3 s to import
+
         fit.to_yaml(folder / "fit.yaml")
         self.recipe.to_yaml(folder / "recipe.yaml")
         self.points.to_netcdf(folder / "data.nc")
@@ -88,6 +89,8 @@ def of_torque(files: list[str], law: str, reading: Reading) -> Report:
     )
 
     def write(folder: Path) -> None:
+        from mckibben.scenario import write_muscle
+
         recipe.to_yaml(folder / "recipe.yaml")
         name = recipe.specimen or Path(files[0]).stem
         section = {"class": type(fit.law).__name__, **write_component(fit.law)}
@@ -124,6 +127,8 @@ def pooled(pool: PooledFit, length: float | None) -> Report:
             remarks.append(Remark.note("dead_length", text))
 
     def write(folder: Path) -> None:
+        from mckibben.scenario import write_muscle
+
         pool.fit.to_yaml(folder / "fit.yaml")
         if length is not None:
             specimen = pool.specimen(length)

@@ -167,7 +167,7 @@ class Lowering(ArrayRules):
 
     def expanded(self, stored: Stored) -> Array:
         """The elements of an array in memory as values; raises `ExportError` for more than 50,000."""
-        if stored.size > _LARGEST:
+        if not isinstance(stored.size, int) or stored.size > _LARGEST:
             remedy = "use its elements one after the other in a loop (jax.lax.scan)"
             message = f"an array of {stored.size} numbers is used as a whole"
             raise ExportError(message, value=stored.size, upper=_LARGEST, remedy=remedy)
@@ -257,6 +257,10 @@ class Lowering(ArrayRules):
 
     _squeeze = _expand_dims = _reshape
 
+    def _dim_as_value(self, parameters: Parameters, kind: Kind, shape: Shape) -> Array:
+        """A length that is an argument of the program."""
+        return array_of((), lambda _: self._graph.input(str(parameters["dim"]), Kind.INTEGER))
+
     def _iota(self, parameters: Parameters, kind: Kind, shape: Shape) -> Array:
         """Numbers that count along an axis."""
         if len(shape) == 1:
@@ -310,7 +314,8 @@ class Lowering(ArrayRules):
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
         carry = [self.plain(array) for array in arguments[count : count + carries]]
-        if length * _equations(body.jaxpr) <= _UNROLLED or length <= 1:
+        known = isinstance(length, int)
+        if known and (length * _equations(body.jaxpr) <= _UNROLLED or length <= 1):
             return self._unrolled(body, length, reverse, constants, carry, list(map(self.plain, columns)))
         columns = [column if isinstance(column, Stored) else self._stored(column) for column in columns]
         inner: list[Array] = []

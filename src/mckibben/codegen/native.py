@@ -28,6 +28,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
+from jax import export
 from jax.tree_util import PyTreeDef
 from jaxtyping import PyTree
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ _FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frenam
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
-_FOR_LONG = ("-fdisable-rtl-combine",)  # gcc only: a pass that takes most of the time for a long program, for no speed
+_FOR_LONG = ("-fira-region=one",)  # gcc only: registers of a long program in half the time; batches would be slower
 _LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
 _COMPILING = 360.0, 5000.0  # s for the compiler, which may share its processor, plus a second per so many characters
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
@@ -57,6 +58,7 @@ _OTHER_FOLDER = (
     "set TMPDIR to a folder that allows execution, or CC to another compiler; engine='xla' needs neither of them"
 )
 _HEAD = "void run(const void *scalars, const double *arrays, double *results, int64_t lanes)"
+_PERIODS = "periods"  # their number, as an argument
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 
 
@@ -200,15 +202,24 @@ class NativeFunction:
     def _built(self, source: str, many: bool) -> bytes:
         """Library of a source, with the options for its length and for `many` runs."""
         options = _FOR_LANES if many else _ALONE
-        if len(source) < _SHORT:
-            options += _FOR_SHORT if many else ()
-        elif _is_gcc():
+        if many and len(source) < _SHORT:
+            options += _FOR_SHORT
+        elif not many and len(source) >= _SHORT and _is_gcc():
             options += _FOR_LONG
         return compile_library(source, (*options, *self._flags))
 
     def _loaded(self, program: bytes, leaves: list[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         """The program of a library, with shapes, types and tree of its results."""
         return Compiled(*load_library(program), leaves, tree)
+
+
+class OverPeriods(np.ndarray):
+    """Array over the control periods of a run, its first axis: one program serves any number of them."""
+
+
+def over_periods(tree: PyTree) -> PyTree:
+    """Arrays of a tree as `OverPeriods`, all of the same length."""
+    return jax.tree.map(lambda x: np.asarray(x).view(OverPeriods), tree)
 
 
 class Repeated(NamedTuple):
@@ -253,13 +264,13 @@ class Split:
                 static.append(Repeated(place))
             else:
                 static.append(ARRAY)
-                arrays.append(leaf if type(leaf) is np.ndarray else np.asarray(leaf))
+                arrays.append(leaf if type(leaf) in (np.ndarray, OverPeriods) else np.asarray(leaf))
         return cls(structure, tuple(static), arrays, lanes)
 
     @property
     def key(self) -> tuple[PyTree, ...]:
         """Cache key: structure, static leaves, shapes and types, without the number of runs."""
-        shapes = tuple([x.shape[:-1] if self.lanes else x.shape for x in self.arrays])
+        shapes = tuple([_shape(x[..., 0] if self.lanes else x) for x in self.arrays])
         kinds = "".join([x.dtype.char for x in self.arrays])
         return self.structure, self.static, tuple(map(type, self.static)), shapes, kinds
 
@@ -284,7 +295,7 @@ class Compiled:
     width
         Runs per vector.
     leaves
-        Shape and type of each leaf of the results.
+        Shape and type of each leaf of the results; -1 stands for the number of control periods.
     """
 
     run: Any
@@ -296,18 +307,20 @@ class Compiled:
         """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
-        scalars = [x for x in common if not x.ndim]
+        periods = [x.shape[0] for x in (*common, *varying) if isinstance(x, OverPeriods)][:1]
+        scalars = [*map(np.asarray, periods), *(x for x in common if not x.ndim)]
         kinds = "".join(["d" if x.dtype.kind == "f" else "q" for x in scalars])
         packed = struct.pack(kinds, *[x.item() for x in scalars])
         arrays = [_words(x) for x in common if x.ndim] + [_words(_padded(x, size)) for x in varying]
         words = np.concatenate([np.empty(0), *arrays])
-        lengths = [math.prod(shape) * size for shape, _ in self.leaves]
+        leaves = [(tuple([n if n >= 0 else periods[0] for n in shape]), kind) for shape, kind in self.leaves]
+        lengths = [math.prod(shape) * size for shape, _ in leaves]
 
         def compute() -> PyTree:
             results = np.empty(sum(lengths))
             self._call(packed, words, results, size)
             values, at = [], 0
-            for (shape, kind), length in zip(self.leaves, lengths, strict=True):
+            for (shape, kind), length in zip(leaves, lengths, strict=True):
                 value = results[at : at + length]
                 at += length
                 value = value.reshape(*shape, size)[..., :count] if varying else value.reshape(shape)
@@ -390,11 +403,13 @@ def write_native(
     """
     graph = Graph(lanes=bool(varying), single=single, threads=threads, most=_LARGEST)
     graph.scope = graph.root.inner()
+    common, varying = ([_example(x) for x in arrays] for arrays in (common, varying))
+    graph.input(_PERIODS, Kind.INTEGER)
     inputs = [_input_value(graph, f"in{n}", x, n < len(common)) for n, x in enumerate([*common, *varying])]
     results, shape = Lowering(graph).function(function, (common, varying), inputs)
     values: list[Any] = []
     for result in results:
-        values += [result.array] if isinstance(result, Stored) else result.flat
+        values += filter(None, [result.array]) if isinstance(result, Stored) else result.flat
     before, step = "", "1"
     if threads:
         writer = KernelWriter([graph.scope], values, single=single)
@@ -416,7 +431,29 @@ def write_native(
     source = "\n".join([before, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
-    return Written(source, leaves, jax.tree.structure(shape))
+    return Written(
+        source, [(_shape(leaf), leaf.dtype.str) for leaf in jax.tree.leaves(shape)], jax.tree.structure(shape)
+    )
+
+
+def _example(x: NDArray) -> Any:
+    """Example of an argument, of unknown length if it is over the control periods."""
+    if not isinstance(x, OverPeriods):
+        return x
+    return jax.ShapeDtypeStruct((*_symbol(), *x.shape[1:]), x.dtype)
+
+
+@functools.cache
+def _symbol() -> Any:
+    """The number of control periods as a length."""
+    return export.symbolic_shape(_PERIODS)
+
+
+def _shape(x: Any) -> tuple[int, ...]:
+    """Shape of an argument or result, with -1 for the number of control periods."""
+    if isinstance(x, OverPeriods):
+        return (-1, *x.shape[1:])
+    return tuple([n if isinstance(n, int) else -1 for n in x.shape])
 
 
 def _places(
@@ -425,19 +462,22 @@ def _places(
     """Declarations of the location of each argument and result: 64-bit words, as packed by `Compiled`."""
     lines = []
     scalars, shared, lanes = 0, 0, 0
+    if any(not isinstance(n, int) for x in (*common, *varying) for n in x.shape):
+        lines.append(f"    const int64_t {_PERIODS} = *(const int64_t *)scalars;")
+        scalars = 1
     for n, x in enumerate([*common, *varying]):
-        kind = _TYPES[kind_of(x.dtype)]
+        kind, size = _TYPES[kind_of(x.dtype)], math.prod(x.shape)
         if n >= len(common):
-            place, lanes = f"arrays + {shared} + {lanes} * lanes", lanes + x.size
-        elif x.ndim:
-            place, shared = f"arrays + {shared}", shared + x.size
+            place, lanes = f"arrays + {shared} + ({lanes}) * lanes", lanes + size
+        elif x.shape:
+            place, shared = f"arrays + {shared}", shared + size
         else:
             place, scalars = f"(const double *)scalars + {scalars}", scalars + 1
         lines.append(f"    const {kind} *in{n} = (const {kind} *)({place});")
     at = 0
     for n, (shape, dtype) in enumerate(leaves):
         kind = _TYPES[kind_of(np.dtype(dtype))]
-        lines.append(f"    {kind} *out{n} = ({kind} *)(results + {at} * lanes);")
+        lines.append(f"    {kind} *out{n} = ({kind} *)(results + ({at}) * lanes);")
         at += math.prod(shape)
     return lines
 
@@ -446,7 +486,7 @@ def _input_value(graph: Graph, name: str, x: NDArray, uniform: bool) -> Any:
     """An argument: a number, or an array in memory."""
     kind = kind_of(x.dtype)
     if x.shape:
-        return Stored(x.shape, kind, StoredArray(kind, x.size, [], name=name, uniform=uniform))
+        return Stored(x.shape, kind, StoredArray(kind, math.prod(x.shape), [], name=name, uniform=uniform))
     value = np.empty((), object)
     value[()] = graph.input(name, kind, uniform=uniform)
     return value
@@ -465,7 +505,9 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
             writer.name_array(result.array, f"out{place}")
     lines = []
     for value in inputs_of(graph.scope):
-        if writer.is_needed(value):
+        if value.data == _PERIODS:
+            writer.name(value, _PERIODS)
+        elif writer.is_needed(value):
             name = f"p{value.data}"
             writer.name(value, name)
             lines.append(f"{indent}{writer.constant(value)} {name} = {writer.loaded(value)};")

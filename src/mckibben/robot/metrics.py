@@ -220,7 +220,7 @@ class MetricSums(NamedTuple):
         flight, quantities = self.flight.after(sample, period, plant)
         return MetricSums(self.totals.merge(_totals(quantities)), flight)
 
-    def finished(self, periods: int, period: ArrayLike) -> RobotMetrics:
+    def finished(self, periods: Any, period: ArrayLike) -> RobotMetrics:
         """Return the metrics of a whole run; NaN for the apex of a foot that never left the ground."""
         apex = jnp.where(self.flight.apex > -jnp.inf, self.flight.apex, jnp.nan)
         return values_of(RobotMetrics, self.totals, Run(periods, period, self.flight._replace(apex=apex)))

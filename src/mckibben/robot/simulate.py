@@ -38,7 +38,7 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
-from mckibben.simulation.loop import Record, control_period, initial_loop, positions_over_time
+from mckibben.simulation.loop import Record, control_period, initial_loop, of_any_length, positions_over_time
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampling_times, single_run, split_runs
 from mckibben.simulation.result import RunResult
@@ -120,7 +120,7 @@ def robot_metrics(
 
     loop = initial_loop(plant, controller, start)
     sums = MetricSums.of(plant.observe(loop[0]))
-    return lax.scan(advance, (loop, sums), times)[0][1].finished(len(times), period)
+    return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(times.shape[0]), period)
 
 
 @checked_call
@@ -169,10 +169,11 @@ def simulate_robot(
     check_pairs(plant.robot, controller)
     run = single_run(RobotProblem(plant, controller, start), control_period, "simulate_robots")
     plant.check_start(start)
+    rows = of_any_length(controller, times)
     solutions: dict[int, tuple[tuple[Any, Record], str]] = {}
 
     def solve(number: int, _: Any = None) -> Positions:
-        parts = run.plant, run.controller, times, run.start, np.asarray(control_period), np.asarray(number)
+        parts = run.plant, run.controller, rows, run.start, np.asarray(control_period), np.asarray(number)
         solutions[number] = run_alone(engine, parts)
         at = solutions[number][0][1].state
         return np.stack([at.x, at.z, at.pitch, *at.angle])[..., None]
@@ -255,10 +256,12 @@ def simulate_robots(
         RobotProblem(plant, controller, start), over or {}, control_period, "simulate_robot"
     )
     first = eqx.combine(jax.tree.map(lambda leaf: leaf[0], lanes), shared)
-    given = shared, times, np.asarray(control_period)
+
+    every = spacing(times.size)
+    given = shared, of_any_length(controller, times, every), np.asarray(control_period)
 
     def refine_runs(runs: Runs) -> Refinement:
-        some, every = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes), spacing(times.size)
+        some = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes)
 
         def solve(number: int, which: Runs) -> Positions:
             padded = jax.tree.map(lambda leaf: leaf[..., full_vectors(which)], some)

@@ -36,7 +36,7 @@ from mckibben.simulation.accuracy import (
     spacing,
 )
 from mckibben.simulation.engine import BatchFunction, chunk_size, compute_groups, dynamic_steps
-from mckibben.simulation.loop import positions_over_time, streaming_episode
+from mckibben.simulation.loop import of_any_length, positions_over_time, streaming_episode
 from mckibben.simulation.metrics import USUAL_METRICS, Metrics, last_change
 from mckibben.simulation.outcome import OUTCOMES, SWUNG_OVER_AT, Outcome, outcomes
 from mckibben.simulation.problem import (
@@ -309,11 +309,12 @@ class _Runs(NamedTuple):
     asked: _Asked
     engine: str
 
-    def begun(self, lanes: SimulationProblem) -> tuple[PyTree, PyTree, Setpoint]:
+    def begun(self, lanes: SimulationProblem, every: int = 1) -> tuple[PyTree, PyTree, Setpoint]:
         """Shared and varying parts of runs, what is known before they begin included, and their setpoints."""
         setpoints = sampled_runs(lanes.reference, self.shared.reference, self.times)
         starts, exist = starts_of(lanes, self.shared, setpoints, engine=self.engine)
-        known, varies = (setpoints, last_change(setpoints.stiffness, np)), setpoints.angle.ndim > 1
+        rows, varies = of_any_length(self.shared.controller, setpoints, every), setpoints.angle.ndim > 1
+        known = rows, last_change(setpoints.stiffness, np)
         unused: Any = {"reference": None, "initial": None}
         shared = self.shared._replace(**unused), None if varies else known
         return shared, (lanes._replace(**unused), known if varies else None, starts, exist), setpoints
@@ -327,8 +328,8 @@ class _Runs(NamedTuple):
 
     def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
         """Step doubling of some runs, with 64 bits."""
-        shared, varying, setpoints = self.begun(self._some(runs))
         every = spacing(self.times.size)
+        shared, varying, setpoints = self.begun(self._some(runs), every)
         desired = setpoints.angle.reshape(self.times.size, -1)[::every]
 
         def solve(substeps: int, which: Runs) -> Positions:

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 from numpy.typing import DTypeLike, NDArray
 
 from mckibben.codegen.cuda import CudaFunction, device
-from mckibben.codegen.native import NativeFunction, compiler, warn_of_fallback
+from mckibben.codegen.native import NativeFunction, OverPeriods, compiler, warn_of_fallback
 from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
@@ -119,8 +119,6 @@ class BatchFunction:
             If the engine is "native", and the function cannot be written or compiled as C.
         """
         single, chosen = np.dtype(precision) == np.float32, check_engine(engine, many=lanes is not None)
-        if chosen == "cuda":
-            return self._cuda(shared, lanes, single=single), chosen
         if chosen == "native":
             try:
                 return self.native(shared, lanes, single=single), chosen
@@ -128,6 +126,9 @@ class BatchFunction:
                 if engine == "native":
                     raise
                 warn_of_fallback(error)
+        shared, lanes = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, OverPeriods) else x, (shared, lanes))
+        if chosen == "cuda":
+            return self._cuda(shared, lanes, single=single), chosen
         by_xla = _run_by_xla if lanes is None else _batch_by_xla
         return by_xla(self._function, shared, lanes), "xla"
 

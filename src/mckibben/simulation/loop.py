@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 
+from mckibben.codegen.native import over_periods
 from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint, with_preview
 from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, Plant, PlantState
@@ -32,6 +33,11 @@ class Record(NamedTuple):
 
 LoopState = tuple[PyTree, PyTree]
 """States of plant and controller at the start of a control period."""
+
+
+def of_any_length(controller: DiscreteTimeSystem, setpoints: PyTree, every: int = 1) -> PyTree:
+    """Setpoints of a run, of any number in one native program; not if it previews them, or keeps every n-th period."""
+    return setpoints if every > 1 or getattr(controller, "samples_ahead", 0) else over_periods(setpoints)
 
 
 def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: PyTree) -> LoopState:
@@ -102,11 +108,13 @@ def positions_over_time(
         return control_period(plant, controller, state, setpoint, period, substeps)[0], None
 
     def next_kept(state: LoopState, setpoints: PyTree) -> tuple[LoopState, tuple[Array, ...]]:
-        return lax.scan(next_period, state, setpoints)[0], tuple(jax.tree.leaves(state[0][0]))
+        following = next_period(state, setpoints) if every == 1 else lax.scan(next_period, state, setpoints)
+        return following[0], tuple(jax.tree.leaves(state[0][0]))
 
     loop, setpoints = begun(plant, controller, setpoints, initial, period)
-    rows = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
-    return lax.scan(next_kept, loop, rows)[1]
+    if every > 1:
+        setpoints = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
+    return lax.scan(next_kept, loop, setpoints)[1]
 
 
 class Streamed(NamedTuple):
@@ -153,7 +161,7 @@ def streaming_episode(
     keep
         Names of `Trajectory` to keep over time.
     """
-    periods = setpoints.angle.shape[0]
+    periods: Any = jnp.asarray(setpoints.angle.shape[0])
     change = last_change(setpoints.stiffness) if change is None else change
 
     @functools.partial(jax.jit, inline=True)  # traced once for both runs
@@ -178,7 +186,7 @@ def streaming_episode(
 
     loop, seen = begun(plant, controller, setpoints, initial, period)
     start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
-    carry, columns = lax.scan(next_period, start, (jnp.arange(periods), setpoints, seen))
+    carry, columns = lax.scan(next_period, start, (lax.iota(int, setpoints.angle.shape[0]), setpoints, seen))
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
     metrics = values_of(Metrics, totals, run)
     if not coupling:

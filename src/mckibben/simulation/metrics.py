@@ -305,13 +305,13 @@ def measure(
     """
     change = last_change(moved.desired_stiffness) if change is None else change
     moved = Trajectory(*map(jnp.asarray, moved))
-    periods = moved.angle.shape[0]
+    periods: Any = jnp.asarray(moved.angle.shape[0])
 
     def following(so_far: Accumulation, at: tuple[Array, Trajectory]) -> tuple[Accumulation, None]:
         return so_far.after(at[1], at[0], periods, change, angle_resolution), None
 
-    start = Accumulation.empty(moved.stiffness[0])
-    so_far, _ = lax.scan(following, start, (jnp.arange(periods), moved))
+    start = Accumulation.empty(jnp.zeros((), moved.stiffness.dtype))
+    so_far, _ = lax.scan(following, start, (lax.iota(int, moved.angle.shape[0]), moved))
     return values_of(Metrics, so_far.totals, so_far.run(periods, period, change))
 
 
@@ -326,7 +326,7 @@ class Change(NamedTuple):
 
 def first_of_end(periods: int) -> int:
     """First control period of the end of a run, its last tenth."""
-    return periods - max(periods // _END, 1)
+    return periods - (periods // _END + (periods < _END))
 
 
 def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import over_periods
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, DiscreteTimeSystem, Reference, Setpoint
 from mckibben.control.reference import Signal
@@ -219,7 +220,7 @@ def sampled_runs(lanes: Reference, shared: Reference, times: NDArray[np.float64]
     if not jax.tree.leaves(lanes):
         return sampled_reference(shared, times)
     if _is_pointwise(eqx.combine(lanes, shared)):
-        setpoints, _ = _sampled_run("auto", (shared, times), lanes)
+        setpoints, _ = _sampled_run("auto", (shared, over_periods(times)), lanes)
     else:
         setpoints = _sampled_all(lanes, shared, times)
     return jax.tree.map(np.asarray, setpoints)

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import over_periods
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
 from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
@@ -421,7 +422,8 @@ def compute_trajectory(
 def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
     """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness, np)
-    return _metrics("auto", jax.tree.map(np.asarray, (moved, period, angle_resolution, change)))[0]
+    rest = jax.tree.map(np.asarray, (period, angle_resolution, change))
+    return _metrics("auto", (over_periods(moved), *rest))[0]
 
 
 @BatchFunction

@@ -30,7 +30,7 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.engine import check_engine, run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
-from mckibben.simulation.loop import Record
+from mckibben.simulation.loop import Record, of_any_length
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import (
     AtRest,
@@ -223,7 +223,8 @@ class _Run(NamedTuple):
 
     def record(self, substeps: int) -> tuple[Record, str]:
         """The record with a number of integration steps per period, and the engine that computed it."""
-        parts = self.plant, self.controller, self.setpoints, self.start, np.asarray(self.control_period)
+        setpoints = of_any_length(self.controller, self.setpoints)
+        parts = self.plant, self.controller, setpoints, self.start, np.asarray(self.control_period)
         (_, record), used = run_alone(self.engine, (*parts, np.asarray(substeps)))
         return record, used
 
