@@ -449,7 +449,7 @@ def _symbol() -> Any:
     return export.symbolic_shape(_PERIODS)
 
 
-def _shape(x: Any) -> tuple[int, ...]:
+def _shape(x: NDArray | jax.ShapeDtypeStruct) -> tuple[int, ...]:
     """Shape of an argument or result, with -1 for the number of control periods."""
     if isinstance(x, OverPeriods):
         return (-1, *x.shape[1:])

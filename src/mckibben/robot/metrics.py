@@ -220,7 +220,7 @@ class MetricSums(NamedTuple):
         flight, quantities = self.flight.after(sample, period, plant)
         return MetricSums(self.totals.merge(_totals(quantities)), flight)
 
-    def finished(self, periods: Any, period: ArrayLike) -> RobotMetrics:
+    def finished(self, periods: Array, period: ArrayLike) -> RobotMetrics:
         """Return the metrics of a whole run; NaN for the apex of a foot that never left the ground."""
         apex = jnp.where(self.flight.apex > -jnp.inf, self.flight.apex, jnp.nan)
         return values_of(RobotMetrics, self.totals, Run(periods, period, self.flight._replace(apex=apex)))
@@ -234,7 +234,7 @@ def measure(samples: RobotSample, last: RobotSample, period: ArrayLike, plant: R
 
     first, rest = (jax.tree.map(lambda x, at=at: x[at], samples) for at in (0, slice(1, None)))
     sums = lax.scan(advance, MetricSums.of(first), rest)[0]
-    return sums.after(last, period, plant).finished(samples.z.shape[0], period)
+    return sums.after(last, period, plant).finished(jnp.asarray(samples.z.shape[0]), period)
 
 
 def _totals(quantities: Any) -> Totals:

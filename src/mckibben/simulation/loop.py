@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -161,7 +161,7 @@ def streaming_episode(
     keep
         Names of `Trajectory` to keep over time.
     """
-    periods: Any = jnp.asarray(setpoints.angle.shape[0])
+    periods = jnp.asarray(setpoints.angle.shape[0])
     change = last_change(setpoints.stiffness) if change is None else change
 
     @functools.partial(jax.jit, inline=True)  # traced once for both runs

@@ -54,7 +54,7 @@ class Totals(NamedTuple):
 class Run(NamedTuple):
     """A whole run: number of control periods, their length [s], and what has been tracked from each to the next."""
 
-    periods: int
+    periods: Array
     period: ArrayLike
     tracked: PyTree = None
 
@@ -305,7 +305,7 @@ def measure(
     """
     change = last_change(moved.desired_stiffness) if change is None else change
     moved = Trajectory(*map(jnp.asarray, moved))
-    periods: Any = jnp.asarray(moved.angle.shape[0])
+    periods = jnp.asarray(moved.angle.shape[0])
 
     def following(so_far: Accumulation, at: tuple[Array, Trajectory]) -> tuple[Accumulation, None]:
         return so_far.after(at[1], at[0], periods, change, angle_resolution), None
@@ -324,7 +324,7 @@ class Change(NamedTuple):
     ends: Array  # whether there is a change, a step and not the end of a ramp, and a time after it without one
 
 
-def first_of_end(periods: int) -> int:
+def first_of_end(periods: Any) -> Any:
     """First control period of the end of a run, its last tenth."""
     return periods - (periods // _END + (periods < _END))
 
@@ -385,7 +385,7 @@ class MetricSample(NamedTuple):
         cls,
         moved: Trajectory,
         index: ArrayLike,
-        periods: int,
+        periods: Array,
         change: Change,
         stiffness_at_change: ArrayLike,
         before: Sequence[ArrayLike],
@@ -441,7 +441,7 @@ class Accumulation(NamedTuple):
         return cls(MetricSample.empty(zero).totals().empty(), (zero,) * 4, zero, Oscillation.empty(zero))
 
     def after(
-        self, now: Trajectory, index: Array, periods: int, change: Change, angle_resolution: ArrayLike
+        self, now: Trajectory, index: Array, periods: Array, change: Change, angle_resolution: ArrayLike
     ) -> Accumulation:
         """Return the state after one more period of a run of so many."""
         at_change = jnp.where(index == change.at, now.stiffness, self.stiffness_at_change)
@@ -452,7 +452,7 @@ class Accumulation(NamedTuple):
         oscillation = self.oscillation.after(signals, index, angle_resolution)
         return Accumulation(self.totals.merge(sample.totals()), values, at_change, oscillation)
 
-    def run(self, periods: int, period: ArrayLike, change: Change) -> Run:
+    def run(self, periods: Array, period: ArrayLike, change: Change) -> Run:
         """Return the run as a whole, with its oscillations."""
         return Run(periods, period, Course(*self.oscillation.found(periods, period), change))
 

@@ -61,21 +61,27 @@ class Turns(NamedTuple):
     """Turning points of a signal so far; times in control periods."""
 
     direction: Scalar  # 1 upwards, -1 downwards
-    extreme: Scalar  # since the last turning point
-    extreme_at: Scalar
+    reached: Scalar  # in this direction since the last turning point
+    reached_at: Scalar
     total: Scalar  # number of turning points
 
-    def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Turns:
-        """Return the turning points after the sample of a control period, with the least distance of two of them."""
-        value, at = jnp.asarray(value), jnp.asarray(index, self.extreme.dtype)
-        further = self.direction * (value - self.extreme) >= 0
-        turned = ~further & (self.direction * (self.extreme - value) >= swing)
-        return Turns(
-            direction=jnp.where(turned, -self.direction, self.direction),
-            extreme=jnp.where(further | turned, value, self.extreme),
-            extreme_at=jnp.where(further | turned, at, self.extreme_at),
-            total=self.total + turned,
-        )
+    @property
+    def extreme(self) -> Array:
+        """Extreme since the last turning point."""
+        return self.direction * self.reached
+
+    def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> tuple[Array, Turns, Turns]:
+        """Whether the sample of a control period is a swing from the extreme; the state if it is, and if it is not."""
+        signed, at = self.direction * value, jnp.asarray(index, self.reached.dtype)
+        further = signed >= self.reached
+        reached, reached_at = jnp.where(further, signed, self.reached), jnp.where(further, at, self.reached_at)
+        turned = Turns(-self.direction, -signed, at, self.total + 1)
+        return self.reached - signed >= swing, turned, self._replace(reached=reached, reached_at=reached_at)
+
+    def counted(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Turns:
+        """Return the state after the sample of a control period, with the least distance of two turning points."""
+        turns, turned, further = self.after(value, index, swing)
+        return lax.cond(turns, lambda: turned, lambda: further)
 
 
 class Chain(NamedTuple):
@@ -114,13 +120,13 @@ class Swings(NamedTuple):
 
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
         """Return the state after the sample of a control period, with the least swing that counts."""
-        turns = self.turns.after(value, index, swing)
+        turns, turned, further = self.turns.after(value, index, swing)
         # A branch: turning points are rare.
-        return lax.cond(turns.total > self.turns.total, self._turned, lambda: self)._replace(turns=turns)
+        return lax.cond(turns, lambda: self._turned(turned), lambda: self._replace(turns=further))
 
-    def _turned(self) -> Swings:
+    def _turned(self, turns: Turns) -> Swings:
         """Return the state after a swing that ends at the present extreme."""
-        size, duration = jnp.abs(self.turns.extreme - self.last), self.turns.extreme_at - self.last_at
+        size, duration = jnp.abs(self.turns.extreme - self.last), self.turns.reached_at - self.last_at
         even = jnp.maximum(duration, self.duration) <= _REGULAR * jnp.minimum(duration, self.duration)
         goes_on = even & (size >= _REGULAR_SIZE * self.size)
         smaller = goes_on & (size < _SMALLER * self.size)
@@ -130,7 +136,7 @@ class Swings(NamedTuple):
         chain = Chain(*sums, recent)
         longer = chain.number > self.longest.number
         longest = Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True)))
-        return Swings(self.turns, self.turns.extreme, self.turns.extreme_at, size, duration, chain, longest)
+        return Swings(turns, self.turns.extreme, self.turns.reached_at, size, duration, chain, longest)
 
     def cycle(self, longest: ArrayLike, least: ArrayLike = 0.0) -> LimitCycle:
         """Return the limit cycle with a longest period, and a least duration or many swings [control periods]."""
@@ -183,8 +189,8 @@ class Oscillation(NamedTuple):
             self.stiffness.after(jnp.asarray(now.stiffness) - now.desired_stiffness, index, stiffness),
             self.command1.after(now.command1, index, command),
             self.command2.after(now.command2, index, command),
-            self.desired_angle.after(now.desired_angle, index, 2 * _AMPLITUDE),
-            self.desired_stiffness.after(now.desired_stiffness, index, stiffness),
+            self.desired_angle.counted(now.desired_angle, index, 2 * _AMPLITUDE),
+            self.desired_stiffness.counted(now.desired_stiffness, index, stiffness),
         )
 
     def found(self, periods: ArrayLike, period: ArrayLike) -> Oscillations:
