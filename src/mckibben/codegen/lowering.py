@@ -38,7 +38,7 @@ _CALLS = {
     "jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call",
     "call_hi_primitive", "eval_jaxpr",  # of JAX 0.12, for `custom_root`
 }  # fmt: skip
-_TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
+_TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims", "convert_element_type"}
 _LARGEST = 50_000  # elements of an array that is not in memory
 Array = Any  # an array of values, or `Stored`
 Equation = Jaxpr = Any  # JAX does not publish their types
@@ -256,6 +256,12 @@ class Lowering(ArrayRules):
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
+
+    def _convert_element_type(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Number of another type; real numbers of either precision are of one kind, in memory too."""
+        if isinstance(x, Stored) and x.kind is kind is Kind.REAL:
+            return x
+        return super()._convert_element_type(parameters, kind, shape, self.plain(x))
 
     def _dim_as_value(self, parameters: Parameters, kind: Kind, shape: Shape) -> Array:
         """A length that is an argument of the program."""
