@@ -95,7 +95,7 @@ BUDGET = {
     "calibration": 1750,
     "catalog": 230,
     "cli": 1560,
-    "codegen": 2620,
+    "codegen": 2630,
     "component": 1020,
     "config": 550,
     "containment": 290,
