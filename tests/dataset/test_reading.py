@@ -27,6 +27,7 @@ HEADER = "Pressure [bar];Contraction [%];Force [N]"
         ("Contraction (%)", "contraction", "percent"), ("eps [-]", "contraction", "ratio"), ("Verkürzung [mm]", "shortening", "mm"),
         ("Weg [mm]", "displacement", "mm"), ("Muscle length [in]", "length", "in"), ("Zeit  1 - Standardmessrate [s]", "time", "s"),
         ("Model Root/Pressure [bar]/In1", "pressure", "bar"), ("millis", "time", "ms"), ("Pressure (bar) Ave", "pressure", "bar"),
+        ("Istdruck [bar]", "pressure", "bar"), ("Kontraktion ε [%]", "contraction", "percent"), ("Pressure kPa(g)", "pressure", "kPa"), ("Force (N) - Channel 3", "force", "N"),
     ],
 )  # fmt: skip
 def test_headers_in_english_and_german(header, quantity, unit):

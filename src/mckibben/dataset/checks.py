@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -217,12 +217,15 @@ def _saturated(points: Points) -> Iterator[Question]:
     """Readings at the end of a sensor's range.
 
     The largest force repeats, or forces within 3 % of it belong to points of which one has 15 % more pressure and is
-    shorter; or pressures of the highest level alone do not scatter.
+    shorter; or the highest pressure repeats more often than those of other levels (binomial test, 1 %).
     """
+    from scipy.special import bdtrc
+
     level = pressure_levels(points.pressure)
     parts = [points.pressure[level == value] for value in np.unique(level[np.isfinite(level)])]
-    *others, last = [0.0, 0.0, *(np.mean(part == part.max()) for part in parts if len(part) > 3)]
-    if last > max(0.5, 1.5 * max(others)) and any(others):
+    *others, last = [(np.count_nonzero(part == part.max()), len(part)) for part in parts if len(part) > 3] or [(0, 1)]
+    usual = [count / size for count, size in others]
+    if others and max(usual) < 1 and bdtrc(last[0] - 1, last[1], np.mean(usual)) < 0.01:
         text = "the highest pressure repeats, and the others scatter: is the sensor saturated, first"
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
     top = np.flatnonzero(points.force >= 0.97 * points.force.max())
@@ -249,8 +252,8 @@ def _counted(points: Points) -> Iterator[Question]:
 def _surface(points: Points) -> Iterator[Question]:
     """Slopes and residuals of ``F = p (a + b x + c x^2) + d + e x + f exp(-6 x)`` of the taut points, x up to 1.
 
-    The force has to rise with the pressure and to fall with the contraction, as a bilinear surface through the points
-    shows. A point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the
+    The force has to rise with the pressure and to fall with the contraction, as the plane through the points shows. A
+    point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the
     points do. Slack points count only where another one, at no more pressure and no longer, pulls, or where a lone one
     would be taut by the surface.
     """
@@ -259,13 +262,8 @@ def _surface(points: Points) -> Iterator[Question]:
         yield points.ask("order", "nearly all forces are below 5 % of the largest,", int(np.argmax(points.force)))
     if len(taut) < 4 or np.ptp(rows[taut, 2]) < 0.15 * largest:
         return
-    centred = rows[taut] - rows[taut].mean(axis=0)
-    # without the product, points at constant loads would be far from a plane
-    bent = np.column_stack([centred[:, :2], np.prod(centred[:, :2], axis=1), np.ones(len(taut))])
-    solution = np.linalg.lstsq(bent, centred[:, 2], rcond=None)[0]
-    slopes, rest = solution[:2], centred[:, 2] - bent @ solution
-    moves = np.ptp(rows[taut, :2], axis=0) >= 0.02 * np.abs(rows[:, :2]).max(axis=0)
-    if np.any((slopes * (1, -1) <= 0) & moves) or rest @ rest > 0.3 * (centred[:, 2] @ centred[:, 2]):
+    plane = force_plane(rows[taut, 1], rows[taut, 0], rows[taut, 2])
+    if min(plane.falls, plane.rises) < -1 or plane.share < 1 / 2:
         text = (
             "the force does not rise with the pressure and fall with the contraction: exchanged columns, a wrong sign?"
         )
@@ -294,6 +292,49 @@ def _surface(points: Points) -> Iterator[Question]:
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)
+
+
+class ForcePlane(NamedTuple):
+    """Plane through forces over contraction and pressure.
+
+    Attributes
+    ----------
+    falls, rises
+        How far it falls with the contraction and rises with the pressure, in half widths of a 95 % interval: below -1
+        or above 1 significantly.
+    share
+        Share of the variance of the force that it explains.
+    """
+
+    falls: float
+    rises: float
+    share: float
+
+
+def force_plane(contraction: Floats, pressure: Floats, force: Floats) -> ForcePlane:
+    """Plane through forces by least squares, shape (points,) each.
+
+    By partial correlation: the t value of a slope is that of the residuals of force and regressor given the other.
+    """
+    from scipy.special import stdtrit
+
+    ones, total, freedom = np.ones_like(force), float(np.sum((force - force.mean()) ** 2)), len(force) - 3
+    if not total or freedom < 1:
+        return ForcePlane(0.0, 0.0, 0.0)
+    left = float(np.sum(residuals_of(force, np.column_stack([ones, contraction, pressure])) ** 2))
+
+    def ratio(values: Floats, other: Floats) -> float:
+        basis = np.column_stack([ones, other])
+        own, rest = residuals_of(values, basis), residuals_of(force, basis)
+        half = float(stdtrit(freedom, 0.975) * np.sqrt(left / freedom * (own @ own)))
+        return float(own @ rest) / half if half else 0.0
+
+    return ForcePlane(-ratio(contraction, pressure), ratio(pressure, contraction), 1 - left / total)
+
+
+def residuals_of(values: Floats, basis: Floats) -> Floats:
+    """Residuals of values, shape (points,), by least squares with a basis, shape (points, columns)."""
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
 def _exchanged(points: Points) -> Iterator[Question]:

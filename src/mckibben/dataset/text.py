@@ -26,6 +26,8 @@ _LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
 _STAMP = " -> "  # after the time that the monitor of the Arduino IDE puts before each line
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
+_HEAD = 3000  # characters with the header, whose cells may have line breaks
+_BROKEN = re.compile(r'(?<![^,;\t\n])"[^",;\t\d]{1,99}[\r\n]+[^",;\t\d]{1,99}"(?![^,;\t\r\n])')
 _TYPOGRAPHY = str.maketrans({"\u2212": "-", "\u2013": "-", "\ufeff": None})
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _BEGINS = re.compile(r"[+-]?[.,]?\d")
@@ -66,6 +68,7 @@ def decode(data: bytes, path: Path) -> str:
 def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a text: words, a header, perhaps rows of units, then one line per row; see `read_lines`."""
     Budget(path).spend(rows=max(text.count("\n"), text.count("\r")))
+    text = _BROKEN.sub(lambda cell: " ".join(cell[0].split()), text[:_HEAD]) + text[_HEAD:]
     lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_TYPOGRAPHY).split("\n")
     if lines[0].startswith("LabVIEW Measurement"):
         lines = _of_labview(lines, path)
@@ -324,6 +327,8 @@ def decimal_sign(cells: Iterable[str], separator: str) -> tuple[str, str]:
     """
     settled, ambiguous = set(), ""
     for cell in cells:
+        if match := _WITH_UNIT.fullmatch(cell) if dimension_of(cell.split()[-1] if " " in cell else "") else None:
+            cell = match[1]
         if ("." in cell or "," in cell) and (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
             sign = _sign_of(cell)
             settled |= {sign} - {""}

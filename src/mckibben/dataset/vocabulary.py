@@ -81,7 +81,7 @@ ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa
 _GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.IGNORECASE)
 AMBIGUOUS = re.compile(
     r"""strain|dehnung|elongation|stauchung|position|peak
-    |\bmax|\bmin|std|stdev|range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered
+    |\bmax|\bmin|\bstd|range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered
     |corrected|net\b|brutto|tara""",
     re.IGNORECASE | re.VERBOSE,
 )
@@ -115,7 +115,11 @@ _SPELLED: Mapping[str, str] = {
 }
 _TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
 """Names of clocks that say their unit: of Arduino, Simulink and LabVIEW."""
-_BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*(?:\d{0,2}|Ave)$", re.DOTALL)
+_BRACKETS = re.compile(
+    r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*(?:(?:-\s*(?:ch|channel|kanal) ?)?\d{0,2}|Ave)$",
+    re.DOTALL | re.IGNORECASE,
+)
+_REFERENCE = re.compile(r"(.*)\s+(\w+)\s*\((?:(g|gauge)|a|abs)\)", re.IGNORECASE)
 _TAIL = re.compile(r"(.+?)(?:\s*[/,;:]\s*|\s+in\s+|\s+[-–]\s+|[_ .])([^\s_/,;:]+)$", re.DOTALL)
 _CATMAN = re.compile(r"(?:\s+\d+)?\s*-\s*[\w ]*(?:messrate|sample rate)\b|\s+(?:last|actual|ave)$|_+$", re.IGNORECASE)
 _ROLES = {
@@ -198,6 +202,8 @@ def parse_header(text: str, unit: str = "") -> Header:
 def _read_whole(text: str, unit: str) -> Header:
     """Header of a text without a path; of an unknown name it has no quantity."""
     name, spelled = text, unit
+    if (match := _REFERENCE.fullmatch(text)) and dimension_of(match[2]) == "pressure":  # Pressure kPa(g)
+        text = f"{match[1]} ({match[2]} {'gauge' if match[3] else 'abs'})"
     if match := _BRACKETS.fullmatch(text):
         name, spelled = match[1], next(filter(None, match.groups()[1:]), "") or unit
     elif (match := _TAIL.fullmatch(text)) and dimension_of(match[2]) and ("_" in text or _named(match[1])):
@@ -237,6 +243,8 @@ def _named(name: str, unit: str = "") -> str:
     if AMBIGUOUS.search(plain):
         return ""
     bare = " ".join(_MODIFIERS.sub(" ", ABSOLUTE.sub(" ", plain)).split())
+    if len(parts := {_QUANTITY.get(word) for word in bare.split()}) == 1 and (said := parts.pop()):  # Kraft F
+        return said
     return _QUANTITY.get(bare) or _ROLES.get((dimension_of(unit), plain.removesuffix("wert")), "")
 
 

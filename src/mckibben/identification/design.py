@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.checks import force_plane, residuals_of
 from mckibben.dataset.schema import format_range
 from mckibben.errors import IdentificationError
 from mckibben.identification.summary import CONTRACTION_NOISE
@@ -55,7 +56,7 @@ def check_design(points: IsobaricDataset) -> None:
     table = "a table of the pressure at this load is inverse_table (command line: --of inverse)"
     remedy = f"measure at three further loads or more, or strokes at constant pressures; {table}"
     relative = (pressure - pressure.mean()) / np.ptp(pressure)
-    across = _residuals(contraction * relative, np.column_stack([np.vander(relative, 4), contraction]))
+    across = residuals_of(contraction * relative, np.column_stack([np.vander(relative, 4), contraction]))
     if np.sqrt(np.mean(across**2)) <= CONTRACTION_NOISE:
         raise IdentificationError(
             f"the points are on a curve or two lines, at {contractions} and {pressures}: they show the force "
@@ -63,34 +64,11 @@ def check_design(points: IsobaricDataset) -> None:
             field="contraction",
             remedy=remedy,
         )
-    if not _plane_is_physical(contraction, pressure, force):
+    plane = force_plane(contraction, pressure, force)
+    if min(plane.falls, plane.rises) <= 1 or plane.share <= 1 / 2:
         raise IdentificationError(
             f"the force ({format_range(force)} N) does not fall with contraction ({contractions}) and rise with "
             f"pressure ({pressures}), as that of a muscle: at one load, the points give {loads}",
             field="force",
             remedy=remedy,
         )
-
-
-def _residuals(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
-
-
-def _plane_is_physical(contraction: np.ndarray, pressure: np.ndarray, force: np.ndarray, level: float = 0.975) -> bool:
-    """Whether the plane through the forces falls with contraction and rises with pressure, and explains their majority.
-
-    By partial correlation: the t value of a slope is that of the residuals of force and regressor given the other.
-    """
-    from scipy.special import stdtrit
-
-    ones, total = np.ones_like(force), float(np.sum((force - force.mean()) ** 2))
-    freedom = len(force) - 3
-    if not total or freedom < 1:
-        return False
-    left = np.sum(_residuals(force, np.column_stack([ones, contraction, pressure])) ** 2)
-    for sign, values, other in ((-1, contraction, pressure), (1, pressure, contraction)):
-        basis = np.column_stack([ones, other])
-        own, rest = _residuals(values, basis), _residuals(force, basis)
-        if sign * (own @ rest) <= stdtrit(freedom, level) * np.sqrt(left / freedom * (own @ own)):
-            return False
-    return bool(left < total / 2)
