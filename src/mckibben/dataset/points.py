@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.isobaric import IsobaricDataset, format_list
-from mckibben.dataset.preprocessing import with_notes, without_offset
+from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.dataset.segmentation import usual_interval
 from mckibben.errors import DatasetError, RangeError
@@ -155,6 +155,10 @@ def extracted_points(
     notes = [*account.notes]
     if not points.attrs["slack_force"]:
         points, more = without_offset(points)
+        points, notes = with_notes(points, more), notes + more
+    if held_loads(points) is not None:  # then the direction is that of the contraction, whatever moved last
+        points = points.drop_vars(["direction", "phase"], errors="ignore")
+        points, more = with_passes(points, np.zeros(len(spread), np.int64))
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
     asked = questions_of(dataset, np.arange(1, len(dataset) + 1))

@@ -50,7 +50,7 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints) -> tuple[xr
     table, rows, notes = _at_held_pressures(table)
     table, more = _with_set_pressures(table)
     notes += more
-    table, more = _with_passes(table, files[rows])
+    table, more = with_passes(table, files[rows])
     notes += more + _rests(table)
     if not slack_known:
         table, more = without_offset(table)
@@ -75,14 +75,19 @@ def pressure_levels(pressure: Floats, tolerance: float = _LEVEL) -> Floats:
     >>> pressure_levels(np.array([1.01e5, 2e5, 0.996e5])).tolist()
     [100000.0, 200000.0, 100000.0]
     """
-    order = np.argsort(pressure, kind="stable")
-    ranked = pressure[order]
+    return np.round(level_means(pressure, tolerance) / kPa) * kPa
+
+
+def level_means(values: Floats, tolerance: float) -> Floats:
+    """As `pressure_levels`, of any quantity: means of the values that follow each other closely, NaN in a sweep."""
+    order = np.argsort(values, kind="stable")
+    ranked = values[order]
     group = np.cumsum(np.diff(ranked, prepend=ranked[:1]) > tolerance)
     mean = np.bincount(group, ranked) / np.maximum(np.bincount(group), 1)
     first, last = (np.searchsorted(group, np.arange(len(mean)), side=side) for side in ("left", "right"))
     wide = ranked[last - 1] - ranked[first] > 3 * tolerance
-    levels = np.empty(len(pressure))
-    levels[order] = np.where(wide, np.nan, np.round(mean / kPa) * kPa)[group]
+    levels = np.empty(len(values))
+    levels[order] = np.where(wide, np.nan, mean)[group]
     return levels
 
 
@@ -158,7 +163,7 @@ def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     return table.assign(set_pressure=("point", levels)), [note]
 
 
-def _with_passes(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, list[str]]:
+def with_passes(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, list[str]]:
     """Table with directions and repeats, and a note; unchanged if it has directions or shows no reversals."""
     if "direction" in table:
         return table, []
@@ -192,14 +197,16 @@ def _rests(table: xr.Dataset) -> list[str]:
 def held_loads(table: xr.Dataset) -> Floats | None:
     """Load [N] that is held along the path of each point, as by hanging weights, shape (points,); None if none is.
 
-    It is the set force or, without one, a force that is typed: few values, each at three points or more.
+    It is the set force or, without one, the level of forces that repeat to 1 % of the largest: few, each at three
+    points or more, and over more pressures than a level has.
     """
     if "set_force" in table and np.isfinite(table["set_force"]).all():
         return np.asarray(table["set_force"].to_numpy())
-    force = table["force"].to_numpy()
-    counts = np.unique(force, return_counts=True)[1]
-    typed = counts.min(initial=len(force)) >= _FEWEST and len(counts) < len(np.unique(_levels(table)))
-    return force if typed else None
+    force, pressure = table["force"].to_numpy(), table["pressure"].to_numpy()
+    levels = level_means(force, 0.01 * np.abs(force).max(initial=0.0))
+    spans = pd.Series(pressure).groupby(levels).agg(["size", np.ptp])
+    held = np.isfinite(levels).all() and spans["size"].min() >= _FEWEST and spans["ptp"].min() > 3 * _LEVEL
+    return levels if held and len(spans) < len(np.unique(_levels(table))) else None
 
 
 def _levels(table: xr.Dataset) -> Floats:
