@@ -85,7 +85,6 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
         at_bound = np.zeros(7, bool)
         regression = Regression(points, this, solution, at_bound)
         errors, correlations = standard_errors(solution.jacobian, solution.residuals, at_bound)
-        by = regression.default_grouping[0]
         yield Fit(
             law=this.law(solution.values),
             standard_errors=dict(zip(this.names, errors, strict=True)),
@@ -97,9 +96,16 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
             leave_one_pressure_out=None,
             notes=(),
             dataset=DatasetSummary("", "", ()),
-            robust=None if by is Grouping.POINT else regression.robust_errors(by),
+            robust=regression.robust_errors,
             regression=regression,
         )
+
+
+def grouped(fit: Fit, by: Grouping) -> Fit:
+    """The fit with errors in common by a grouping, whatever its points suggest."""
+    regression = dataclasses.replace(fit.require_regression())
+    vars(regression)["default_grouping"] = by, ""
+    return dataclasses.replace(fit, regression=regression, robust=regression.robust_errors)
 
 
 def covered(points, measured, further, knee, groupings):
@@ -109,14 +115,15 @@ def covered(points, measured, further, knee, groupings):
     stiffness = float(true_joint.stiffness(ANGLE, PRESSURES))
     force = float(EQ_3.force(*AT))
     inside, widths = ({by: [] for by in groupings} for _ in range(2))
-    for fit, error in zip(fits(points, measured), further, strict=True):
+    for plain, error in zip(fits(points, measured), further, strict=True):
         for by in groupings:
-            bounds = list(fit.intervals(by=by).values())
-            band = fit.force_intervals(*AT, by=by)
+            fit = grouped(plain, by)
+            bounds = list(fit.intervals().values())
+            band = fit.force_intervals(*AT)
             bounds += [(band.confidence.lower, band.confidence.upper), (band.prediction.lower, band.prediction.upper)]
             truths = [*TRUTH, force, force + error]
             if by is Grouping.STROKE:
-                joint = joint_bands(knee, fit, ANGLE, PRESSURES, by=by).stiffness
+                joint = joint_bands(knee, fit, ANGLE, PRESSURES).stiffness
                 bounds, truths = [*bounds, (joint.lower, joint.upper)], [*truths, stiffness]
             inside[by].append([low <= truth <= high for (low, high), truth in zip(bounds, truths, strict=True)])
             prediction = band.prediction

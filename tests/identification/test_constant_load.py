@@ -62,7 +62,9 @@ def test_measured_loads_are_recognised_by_their_levels_or_by_the_set_ones(tmp_pa
     """A load cell in series with the weights is noisy."""
     typed = hanging_weights(6.0)
     noisy = typed.table.assign(force=typed.table["force"] + np.random.default_rng(1).normal(0, 0.3, len(typed)))
-    assert identify_with_friction(ExponentialLaw, IsobaricDataset(noisy)).friction.half_width == pytest.approx(6, abs=0.3)
+    assert identify_with_friction(ExponentialLaw, IsobaricDataset(noisy)).friction.half_width == pytest.approx(
+        6, abs=0.3
+    )
     columns = {name: np.repeat(noisy[name].to_numpy(), 40) for name in ("pressure", "contraction", "force")}
     recording = Recording.of(time=np.arange(40 * len(typed)) / 20, **columns, initial_length=260 * mm)
     points = recording.plateaus().dataset  # whose lightest load is no offset of the load cell

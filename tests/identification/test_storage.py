@@ -6,7 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ScenarioError
-from mckibben.identification import Fit, Grouping, fit_law, read_law
+from mckibben.identification import Fit, fit_law, read_law
 from mckibben.muscle import Domain, ExponentialLaw, GaussianProcessLaw, Parameter, PressureAffineLaw
 from mckibben.units import bar, deg, mm
 
@@ -61,10 +61,9 @@ def test_a_file_gives_the_same_intervals(law, tmp_path):
     assert type(fit.law) is law
     fit.to_yaml(tmp_path / "fit.yaml")
     again = Fit.from_yaml(tmp_path / "fit.yaml")
-    for by in (None, Grouping.POINT, Grouping.PRESSURE):
-        ours, theirs = (one.force_intervals([0.0, 0.03, 0.1], 4 * bar, by=by) for one in (again, fit))
-        np.testing.assert_allclose(ours.confidence.upper, theirs.confidence.upper, rtol=1e-7)
-        np.testing.assert_allclose(ours.prediction.upper, theirs.prediction.upper, rtol=1e-7)
+    ours, theirs = (one.force_intervals([0.0, 0.03, 0.1], 4 * bar) for one in (again, fit))
+    np.testing.assert_allclose(ours.confidence.upper, theirs.confidence.upper, rtol=1e-7)
+    np.testing.assert_allclose(ours.prediction.upper, theirs.prediction.upper, rtol=1e-7)
 
 
 def test_outliers_come_back(tmp_path):

@@ -106,17 +106,17 @@ def test_the_degrees_of_freedom_of_the_scatter_are_what_its_own_scatter_says():
     assert np.median(freedom) == pytest.approx(2 * squares.mean() ** 2 / squares.var(), rel=0.15)
 
 
-def test_prediction_intervals_contain_the_misfit_of_a_wrong_law():
+def test_intervals_contain_the_misfit_of_a_wrong_law():
     """A law straight in the contraction, of a bent muscle: it misses it alike at every pressure."""
     pressure, contraction = (a.ravel() for a in np.meshgrid(np.arange(1, 7) * bar, np.linspace(0, 0.2, 10)))
     noise = np.random.default_rng(0).normal(0, 0.5, len(pressure))
     force = 20 + pressure * 1.2e-3 * (1 - contraction / 0.3) ** 2 + noise
     wrong = fit_law(ReynoldsLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force))
     truth = 20 + 360 * (2 / 3) ** 2
-    grouped = wrong.force_intervals(0.1, 3 * bar, by=wrong.robust.by).confidence
-    assert not grouped.lower < truth < grouped.upper
-    with_misfit = wrong.force_intervals(0.1, 3 * bar).prediction
-    assert with_misfit.lower < truth < with_misfit.upper
+    without = dataclasses.replace(wrong, leave_one_pressure_out=None).force_intervals(0.1, 3 * bar).confidence
+    assert not without.contains(truth)
+    band = wrong.force_intervals(0.1, 3 * bar)
+    assert band.confidence.contains(truth) and band.prediction.contains(truth)
 
 
 def test_left_out_lowest_and_highest_pressures_are_covered_at_no_more_than_some_three_times_the_error():
@@ -167,13 +167,14 @@ def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     assert any("independent points: 4 pressures are too few" in note.text for note in few.notes)
 
 
-def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):
+def test_intervals_are_t_intervals(fit):
     name = "decay"
     error, freedom = fit.robust.standard_errors[name], fit.robust.degrees_of_freedom[name]
     reach = stats.t.ppf(0.95, freedom) * error
     assert fit.intervals(0.9)[name] == pytest.approx((fit.law.decay - reach, fit.law.decay + reach))
     reach = stats.t.ppf(0.975, 119 - 7) * fit.standard_errors[name]
-    assert fit.intervals(by=Grouping.POINT)[name] == pytest.approx((fit.law.decay - reach, fit.law.decay + reach))
+    classical = dataclasses.replace(fit, robust=None)
+    assert classical.intervals()[name] == pytest.approx((fit.law.decay - reach, fit.law.decay + reach))
     model = ClusterRobustErrors.of(
         fit.regression.solution.jacobian, fit.residuals, group_labels(fit.regression.points, Grouping.PRESSURE)
     )
@@ -194,38 +195,37 @@ def test_a_fit_from_a_file_without_points_keeps_its_intervals_and_says_what_it_l
     dataclasses.replace(fit, regression=None).to_yaml(tmp_path / "fit.yaml")
     again = Fit.from_yaml(tmp_path / "fit.yaml")
     assert again.intervals(0.9) == fit.intervals(0.9)
-    assert again.intervals(by=Grouping.POINT) == fit.intervals(by=Grouping.POINT)
-    for ask in (lambda: again.force_intervals(0.1, 3 * bar),):
-        with pytest.raises(IdentificationError, match="read from a file"):
-            ask()
+    with pytest.raises(IdentificationError, match="read from a file"):
+        again.force_intervals(0.1, 3 * bar)
 
 
 # --- bands --------------------------------------------------------------------------------------------------
 
 
-def test_a_force_band_is_what_draws_of_the_parameters_give(fit):
+def test_a_force_band_is_what_draws_of_the_parameters_give(chart):
+    """Of points that share no error, without the misfit."""
+    scattered = chart.pressure + np.linspace(0, 500, len(chart))
+    data = IsobaricDataset.of(pressure=scattered, contraction=chart.contraction, force=chart.force)
+    fit = dataclasses.replace(fit_law(ExponentialLaw, data), leave_one_pressure_out=None)
     generator = np.random.default_rng(0)
     errors = np.array(list(fit.standard_errors.values()))
     draws = np.linalg.cholesky(fit.correlations) @ generator.normal(size=(7, 20000)) * errors[:, None]
     a1, a2, b1, b2, c1, c2, decay = np.array(list(fit.estimates.values()))[:, None] + draws
     for eps, p in ((0.05, 4 * bar), (0.18, 6 * bar)):
         forces = (a1 + a2 * p) + (b1 + b2 * p) * eps + (c1 + c2 * p) * np.exp(-decay * eps)
-        band = fit.force_intervals(eps, p, by=Grouping.POINT).confidence
-        assert float(band.standard_error) == pytest.approx(forces.std(), rel=0.03)
-        assert float(band.value) == pytest.approx(float(fit.law.force(eps, p)))
+        band = fit.force_intervals(eps, p)
+        assert float(band.confidence.standard_error) == pytest.approx(forces.std(), rel=0.03)
+        assert float(band.confidence.value) == pytest.approx(float(fit.law.force(eps, p)))
+        total = band.confidence.standard_error**2 + fit.rmse**2 * 119 / 112
+        assert float(band.prediction.standard_error) == pytest.approx(np.sqrt(total))
 
 
 def test_bands_broadcast_and_a_further_measurement_is_less_sure(fit):
     band = fit.force_intervals(np.linspace(0, 0.2, 5)[:, None], np.array([3, 6]) * bar, level=0.9)
     assert band.confidence.value.shape == band.prediction.upper.shape == (5, 2)
     assert np.all(band.prediction.upper >= band.confidence.upper)
-    grouped = fit.force_intervals(0.05, 3 * bar, by=fit.robust.by).confidence
-    assert grouped.degrees_of_freedom < 10
     single = fit.force_intervals(0.05, 3 * bar, level=0.9)
     assert single.confidence.value.shape == ()
     assert float(single.confidence.upper) == pytest.approx(
         fit.force_intervals([0.05], [3 * bar], level=0.9).confidence.upper[0]
     )
-    independent = fit.force_intervals(0.05, 3 * bar, by=Grouping.POINT)
-    total = independent.confidence.standard_error**2 + fit.rmse**2 * 119 / 112
-    assert float(independent.prediction.standard_error) == pytest.approx(np.sqrt(total))

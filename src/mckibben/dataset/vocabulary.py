@@ -191,6 +191,8 @@ def parse_header(text: str, unit: str = "") -> Header:
     """
     text = " ".join(unicodedata.normalize("NFKC", text[:_LONGEST]).split()).lstrip("#%").strip()
     text = re.sub(r":\d+$", "", text)  # of Simulink
+    if (match := _REFERENCE.fullmatch(text)) and dimension_of(match[2]) == "pressure":  # Pressure kPa(g)
+        text = f"{match[1]} ({match[2]} {'gauge' if match[3] else 'abs'})"
     whole = _read_whole(text, unit)
     if not whole.quantity and len(parts := [part for part in re.split(r"[/\\.]", text) if part.strip()]) > 1:
         headers = [header for part in parts if (header := _read_whole(part.strip(), unit)).quantity]
@@ -202,8 +204,6 @@ def parse_header(text: str, unit: str = "") -> Header:
 def _read_whole(text: str, unit: str) -> Header:
     """Header of a text without a path; of an unknown name it has no quantity."""
     name, spelled = text, unit
-    if (match := _REFERENCE.fullmatch(text)) and dimension_of(match[2]) == "pressure":  # Pressure kPa(g)
-        text = f"{match[1]} ({match[2]} {'gauge' if match[3] else 'abs'})"
     if match := _BRACKETS.fullmatch(text):
         name, spelled = match[1], next(filter(None, match.groups()[1:]), "") or unit
     elif (match := _TAIL.fullmatch(text)) and dimension_of(match[2]) and ("_" in text or _named(match[1])):

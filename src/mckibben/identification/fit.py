@@ -21,7 +21,6 @@ from mckibben.identification.estimator import (
     t_interval,
     t_quantile,
 )
-from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.regression import ForceIntervals, Regression, RobustErrors
 from mckibben.identification.storage import read_fields, write_fit
@@ -100,7 +99,7 @@ class Fit(Result, metaclass=CheckedCalls):
     @property
     def robust_covariance(self) -> Floats:
         """Covariance with the robust standard errors, if available; 0 for parameters at a bound."""
-        errors = np.array([self._errors(None)[0][name] for name in self.estimates])
+        errors = np.array([self._errors[0][name] for name in self.estimates])
         return np.nan_to_num(self.correlations * np.outer(errors, errors))
 
     def draws(self, rng: np.random.Generator, count: int) -> dict[str, Floats]:
@@ -129,32 +128,19 @@ class Fit(Result, metaclass=CheckedCalls):
         """
         return draw("isobaric", self.require_regression().points if data is None else data, self)
 
-    def intervals(self, level: float = 0.95, *, by: Grouping | None = None) -> dict[str, Interval]:
-        """Confidence intervals by parameter, in SI.
-
-        Parameters
-        ----------
-        by
-            Groups of points that may share an error. Default: strokes, or pressures if strokes are unknown.
-            ``Grouping.POINT`` gives the classical intervals.
-
-        Raises
-        ------
-        IdentificationError
-            If there are no such groups, or the fit was read from a file that does not hold the requested errors.
-        """
-        errors, freedom = self._errors(by)
+    def intervals(self, level: float = 0.95) -> dict[str, Interval]:
+        """Confidence intervals by parameter, in SI, for errors common to strokes or, if unknown, to pressures."""
+        errors, freedom = self._errors
         halves = {name: float(t_quantile(level, freedom[name])) * errors[name] for name in errors}
         return {name: Interval(value - halves[name], value + halves[name]) for name, value in self.estimates.items()}
 
-    def force_intervals(
-        self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
-    ) -> ForceIntervals:
+    def force_intervals(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> ForceIntervals:
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
-        The prediction interval has the scatter of the points or, if it is larger, that of the errors at left-out
-        pressures, which grows with the distance from the hull of the points (docs/uncertainty.md). How far the law is
-        off between the contractions is not in it.
+        The confidence interval has the error of the parameters and the misfit of the law, which is the mean square of
+        the errors at left-out pressures less their noise, and grows with the distance from the hull of the points
+        (docs/uncertainty.md); the prediction interval, also the scatter of the points. How far the law is off between
+        the contractions is in neither.
 
         Parameters
         ----------
@@ -162,14 +148,11 @@ class Fit(Result, metaclass=CheckedCalls):
             Contraction [-] and pressure [Pa]; they broadcast.
         level
             As for `intervals`.
-        by
-            Groups of points that may share an error; then without the errors at left-out pressures. Default: strokes
-            or pressures.
 
         Raises
         ------
         IdentificationError
-            As `intervals`; also if the fit was read from a file without points.
+            If the fit was read from a file without points.
         """
         check_level(level)
         regression = self.require_regression()
@@ -177,12 +160,12 @@ class Fit(Result, metaclass=CheckedCalls):
         value = forces(self.law, contraction, pressure)
         free = [regression.problem.names[i] for i in regression.free]
         gradients = design_matrix(self.law, free, contraction, pressure)
-        model = regression.error_model(by)
+        model = regression.error_model
         variance, freedom = model.variance(gradients)
         square, free_residuals = (np.full_like(freedom, number) for number in model.residual_variance)
         of_law = [(variance, freedom)]
-        if by is None and self.leave_one_pressure_out:
-            domain, lopo = self.law.domain, self.leave_one_pressure_out
+        if lopo := self.leave_one_pressure_out:
+            domain = self.law.domain
             places = np.column_stack([np.ravel(values) for values in np.broadcast_arrays(contraction, pressure)])
             side = (places[:, 1] > domain.pressure_max).astype(int) - (places[:, 1] < domain.pressure_min)
             unseen, few = lopo.misfit(hull_distance(domain, places), side)
@@ -201,15 +184,13 @@ class Fit(Result, metaclass=CheckedCalls):
             )
         return self.regression
 
-    def _errors(self, by: Grouping | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
+    @property
+    def _errors(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
         """Standard errors and degrees of freedom by parameter."""
-        if self.robust and by in (None, self.robust.by):
+        if self.robust:
             return self.robust.standard_errors, self.robust.degrees_of_freedom
-        if by in (None, Grouping.POINT):
-            free = sum(not np.isnan(error) for error in self.standard_errors.values())
-            return self.standard_errors, dict.fromkeys(self.standard_errors, float(self.points_used - free))
-        robust = self.require_regression().robust_errors(by)
-        return robust.standard_errors, robust.degrees_of_freedom
+        free = sum(not np.isnan(error) for error in self.standard_errors.values())
+        return self.standard_errors, dict.fromkeys(self.standard_errors, float(self.points_used - free))
 
     def verdict(self) -> str:
         """Return how well the law describes the points, and points at pressures that were left out."""
@@ -246,7 +227,7 @@ class Fit(Result, metaclass=CheckedCalls):
 
     def parameter_table(self, level: float = 0.95) -> Listing:
         """Parameters in published units, with intervals of a confidence level."""
-        errors, intervals = self._errors(None)[0], self.intervals(level)
+        errors, intervals = self._errors[0], self.intervals(level)
         shown = [p for p in type(self.law).parameters() if not p.penalised]
         scale = [factor(p.shown) for p in shown]
         numbers: dict[str, list[float]] = {

@@ -21,7 +21,7 @@ from mckibben.identification.estimator import (
     unidentifiable,
 )
 from mckibben.identification.fit import Fit
-from mckibben.identification.grouping import RESOLUTION, Grouping, measured_weights, neighbours_apart
+from mckibben.identification.grouping import RESOLUTION, measured_weights, neighbours_apart
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
@@ -132,7 +132,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     residuals = solution.residuals
     errors, correlations = standard_errors(solution.augmented[1], solution.augmented[0], at_bound)
     regression = Regression(points, problem, solution, at_bound, refit)
-    grouping, ungrouped = regression.default_grouping
+    ungrouped = regression.default_grouping[1]
 
     fitted = points.force - residuals
     good = float(np.sqrt(np.mean(residuals**2))) < _GOOD * float(fitted.max())
@@ -166,7 +166,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         notes=tuple(notes),
         dataset=DatasetSummary.of(points),
         residuals=residuals,
-        robust=None if grouping is Grouping.POINT else regression.robust_errors(grouping),
+        robust=regression.robust_errors,
         regression=regression,
         outliers=outliers,
     )

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import pandas as pd
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints
 from mckibben.identification.grouping import held_values
@@ -256,20 +254,8 @@ def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:
     return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, share * len(slack))
 
 
-def _gap_of_pairs(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, int]:
-    """Median force of loading minus that of unloading [N] at the same place, standard error and degrees of freedom."""
-    gaps = _gaps(means, taut, loading)
-    if len(gaps) < 2:
-        message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
-        remedy = f"measure the same positions in both directions, {_HELD_REMEDY}"
-        raise IdentificationError(message, value=len(gaps), lower=2, remedy=remedy)
-    middle = float(np.median(gaps))
-    error = 1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(len(gaps))
-    return middle, max(error, np.finfo(float).eps * abs(middle)), len(gaps) - 1
-
-
 def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, int]:
-    """As `_gap_of_pairs`, by regression: at a constant load, no two points share pressure and contraction."""
+    """Force of loading minus that of unloading [N], its standard error and degrees of freedom, by regression."""
     powers = np.vander(means.contraction[taut], 4)
     pressure, side = means.pressure[taut, None] / bar, np.where(loading[taut], 1.0, -1.0)
     basis = np.concatenate([powers, powers * pressure, side[:, None]], axis=1)
@@ -283,36 +269,21 @@ def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> t
     return 2 * float(half[-1]), 2 * noise / abs(float(factor[-1, -1])), freedom
 
 
-def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
-    """Force of loading minus that of unloading [N], at each level and contraction, up to noise of the length."""
-    moves = np.abs(np.diff(means.contraction))
-    tolerance = _NEAR * float(np.median(moves[moves > 0]))
-    order = np.lexsort((means.contraction, means.levels.round(-2)))
-    apart = (np.diff(means.contraction[order]) > tolerance) | (np.diff(means.levels[order].round(-2)) != 0)
-    place = np.empty(len(order), np.int64)
-    place[order] = np.concatenate([[0], np.cumsum(apart)])
-    forces = pd.Series(means.force[taut]).groupby([place[taut], loading[taut]]).mean().unstack()
-    return (forces[True] - forces[False]).dropna().to_numpy() if forces.shape[1] == 2 else np.empty(0)
-
-
 def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.99865) -> float:
     """Half-difference [N] between the directions at the same pressure and contraction.
 
-    It is the median over pairs of points or, in a test at constant loads, the regression coefficient of the direction
-    beside a force that is cubic in the contraction and affine in the pressure. Its significance is tested by the
-    one-sided t quantile of a `level`: three standard errors of many points.
+    It is the regression coefficient of the direction beside a force that is cubic in the contraction and affine in the
+    pressure. Its significance is tested by the one-sided t quantile of a `level`: three standard errors of many points.
 
     Raises
     ------
     NoHysteresisError
         If the difference is not significant.
     IdentificationError
-        If there are fewer than two pairs of points, or loading is significantly below unloading.
+        If loading is significantly below unloading.
     """
     loading = means.table["direction"].to_numpy() == "loading"
-    middle, error, freedom = (_gap_of_pairs if held_loads(means.table) is None else _gap_by_regression)(
-        means, taut, loading
-    )
+    middle, error, freedom = _gap_by_regression(means, taut, loading)
     from scipy.special import stdtrit
 
     if not abs(middle) > float(stdtrit(freedom, level)) * error:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import pressure_levels
-from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
@@ -204,7 +203,7 @@ class Regression:
                 f"the {len(labels)} points are at {by.counted(count)}, hardly two each; "
                 "record the set pressure of each point where the measured one differs"
             )
-        if self._cluster_robust(by).decisive:
+        if self._cluster_robust.decisive:
             return Grouping.POINT, f"one {by.value} alone determines a parameter"
         return by, ""
 
@@ -214,24 +213,22 @@ class Regression:
             self._cross_validations[kind] = cross_validate(self.problem, self.solution, blocks, self.refit)
         return self._cross_validations[kind]
 
-    def error_model(self, by: Grouping | None = None) -> ErrorModel:
-        """Error model of the free parameters for a grouping of the points (default: `default_grouping`)."""
-        by = self.default_grouping[0] if by is None else by
-        if by is Grouping.POINT:
-            return self._independent
-        model = self._cluster_robust(by)
-        if len(model.scores) < 2 or model.decisive:
-            why = "one of them alone determines a parameter" if model.decisive else "there are fewer than two"
-            message = f"no errors can be given for {by.counted(len(model.scores))}: {why}"
-            remedy = "group the points otherwise, or measure at more pressures"
-            raise IdentificationError(message, value=len(model.scores), lower=2, remedy=remedy)
-        return model
+    @cached_property
+    def error_model(self) -> ErrorModel:
+        """Error model of the free parameters, for errors in common by the `default_grouping`."""
+        if self.default_grouping[0] is not Grouping.POINT:
+            return self._cluster_robust
+        residuals, jacobian = self.solution.augmented
+        return IndependentErrors.of(jacobian[:, self.free], residuals)
 
-    def robust_errors(self, by: Grouping) -> RobustErrors:
-        """Cluster-robust standard errors of the parameters; raises as `error_model`."""
-        model, names = self.error_model(by), self.problem.names
+    @cached_property
+    def robust_errors(self) -> RobustErrors | None:
+        """Cluster-robust standard errors of the parameters; None for independent points."""
+        by, names = self.default_grouping[0], self.problem.names
+        if by is Grouping.POINT:
+            return None
         errors, freedom = np.full((2, len(names)), np.nan)
-        variance, freedom[self.free] = model.variance(np.eye(len(self.free)))
+        variance, freedom[self.free] = self.error_model.variance(np.eye(len(self.free)))
         errors[self.free] = np.sqrt(variance)
         return RobustErrors(
             by,
@@ -245,17 +242,7 @@ class Regression:
         return {}
 
     @cached_property
-    def _independent(self) -> IndependentErrors:
+    def _cluster_robust(self) -> ClusterRobustErrors:
         residuals, jacobian = self.solution.augmented
-        return IndependentErrors.of(jacobian[:, self.free], residuals)
-
-    def _cluster_robust(self, by: Grouping) -> ClusterRobustErrors:
-        if by not in self._models:
-            residuals, jacobian = self.solution.augmented
-            labels = group_labels(self.points, by)
-            self._models[by] = ClusterRobustErrors.of(jacobian[:, self.free], residuals, labels)
-        return self._models[by]
-
-    @cached_property
-    def _models(self) -> dict[Grouping, ClusterRobustErrors]:
-        return {}
+        labels = group_labels(self.points, finest_grouping(self.points))
+        return ClusterRobustErrors.of(jacobian[:, self.free], residuals, labels)

@@ -32,7 +32,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
-    from mckibben.identification import Fit, Grouping, HysteresisFit, RankedLaw, Ranking
+    from mckibben.identification import Fit, HysteresisFit, RankedLaw, Ranking
 
 _MOST = 6  # laws whose residuals are drawn, and pressures with their own panel
 _LOOKS: dict[str, Look] = {
@@ -140,7 +140,7 @@ _MEAN: Look = {"color": BLUE, "alpha": 0.45, "zorder": 2}
 
 
 @styled
-def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
+def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95) -> Figure:
     """Fitted law with its pointwise confidence band (inner) and the prediction band of a plateau mean (outer).
 
     Upper panels: force [N] over contraction [%] at up to six pressures; lower panels: the same minus the fitted force,
@@ -154,8 +154,6 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         Fitted law.
     level
         Coverage of the bands [-].
-    by
-        Groups of points with common errors, as for `Fit.force_intervals`.
     """
     taut = dataset.plateau_means().taut
     levels = _spread(taut.pressures)
@@ -167,14 +165,14 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     for i, pressure in enumerate(levels):
         points = taut.at(float(pressure))
         along = np.linspace(first, min(last, float(points.contraction.max()) + 0.02), 200)
-        band = fit.force_intervals(along, float(pressure), level=level, by=by)
+        band = fit.force_intervals(along, float(pressure), level=level)
         for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.confidence.value)):
             outer, inner = band.prediction, band.confidence
             x, width = along / percent, f"{100 * level:g} %"
             draw_band(axes, x, outer.lower - offset, outer.upper - offset, label=f"{width} prediction band")
             draw_band(axes, x, inner.lower - offset, inner.upper - offset, label=f"{width} confidence band", **_MEAN)
             axes.plot(x, band.confidence.value - offset, label="fitted law", **_MODEL)
-        there = fit.force_intervals(points.contraction, points.pressure, level=level, by=by)
+        there = fit.force_intervals(points.contraction, points.pressure, level=level)
         look: Look = {"markersize": _size(points), "zorder": 4}
         draw_points(grid[0, i], points, points.force, **look)
         draw_points(grid[1, i], points, points.force - there.confidence.value, **look)

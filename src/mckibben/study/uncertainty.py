@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.errors import ParameterError
 from mckibben.identification.estimator import IntervalEstimate, check_level, t_interval, variance_of
 from mckibben.identification.fit import Fit
-from mckibben.identification.grouping import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import pressure_pair
 from mckibben.muscle import ForceLaw
@@ -43,12 +42,10 @@ def joint_bands(
     pressures: tuple[ArrayLike, ArrayLike],
     *,
     level: float = 0.95,
-    by: Grouping | None = None,
 ) -> JointBands:
     """Torque and stiffness of a joint with their uncertainty; a slack muscle contributes nothing.
 
-    Raises `IdentificationError` if a fit was read from a file, or there are no such groups; `ParameterError` if there
-    are not one or two fits.
+    Raises `IdentificationError` if a fit was read from a file; `ParameterError` if there are not one or two fits.
 
     Parameters
     ----------
@@ -58,7 +55,7 @@ def joint_bands(
         One fit for both muscles, with common errors, or one independent fit per muscle.
     angle, pressures
         Angle [rad] and gauge pressures [Pa]; they broadcast.
-    level, by
+    level
         As for `Fit.intervals`.
 
     Examples
@@ -92,11 +89,11 @@ def joint_bands(
         parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for fit, gradient in zip(pair, gradients, strict=True):
             regression = fit.require_regression()
-            parts.append(variance_of(regression.error_model(by), gradient[i][..., regression.free]))
+            parts.append(variance_of(regression.error_model, gradient[i][..., regression.free]))
         bands.append(t_interval(level, answers_of_both[i], parts))
     doubtful = np.zeros(shape, bool)
     for contraction, pressure, fit in zip(contractions, where[1:], both, strict=True):
-        force = fit.force_intervals(contraction, pressure, level=level, by=by).confidence
+        force = fit.force_intervals(contraction, pressure, level=level).confidence
         doubtful |= (force.lower < 0) & (force.upper > 0)
     return JointBands(bands[0], bands[1], doubtful)
 
