@@ -97,30 +97,6 @@ def test_a_signal_in_the_midst_of_a_vent_still_closes(tmp_path):
     assert rig.closed and empty(rig)
 
 
-def test_nobody_beats_after_a_stop_so_that_a_rig_whose_vent_fails_vents_by_itself(tmp_path):
-    rig = Around(twin(), 20, vent=lambda rig: None)
-    with pytest.raises(SignalledError, match="the muscle is vented"):
-        start(tmp_path, rig, UNDER_PRESSURE, report=Signalling(20))
-    assert rig.truth.pressure < 0.2 * bar
-
-
-def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
-    def away(progress):
-        if not went:  # the host is away, and meanwhile air comes in: the samples that wait begin without it
-            went.append(rig.pass_time(0.6))
-            rig.set_valves([2 * bar])
-            rig.pass_time(0.3)
-
-    went = []
-    rig = twin()
-    with pytest.raises(StoppedError, match=r"newest sample is .* old;.*; the muscle is vented"):
-        start(tmp_path, rig, UNDER_PRESSURE, report=away)
-    assert rig.truth.pressure < 0.2 * bar
-    record = read_record(tmp_path)
-    assert record.columns["time"][-1] > 0.1 + 0.6 + 0.3
-    assert record.columns["pressure"].max() > 1 * bar  # it saw it come and go
-
-
 def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
     """Air that was left in it, or a valve that does not let it out."""
 

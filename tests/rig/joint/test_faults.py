@@ -145,22 +145,6 @@ def test_an_exception_at_any_time_vents_and_is_raised_again(stiff, watched):
         assert np.array_equal(kept.columns["sample"], np.arange(kept.columns["sample"].size))
 
 
-def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
-    for instant in INSTANTS:
-        joint = stiff.joint(patience=20 * ms)
-        joint.open()
-        joint.read(1)
-        joint.set_valves([3.6 * bar, 3.6 * bar])
-        joint.heartbeat()
-        while joint.clock() < instant:
-            joint.read(1)
-            joint.heartbeat()
-        joint.pass_time(15 * ms)
-        assert min(joint.truth[2:]) > 0.5 * bar
-        joint.pass_time(200 * ms)
-        assert max(joint.truth[2:]) < 0.05 * bar
-
-
 def session(stiff, joint, plan):
     """A run without reference and result: it is about the record."""
     header = {"what": "joint rig"}
@@ -195,18 +179,3 @@ def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, t
     ran = session(stiff, watched(), stiff.plan(30)).run(tmp_path)
     assert (ran.outcome.kind, ran.outcome.text) == ("rig", "no space left")
     assert ran.outcome.vented_after is not None and ran.timing.periods == 30
-
-
-def test_a_recorder_that_fails_stops_the_run(stiff, watched):
-    class Full(Kept):
-        def append(self, rows):
-            if len(self.rows) == 50:
-                raise RigError("no space left")
-            super().append(rows)
-
-    joint, kept = watched(), Full()
-    outcome, _ = stiff.run(joint, plan=stiff.plan(300), recorder=kept)
-    assert outcome.kind == "rig" and "no space left" in outcome.text
-    assert joint.vented_at < 0.11
-    joint.pass_time(200 * ms)
-    assert max(joint.truth[2:]) < 0.05 * bar

@@ -10,8 +10,6 @@ from mckibben.control.base import Setpoint
 from mckibben.errors import RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.rig import JointLimits, Sensing, Timing
-from mckibben.rig.backend import Backend
-from mckibben.rig.compiled import vented_angle
 from mckibben.rig.control_loop import realtime_process_settings
 from mckibben.rig.joint_record import Phase
 from mckibben.rig.safety import JointMonitor
@@ -32,19 +30,6 @@ def simulated(knee, short_episode):
 @pytest.fixture(scope="module")
 def ran(knee):
     return knee.run()
-
-
-@pytest.mark.slow
-def test_the_torque_of_the_vented_joint_falls_through_zero_at_its_angle(knee):
-    angles = vented_angle(knee.plant) + np.array([-0.1, 0.0, 0.1]) * deg
-    torque = np.asarray(knee.plant.joint.torque(angles, (0.0, 0.0)) + knee.plant.load.gravity_torque(angles))
-    assert torque[0] > 0 > torque[2]
-    assert abs(torque[1]) < 1e-3 * (torque[0] - torque[2])
-
-
-def test_a_virtual_joint_is_a_backend(stiff):
-    assert isinstance(stiff.joint(), Backend)
-    assert [one.problem for one in stiff.joint().status()] == [""] * 6
 
 
 @pytest.mark.slow
@@ -210,24 +195,6 @@ def test_there_is_no_heartbeat_after_the_vent(stiff):
     joint.vent = lambda: None
     outcome, _ = stiff.run(joint)
     assert outcome.completed and 60 * ms < outcome.vented_after < 200 * ms
-
-
-def test_a_command_between_samples_counts_from_when_it_came(stiff):
-    """In real time: the pressure has had the rest of the period, and no more."""
-    joint = stiff.joint(paced=True)
-    after = math.inf
-    while after > 0.9 * PERIOD:  # another process may take the rest of a period
-        joint.open()
-        joint.read(1)
-        while joint.clock() < 0.6 * PERIOD:
-            pass
-        before = joint.clock()
-        joint.set_valves([0.0, 9 * bar])
-        after = joint.clock()
-        values = joint.read(1).values[0]
-        joint.close()
-    least, most = (8 * bar - 5 * bar * np.exp(-(PERIOD - at) / 0.02) for at in (after, before))
-    assert least - 1 <= values[2] <= most + 1
 
 
 def test_in_real_time_it_takes_the_time_that_it_says(stiff):

@@ -13,7 +13,6 @@ from mckibben import catalog
 from mckibben.errors import RangeError, RigError, ScenarioError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.rig import ni
-from mckibben.rig.backend import Backend
 from mckibben.rig.ni import Card, NiBackend
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.units import bar
@@ -78,12 +77,6 @@ def press(rig, twin, pressure):
     rig.set_valves([pressure])
 
 
-def test_it_is_a_backend_before_anything_is_connected():
-    card = device.wired("")
-    assert isinstance(NiBackend(card), Backend)
-    assert [channel.where for channel in NiBackend(card).inputs] == ["Dev1/ai0", "Dev1/ai1"]
-
-
 def test_nidaqmx_is_not_imported_until_a_rig_is_opened():
     """No module imports it, or `grpc`, when it is imported itself."""
     for path in Path(importlib.util.find_spec("mckibben.rig").submodule_search_locations[0]).rglob("*.py"):
@@ -110,14 +103,6 @@ def test_it_reads_the_samples_of_the_card(bench):
         alone.heartbeat()
     assert rig.clock() == pytest.approx(1.0)
     assert there.twin.truth.pressure > 2.5 * bar and there.card.beats == 10
-
-
-def test_order_of_the_inputs_is_that_of_the_wiring(bench):
-    there = bench()
-    rig = there.rig(inputs={name: device.BENCH[name] for name in ("pressure", "force")})
-    press(rig, there.twin, 4 * bar)
-    pressure, force = read(rig, 2.0)[-1].values.mean(axis=0)
-    assert pressure == pytest.approx(4 * bar, abs=0.1 * bar) and force == pytest.approx(there.twin.truth.force, abs=1)
 
 
 def test_vented_muscle_has_its_valve_without_current_and_no_signal(bench):
