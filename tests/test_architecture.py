@@ -94,7 +94,7 @@ BUDGET = {
     "actuator": 1050,
     "calibration": 1750,
     "catalog": 230,
-    "cli": 1560,
+    "cli": 1530,
     "codegen": 2630,
     "component": 1020,
     "config": 550,
