@@ -105,7 +105,7 @@ BUDGET = {
     "experiment_design": 740,
     "export": 2510,
     "firmware": 150,
-    "identification": 3780,
+    "identification": 3710,
     "joint": 1200,
     "robot": 4550,
     "muscle": 1590,

@@ -119,12 +119,10 @@ def ranked(ranking: Ranking, source: Source) -> Report:
 def pooled(pool: PooledFit, length: float | None) -> Report:
     """Report of a law of several specimens, and of another one of an initial length [m] that it predicts."""
     tables, remarks = [*titled(pool.listings(), "pool")], [*pool.remarks()]
-    if length is not None:
-        tables.append(pool.prediction(length))
-        if pool.dead_length:
-            dead = show(pool.dead_length, "mm", 4)
-            text = f"the length in muscle.yaml is the active one; the dead length, {dead}, belongs to the connector"
-            remarks.append(Remark.note("dead_length", text))
+    if length is not None and pool.dead_length:
+        dead = show(pool.dead_length, "mm", 4)
+        text = f"the length in muscle.yaml is the active one; the dead length, {dead}, belongs to the connector"
+        remarks.append(Remark.note("dead_length", text))
 
     def write(folder: Path) -> None:
         from mckibben.scenario import write_muscle

@@ -23,7 +23,6 @@ from mckibben.identification.estimator import (
     Floats,
     Ints,
     common_error,
-    profile_interval,
     t_quantile,
 )
 from mckibben.muscle import MaxwellCreep, NoCreep
@@ -57,7 +56,7 @@ class CreepFit(Result):
         Share of the law that follows with a delay [-], and its 95 % interval; infinite where the data impose no bound
         on the time constant, with which it varies.
     time_constant, time_constant_interval
-        Time constant [s] and its 95 % profile interval; 0 or infinite where the data impose no bound.
+        Time constant [s] and its 95 % interval; 0 or infinite where the data impose no bound.
     residual
         Root mean square [N] of the residuals within plateaus, averaged to 16 blocks each.
     common_rate
@@ -401,11 +400,19 @@ class DelayedForce:
         return float(amplitude), float(rate), self.values - columns @ (rate, amplitude)
 
     @cached_property
-    def error(self) -> tuple[float, float]:
-        """Standard error of the amplitude and its degrees of freedom, with errors correlated in a plateau."""
+    def errors(self) -> tuple[Floats, Floats]:
+        """Standard errors of logarithm of the time constant, rate and amplitude, robust to those of a plateau.
+
+        With their degrees of freedom, at least 1.
+        """
         model = ClusterRobustErrors.of(self._jacobian, self.solution[2], self.owner)
-        variance, freedom = model.variance(np.eye(3)[-1:])
-        return math.sqrt(variance[0]), max(float(freedom[0]), 1.0)
+        variance, freedom = model.variance(np.eye(3))
+        return np.sqrt(variance), np.maximum(freedom, 1.0)
+
+    @property
+    def error(self) -> tuple[float, float]:
+        """Standard error of the amplitude and its degrees of freedom."""
+        return float(self.errors[0][-1]), float(self.errors[1][-1])
 
     @cached_property
     def scale(self) -> float:
@@ -433,12 +440,10 @@ class DelayedForce:
 
     @cached_property
     def time_constant_interval(self) -> tuple[float, float]:
-        """95 % profile interval of the time constant [s]; 0 or infinite where the data impose no bound."""
-        least = float(self.solution[2] @ self.solution[2])
-        rise = self.scale * float(t_quantile(0.95, self.error[1])) ** 2
-        best = math.log(self.time_constant), least
-        low, high = profile_interval(np.log(self.grid), self.grid_costs, best, rise, -math.inf)
-        return math.exp(low), math.exp(high)
+        """95 % interval of the time constant [s]; 0 or infinite where it leaves the time constants of the search."""
+        half = float(t_quantile(0.95, self.errors[1][0])) * float(self.errors[0][0])
+        low, high = (math.exp(math.log(self.time_constant) + side * half) for side in (-1, 1))
+        return (low if low > self.grid[0] else 0.0), (high if high < self.grid[-1] else math.inf)
 
     def _costs(self, time_constants: Floats) -> Floats:
         values, columns = self._without_line(self.values), self._without_line(self.columns(time_constants))

@@ -6,8 +6,7 @@ Numbers alone, no datasets: residuals r of shape (n,), and their Jacobian J of s
 2. `standard_errors` gives the classical errors and correlations; `IndependentErrors.of` and `ClusterRobustErrors.of`
    are error models, whose ``variance(gradients)`` is that of any quantity with those gradients, and its degrees of
    freedom. `robust_errors` chooses the cluster-robust one unless one group alone determines a parameter.
-3. `t_quantile` and `t_interval` turn variances into intervals; `profile_interval` and
-   `bounded_minimum` serve profiles of the cost.
+3. `t_quantile` and `t_interval` turn variances into intervals.
 4. `condition_number` and `unidentifiable` name the parameters that the data do not determine.
 """
 
@@ -406,40 +405,6 @@ def t_quantile(level: float, freedom: ArrayLike) -> Floats:
     from scipy.special import stdtrit
 
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
-
-
-def profile_interval(
-    grid: Floats, costs: Floats, best: tuple[float, float], rise: float, unbounded: float
-) -> tuple[float, float]:
-    """Where a cost rises by an amount above its minimum, on both sides of it.
-
-    The roots of the increase are interpolated linearly: they are those of a parabola.
-
-    Parameters
-    ----------
-    grid, costs
-        Ascending positions, shape (n,), and their costs.
-    best
-        Position of the minimum, and its cost.
-    rise
-        Increase of the cost at the ends of the interval.
-    unbounded
-        Lower end where the cost nowhere rises enough; the upper one is infinite.
-    """
-    place = int(np.searchsorted(grid, best[0]))
-    grid, costs = np.insert(grid, place, best[0]), np.insert(costs, place, best[1])
-    roots, limit = np.sqrt(np.maximum(costs - best[1], 0)), float(np.sqrt(rise))
-    below = np.flatnonzero(roots[:place] > limit)
-    above = np.flatnonzero(roots[place:] > limit) + place
-
-    def crossing(outside: int, inside: int) -> float:
-        part = (roots[outside] - limit) / (roots[outside] - roots[inside])
-        return float(grid[outside] + part * (grid[inside] - grid[outside]))
-
-    return (
-        crossing(int(below[-1]), int(below[-1]) + 1) if len(below) else unbounded,
-        crossing(int(above[0]), int(above[0]) - 1) if len(above) else np.inf,
-    )
 
 
 def bounded_minimum(cost: Callable[[float], float], lower: float, upper: float, xatol: float) -> float:

@@ -40,6 +40,27 @@ def warning_texts(notes: Iterable[Remark]) -> list[str]:
     return [f"{note.text}; {note.remedy}" if note.remedy else note.text for note in shown]
 
 
+def parameter_listing(
+    shown: Mapping[str, tuple[str, str, str]],
+    estimates: Mapping[str, float],
+    errors: Mapping[str, float],
+    intervals: Mapping[str, tuple[float, float]],
+    level: float = 0.95,
+) -> Listing:
+    """Table of parameters, by name those in shown units: shown unit, unit of the numbers, and meaning."""
+    sizes = {name: factor(unit, own) for name, (unit, own, _) in shown.items()}
+    columns: dict[str, tuple[Column, Sequence[object]]] = {
+        "parameter": (Column(), list(shown)),
+        "estimate": (Column(digits=6), [estimates[name] / size for name, size in sizes.items()]),
+        "standard error": (Column(digits=2), [errors[name] / size for name, size in sizes.items()]),
+        f"{100 * level:g} % from": (Column(digits=5), [intervals[name][0] / size for name, size in sizes.items()]),
+        "to": (Column(digits=5), [intervals[name][1] / size for name, size in sizes.items()]),
+        "unit": (Column(), [unit for unit, *_ in shown.values()]),
+        "meaning": (Column(), [meaning for *_, meaning in shown.values()]),
+    }
+    return Listing("parameters", columns)
+
+
 class Fit(Result, metaclass=CheckedCalls):
     """Force law identified from data, by `identify`.
 
@@ -227,20 +248,8 @@ class Fit(Result, metaclass=CheckedCalls):
 
     def parameter_table(self, level: float = 0.95) -> Listing:
         """Parameters in published units, with intervals of a confidence level."""
-        errors, intervals = self._errors[0], self.intervals(level)
-        shown = [p for p in type(self.law).parameters() if not p.penalised]
-        scale = [factor(p.shown) for p in shown]
-        numbers: dict[str, list[float]] = {
-            "estimate": [self.estimates[p.name] / size for p, size in zip(shown, scale, strict=True)],
-            "standard error": [errors[p.name] / size for p, size in zip(shown, scale, strict=True)],
-            f"{100 * level:g} % from": [intervals[p.name].lower / size for p, size in zip(shown, scale, strict=True)],
-            "to": [intervals[p.name].upper / size for p, size in zip(shown, scale, strict=True)],
-        }
-        digits = {"estimate": 6, "standard error": 2}
-        columns: dict[str, tuple[Column, Sequence[object]]] = {"parameter": (Column(), [p.name for p in shown])}
-        columns |= {name: (Column(digits=digits.get(name, 5)), values) for name, values in numbers.items()}
-        columns |= {"unit": (Column(), [p.shown for p in shown]), "meaning": (Column(), [p.meaning for p in shown])}
-        return Listing("parameters", columns)
+        shown = {p.name: (p.shown, p.unit, p.meaning) for p in type(self.law).parameters() if not p.penalised}
+        return parameter_listing(shown, self.estimates, self._errors[0], self.intervals(level), level)
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a file that `from_yaml` reads back exactly, with the points if there are at most 5000."""

@@ -123,20 +123,6 @@ class PooledFit(Result):
         half = quantile * np.hypot(self.strength_scatter * force, self.scatter)
         return force, force - half, force + half
 
-    def prediction(self, length: float) -> Listing:
-        """Forces of a specimen of another length [m] at the highest pressure, with 95 % intervals."""
-        domain, ratio = self.law.domain, 1 - self.dead_length / length
-        contraction = np.linspace(max(domain.contraction_min * ratio, 0.0), domain.contraction_max * ratio, 4)
-        pressure = float(domain.pressure_max)
-        force, low, high = self.predict(contraction, pressure, length)
-        columns = {
-            "contraction": (Column("1", "contraction", "%"), contraction),
-            "force": (Column("N", "force"), force),
-            "lower": (Column("N", "95 % from"), low),
-            "upper": (Column("N", "to"), high),
-        }
-        return Listing(f"force of {show(length, 'mm')} at {show(pressure, 'bar', 3)}", columns)
-
 
 def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset], *, robust: bool = True) -> PooledFit:
     """Fit one law to several specimens of one make: equal diameter and braid, several initial lengths.

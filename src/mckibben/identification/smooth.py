@@ -30,16 +30,15 @@ from numpy.polynomial import legendre, polynomial
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import pressure_levels
-from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
 from mckibben.identification.grouping import RESOLUTION
-from mckibben.identification.least_squares import FitProblem, Solution, design_matrix, project, solve
+from mckibben.identification.least_squares import FitProblem, Solution, project, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.regression import Refit, Regression, contraction_blocks, pressure_blocks
 from mckibben.identification.summary import domain_of
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
-from mckibben.muscle.slopes import slope_grid, unphysical, wrong_slopes
+from mckibben.muscle.slopes import unphysical
 from mckibben.muscle.smooth import DEGREE
 
 SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw, SmoothAffineLaw)
@@ -204,11 +203,7 @@ class Deviations:
             best = supported
         rows = prior_rows(self.prior, np.exp(self.prior.scales(best)[0]))
         solution = solve(replace(self.problem, prior=rows), self.base.position)
-        try:
-            sloped = monotone(solution, self.domain) if solution.converged else None
-        except IdentificationError:  # coefficients that cancel are outside the range of the law
-            return None
-        return (sloped if sloped and sloped.aicc < self.base.aicc else solution), best  # else the points contradict it
+        return solution, best
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
         """Errors [N] at blocks left out of the selected points, each predicted by a fit to all others."""
@@ -219,59 +214,6 @@ class Deviations:
             if refit is not None and refit[0].converged:
                 errors[out] = replace(refit[0], problem=self.problem).residuals[out]
         return errors
-
-
-def monotone(
-    solution: Solution, domain: Domain, *, rise: float = 1e-6, singular: float = 1e-14, rounds: int = 50
-) -> Solution | None:
-    """Solution with a force that falls with contraction and rises with pressure in a domain; None if there is none.
-
-    The linear parameters are changed as little as the points allow, so that the slopes are right on a grid, wherever
-    the muscle pulls: with the shape held, a least-distance problem, solved by non-negative least squares (C. Lawson and
-    R. Hanson, "Solving Least Squares Problems", SIAM 1995, chapter 23), with constraints where the last solution
-    violates them.
-
-    Parameters
-    ----------
-    rise
-        Least rise of the force between neighbours on the grid, relative to the largest force.
-    singular
-        Diagonal element of the triangle of unit-length columns below which the points do not determine the law.
-    rounds
-        Number of sets of constraints that are tried.
-    """
-    from scipy.optimize import nnls
-
-    problem, linear = solution.problem, solution.problem.linear
-    contraction, pressure = np.broadcast_arrays(*slope_grid(domain))
-    law, names = problem.law(solution.values), problem.names[:linear]
-    grid = design_matrix(law, names, contraction.ravel(), pressure.ravel()).reshape(*contraction.shape, linear)
-    residuals, jacobian = solution.augmented
-    columns, first = jacobian[:, :linear], solution.values[:linear]
-    lengths = np.linalg.norm(columns, axis=0)
-    q, triangle = np.linalg.qr(columns / lengths)
-    if not np.isfinite(grid).all() or np.abs(np.diag(triangle)).min() < singular:
-        return None
-    target, margin = q.T @ residuals, rise * float(problem.force[problem.selected].max())
-    wrong = [np.zeros(np.subtract(contraction.shape, less), bool) for less in ((1, 0), (0, 1))]
-    step = np.zeros(linear)
-    for _ in range(rounds):
-        slopes = wrong_slopes(grid @ (first + step))
-        if not any(rises.any() for rises in slopes):
-            values = np.concatenate([first + step, solution.values[linear:]])
-            errors = residuals - columns @ step
-            return replace(solution, values=values, cost=float(errors @ errors))
-        wrong = [old | new for old, new in zip(wrong, slopes, strict=True)]
-        rising = np.concatenate([-np.diff(grid, axis=0)[wrong[0]], np.diff(grid, axis=1)[wrong[1]]])
-        # Least distance: with u = R s - Q^T r, minimise |u| such that the force rises by the margin.
-        rows = np.linalg.solve(triangle.T, (rising / lengths).T)
-        rows = np.vstack([rows, margin - rising @ first - target @ rows])
-        scaled = rows / np.linalg.norm(rows[:-1], axis=0)
-        rest = scaled @ nnls(scaled, np.eye(linear + 1)[-1])[0] - np.eye(linear + 1)[-1]
-        if not rest[-1] < -singular:
-            return None
-        step = np.linalg.solve(triangle, target - rest[:-1] / rest[-1]) / lengths
-    return None
 
 
 def _window(values: Floats) -> tuple[float, float]:

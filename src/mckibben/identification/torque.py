@@ -23,12 +23,13 @@ from mckibben.identification.estimator import (
     t_quantile,
     unidentifiable,
 )
+from mckibben.identification.fit import parameter_listing
 from mckibben.identification.fitting import check_law_type
 from mckibben.identification.least_squares import FitProblem, design_matrix, grid_search, solve
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.slopes import unphysical
-from mckibben.result import Column, Listing, Remark, Result, column
-from mckibben.units import factor, kPa
+from mckibben.result import Listing, Remark, Result, column
+from mckibben.units import kPa
 
 FRICTION = {"half_width": "N", "joint_friction": "N*m"}
 """Friction of each muscle, and of the joint."""
@@ -83,18 +84,9 @@ class TorqueFit(Result):
     def listings(self) -> Iterable[Listing]:
         """Return the parameters with their errors and intervals."""
         yield from super().listings()
-        shown = {p.name: p.shown for p in type(self.law).parameters()} | FRICTION
-        units = {p.name: p.unit for p in type(self.law).parameters()} | FRICTION
-        sizes = {name: factor(shown[name], units[name]) for name in self.estimates}
-        columns = {
-            "parameter": (Column(), list(self.estimates)),
-            "estimate": (Column(digits=4), [value / sizes[name] for name, value in self.estimates.items()]),
-            "standard error": (Column(digits=2), [self.standard_errors[name] / sizes[name] for name in self.estimates]),
-            "95 % from": (Column(digits=4), [self.intervals[name][0] / sizes[name] for name in self.estimates]),
-            "to": (Column(digits=4), [self.intervals[name][1] / sizes[name] for name in self.estimates]),
-            "unit": (Column(), [shown[name] for name in self.estimates]),
-        }
-        yield Listing("parameters", columns)
+        shown = {p.name: (p.shown, p.unit, p.meaning) for p in type(self.law).parameters()}
+        shown |= {name: (unit, unit, "friction") for name, unit in FRICTION.items() if name in self.estimates}
+        yield parameter_listing(shown, self.estimates, self.standard_errors, self.intervals)
 
 
 @dataclass(frozen=True, eq=False)
