@@ -88,6 +88,11 @@ class Domain(Component):
                 f"the domains do not overlap: {self.bounds()}, and {other.bounds()}",
                 remedy="give the law, or the limits, a domain inside the specimen's",
             )
+        if (
+            all(bound is own for bound, own in zip(bounds, vars(self).values(), strict=False))
+            and not other.hull_pressures
+        ):
+            return self
         of = self if self.hull_pressures else other
         return Domain(*bounds, hull_contractions=of.hull_contractions, hull_pressures=of.hull_pressures)
 

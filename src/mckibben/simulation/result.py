@@ -213,7 +213,7 @@ class SimulationResult(RunResult):
     feasibility
         Static feasibility of the reference; None if unknown.
     notes
-        Remarks on the plant.
+        Function of the remarks on the plant, which take longer than a run.
     """
 
     kind = Metrics
@@ -224,7 +224,7 @@ class SimulationResult(RunResult):
     domains: tuple[Domain, ...] = ()
     known_outcome: Outcome | None = None
     feasibility: Feasibility | None = None
-    notes: tuple[Remark, ...] = ()
+    notes: Callable[[], list[Remark]] = list
 
     @classmethod
     def of(
@@ -327,7 +327,7 @@ class SimulationResult(RunResult):
             remedy = "check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
             yield Remark.warning("controller", self.poor_tracking, remedy)
         yield from super().remarks()
-        yield from self.notes
+        yield from self.notes()
         if "small_motion_stiffness" in self.columns and not self.outcome.failed:
             small, isobaric = (
                 f"{self[name].min():.3g}..{self[name].max():.3g} N*m/rad"

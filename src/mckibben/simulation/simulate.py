@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import warnings
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -127,8 +128,7 @@ def simulate(
         plant.check_substeps(*setpoints, control_period, substeps)
     run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine)
     record, used, resolution = run.solved(accuracy, substeps)
-    unknown = unknown_air(plant.joint)
-    notes = *plant.joint.remarks, *([Remark.note("joint", unknown)] if unknown else [])
+    notes = functools.partial(_remarks, plant.joint)
     result = _result(run, record, used, resolution, scenario, reach, notes)
     if not resolution.resolved:
         warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=user_level())
@@ -149,6 +149,12 @@ def simulate(
             text = f"with the controller's minimum tension of {float(tension):g} N {limited.verdict()}"
             warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=user_level())
     return result
+
+
+def _remarks(joint: AntagonisticJoint) -> list[Remark]:
+    """Remarks on a joint, and on an unknown use of air."""
+    unknown = unknown_air(joint)
+    return joint.remarks + ([Remark.note("joint", unknown)] if unknown else [])
 
 
 def unknown_air(joint: AntagonisticJoint) -> str:
@@ -262,7 +268,7 @@ def _result(
     resolution: Resolution,
     scenario: str = "",
     reach: Feasibility | None = None,
-    notes: tuple[Remark, ...] = (),
+    notes: Callable[[], list[Remark]] = list,
 ) -> SimulationResult:
     """Result of a run; much is computed when it is first asked for."""
     plant, setpoints, amplitude = run.plant, run.setpoints, run.controller.stiffness_amplitude
