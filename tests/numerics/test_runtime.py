@@ -3,9 +3,6 @@ import os
 import pytest
 
 from mckibben.numerics import runtime
-from mckibben.numerics.runtime import with_loop_option
-
-LOOP = "xla_cpu_small_while_loop_byte_threshold"
 
 
 X86 = """processor	: 0
@@ -88,21 +85,3 @@ def test_batches_fill_the_vector_unit_of_a_cpu_that_is_wide(monkeypatch, flags, 
     assert runtime.batch_options.__wrapped__() == options
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
     assert runtime.batch_options.__wrapped__() == {}
-
-
-@pytest.mark.parametrize(
-    ("flags", "expected"),
-    [
-        ("", f"--xla_backend_extra_options={LOOP}=1000000000"),
-        ("--xla_a=1 --xla_b=2", f"--xla_a=1 --xla_b=2 --xla_backend_extra_options={LOOP}=1000000000"),
-        (
-            "--xla_backend_extra_options=foo=2 --xla_b=2",
-            f"--xla_backend_extra_options={LOOP}=1000000000,foo=2 --xla_b=2",
-        ),
-        (f"--xla_backend_extra_options={LOOP}=7", f"--xla_backend_extra_options={LOOP}=7"),
-    ],
-    ids=["none", "flags of the user", "extra options of the user", "the same option"],
-)
-def test_our_option_joins_the_flags_of_the_user(flags, expected):
-    assert with_loop_option(flags) == expected
-    assert with_loop_option(expected) == expected

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.codegen import native
 from mckibben.codegen.native import compiler
-from mckibben.errors import McKibbenWarning, ParameterError
+from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario
-from mckibben.simulation import feasibility, problem
-from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size, run_alone
+from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size
 from mckibben.simulation.software import software
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -152,20 +150,6 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
         assert len(cuda_device.sources) == 2
         source = cuda_device.sources[scenario.sensors is None]  # of 64 bits, or of 32
         assert nvrtc.compile(source, 90).startswith(b"\x7fELF")
-
-
-def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
-    scenario = Scenario.parse(SCENARIOS["as in the paper"])
-    plant = scenario.plant()
-    parts = plant, scenario.control(), scenario.reference()
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
-    monkeypatch.setenv("CC", "false")
-    monkeypatch.setattr(native, "_FAILED", [])
-    monkeypatch.setattr(native, "_WARNED", [])
-    for function in (problem._start, feasibility.static_bands, problem._each_sample, run_alone):
-        monkeypatch.setattr(function.native, "_known", {})
-    with pytest.warns(McKibbenWarning):
-        assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 
 
 def test_the_software_of_batches_is_the_compiler_of_their_engine():

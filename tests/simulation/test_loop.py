@@ -9,7 +9,6 @@ from jax import lax
 
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import PlantState
 from mckibben.simulation import compiled_episode, sampled
 
 PERIOD = 1e-3
@@ -92,18 +91,3 @@ def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
         assert [float(c) for c in commands] == pytest.approx(
             [float(record.commands[0][k]), float(record.commands[1][k])], rel=1e-12
         )
-
-
-def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
-    # Long periods, commands that jump every 50 ms, both muscles taut throughout.
-    jumps = Setpoint(
-        jnp.asarray([4.2e5, 4e5, 4.4e5, 4.1e5, 4e5, 4.3e5]), jnp.asarray([4.4e5, 4.5e5, 4e5, 4.2e5, 4.3e5, 4e5])
-    )
-    start = numeric(PlantState(0.02, 0.0, (4.2e5, 4.2e5)))
-    run = lambda n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), np.asarray(n))[0]  # noqa: E731
-    final = {n: run(n) for n in (1, 2, 4, 8, 16, 256)}  # a number of steps that is traced: one program for all
-    errors = [abs(float(final[n].angle - final[256].angle)) for n in (2, 4, 8, 16)]
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert orders[-1] == pytest.approx(4, abs=0.2), (errors, orders)
-    assert orders[-2] == pytest.approx(4, abs=0.5), (errors, orders)
-    assert abs(float(final[1].angle - final[256].angle)) > errors[0]

@@ -8,7 +8,7 @@ import pytest
 from mckibben import simulation
 from mckibben.control import Setpoint
 from mckibben.simulation import Trajectory, without_last_change
-from mckibben.simulation.metrics import MetricSample, last_change
+from mckibben.simulation.metrics import first_of_end, last_change
 
 PERIOD = 1e-3
 measure = jax.jit(simulation.measure)  # one program a length
@@ -182,11 +182,5 @@ def test_no_error_has_no_slope():
     assert float(reverse(1.0)[0]) == pytest.approx(np.sqrt(np.mean(np.linspace(-1, 1, 12) ** 2)))
 
 
-@pytest.mark.parametrize("size", [5, 30, 47])
-def test_the_end_of_a_run_begins_at_the_first_control_period_of_its_last_tenth(size):
-    """As for a single run, whose outcome has the error of its last tenth."""
-    error, change = np.arange(1.0, size + 1), last_change(np.full(size, 15.0))
-    flown, zero = moved(size, angle=error), np.zeros(size)
-    samples = MetricSample.of(flown, np.arange(size), size, change, 15.0, (zero,) * 4)
-    first = size - max(size // 10, 1)
-    np.testing.assert_array_equal(samples.angle_error_at_end, np.where(np.arange(size) < first, 0.0, error))
+def test_the_end_of_a_run_is_its_last_tenth_and_one_control_period_at_least():
+    assert [first_of_end(periods) for periods in (1, 5, 10, 30, 47)] == [0, 4, 9, 27, 43]
