@@ -125,10 +125,9 @@ def table_of(folder: Path, title: str) -> dict[str, list]:
     return {name: column["values"] for name, column in table["columns"].items()}
 
 
-@pytest.mark.parametrize("method", ["cma", "local"])
 @pytest.mark.slow
-def test_a_search_from_beginning_to_end(cli, still, tmp_path, text, method, each_progress):
-    done = cli("tune", "s.yaml", *SMALL, "--method", method)
+def test_a_search_from_beginning_to_end(cli, still, tmp_path, text, each_progress):
+    done = cli("tune", "s.yaml", *SMALL, "--method", "cma")
     assert done.code == 0
     kept = tmp_path / "kept"
     names = {"s-tuned.yaml", STUDY, "results.json", "tuning.png", "tuning.svg"}

@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import time
 import tty
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, ScenarioError
 from mckibben.export import export
 from mckibben.firmware import Hardware
-from mckibben.rig.serial_line import SerialBackend
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import (
     CommandSource,
@@ -271,29 +269,3 @@ def test_a_spring_in_place_of_a_muscle_needs_neither_sensor_nor_valve(tmp_path):
         session.process.kill()
         session.process.wait()
         os.close(master)
-
-
-@pytest.mark.slow
-def test_the_serial_backend_runs_the_firmware(folder, digest, tmp_path):
-    """Both ends of the protocol, in real time: samples, arming, commands, and the vent."""
-    pytest.importorskip("serial", reason="needs the extra rig")
-    port = tmp_path / "board"
-    with subprocess.Popen([folder / "firmware", port, "0.3", "0.2"]) as process:  # with a weight: it swings at first
-        try:
-            while not port.exists():
-                time.sleep(0.01)
-            backend = SerialBackend(str(port), digest=digest, period=1e-3)
-            assert [channel.name for channel in backend.inputs] == ["angle", "pressure1", "pressure2"]
-            with backend.opened():
-                backend.read(2500, timeout=5.0)
-                backend.set_valves([1e5, 2e5])
-                for _ in range(150):
-                    block = backend.read(20)
-                    backend.set_valves([1e5, 2e5])
-                    backend.heartbeat()
-                np.testing.assert_allclose(block.values[-1, 1:], [1e5, 2e5], rtol=0.05)
-                assert block.first + len(block.time) > 5000
-                backend.vent()
-                assert backend.read(1000).values[-1, 1:].max() < 2e4
-        finally:
-            process.kill()

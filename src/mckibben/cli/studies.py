@@ -186,7 +186,7 @@ def compare(
     suite : SUITE.yaml
         Suite file, see examples/comparison; or a scenario, compared with PID loops and decoupling.
     quick
-        Short searches, at most 128 runs; a quick comparison is continued without it, too.
+        Short searches, at most 128 runs.
     """
     out = required_folder(out, "comparison")
     read = _suite(suite)
@@ -196,9 +196,7 @@ def compare(
     from mckibben.study.compare.result import PooledResult
 
     folders = {name: out / filename(name) for name in read.setups} or {"": out}
-    short = _quick(read)
-    if quick or (resume and any(_is_kept(short, name, folder) for name, folder in folders.items())):
-        read = short
+    read = _quick(read) if quick else read
     suites = {name: read.of_setup(name) if name else read for name in folders}
     for name, folder in folders.items():
         check_results(folder, CompareResult, resume)
@@ -261,12 +259,6 @@ def _suite(file: Path) -> Suite:
         err=True,
     )
     return suite
-
-
-def _is_kept(suite: Suite, setup: str, folder: Path) -> bool:
-    """Whether a folder has a comparison of a suite, or of one of its setups."""
-    path = folder / "suite.yaml"
-    return path.exists() and type(suite).read(path) == (suite.of_setup(setup) if setup else suite)
 
 
 def _quick(suite: Suite) -> Suite:
