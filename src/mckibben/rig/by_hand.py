@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 
 import numpy as np
 
 from mckibben.errors import UnitError
-from mckibben.rig.backend import Backend, Block, Channel, MovingBackend
+from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend
 from mckibben.units import quantity
 
 
@@ -48,6 +48,9 @@ class HandBench(MovingBackend):
     @property
     def description(self) -> Mapping[str, str]:
         return {**self.inner.description, "moved": "by weights" if self.weights else "by hand"}
+
+    def status(self) -> Iterator[ChannelStatus]:
+        return self.inner.status()
 
     def ask(self, text: str) -> Future[str]:
         """Ask the operator; samples go on meanwhile."""
