@@ -4,7 +4,6 @@ import pytest
 
 from mckibben.numerics import runtime
 
-
 X86 = """processor	: 0
 vendor_id	: GenuineIntel
 model name	: A
