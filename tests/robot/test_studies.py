@@ -15,8 +15,6 @@ from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.robot import (
     Body,
     RobotScenario,
-    RobotStart,
-    jump_search,
     jumping,
     landing,
     study_jump,
@@ -346,22 +344,6 @@ def test_draws_of_the_mass_scale_every_inertia():
 
 
 @pytest.mark.slow
-def test_gradient_of_the_apex_is_that_of_differences(scenario):
-    plant = scenario.plant()
-    angles = (0.0, -0.35)
-    pressures = plant.robot.pressures_for(angles, jumping.standing_torques(plant, angles).tolist(), (None, None))
-    variables = jump_search.ScheduleVariables(pressures, 0.0, 6e5, 0.05, timed=True)
-    runs = jump_search.JumpRuns(plant, RobotStart(angles, pressures), variables, 0.25, 0.25e-3, 1)
-    tried = np.random.default_rng(1).uniform(0.1, 0.9, (16, 64))
-    x = tried[:, runs.heights(tried).argmax()]
-    height, gradient = runs.height_and_gradient(x)
-    steps = 1e-6 * np.eye(16)
-    around = runs.heights(np.concatenate([x + steps, x - steps]).T)
-    assert height == pytest.approx(float(runs.heights(tried).max()), abs=1e-9)
-    assert np.abs(gradient - (around[:16] - around[16:]) / 2e-6).max() < 1e-6 * np.abs(gradient).max()
-
-
-@pytest.mark.slow
 def test_standing_is_the_highest_posture(scenario):
     plant, drawn = scenario.plant(), drawn_plant(scenario)
     standing, hip = jumping._standing_heights(plant, drawn)
@@ -372,8 +354,8 @@ def test_standing_is_the_highest_posture(scenario):
 @pytest.fixture(scope="module")
 def short_searches():
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("_GENERATIONS", "_POPULATION", "_POLISHING"):
-            patch.setattr(jump_search, name, 2)
+        for name in ("_GENERATIONS", "_POPULATION"):
+            patch.setattr(jumping, name, 2)
         yield
 
 
@@ -392,15 +374,13 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
     for jump in (record["constant"], record["timed"]):
         assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
         assert jump["integration"]["substeps"] >= 1
-    for jump in jumps.jumps.values():
-        assert abs(jump.balance.residual) < 0.01  # J
     assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
     assert len(next(jumps.listings()).rows()) == 2
 
 
 @pytest.mark.slow
 def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeypatch):
-    computed, run = [], jump_search.JumpRuns.heights
+    computed, run = [], jumping.JumpRuns.heights
 
     def counted(self, variables):
         computed.append(1)
@@ -408,7 +388,7 @@ def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeyp
             raise KeyboardInterrupt
         return run(self, variables)
 
-    monkeypatch.setattr(jump_search.JumpRuns, "heights", counted)
+    monkeypatch.setattr(jumping.JumpRuns, "heights", counted)
     with pytest.raises(KeyboardInterrupt):
         study_jump(scenario, out=tmp_path)
     with pytest.raises(FileError):  # it exists

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import operator
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
-from mckibben.actuator.base import Attainable, air_volumes, delay_periods
+from mckibben.actuator.base import air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.actuator_adaptation import ActuatorAdaptation, ActuatorAdaptationState, with_speed
@@ -47,34 +48,33 @@ _ROUNDING = 1e-9  # steps
 
 
 class Valves(NamedTuple):
-    """Model of the valves at their estimated pressures [Pa] and states, and the range of their commands [Pa]."""
+    """Model of the valves at their estimated pressures [Pa] and states, and the range of their commands [Pa].
+
+    Tuples are over muscles, for functions of a joint pairs.
+    """
 
     model: Actuator
-    pressures: Pair
-    states: tuple[PyTree, PyTree]
-    air: tuple[AirVolume | None, AirVolume | None]
-    commands: tuple[Pair, Pair]
+    pressures: Any
+    states: Any
+    air: Sequence[AirVolume | None]
+    commands: Any
 
-    def predict(self, commands: Pair, duration: ArrayLike) -> tuple[Pair, tuple[PyTree, PyTree]]:
+    def predict(self, commands: Sequence[ArrayLike], duration: ArrayLike) -> tuple[Any, Any]:
         """Return the pressures [Pa] and states a time [s] later, under constant commands [Pa]."""
-        muscles = zip(self.pressures, self.states, commands, self.air, strict=True)
-        (pressure1, state1), (pressure2, state2) = (
-            self.model.for_muscle(i).predict(*muscle, duration) for i, muscle in enumerate(muscles)
-        )
-        return (pressure1, pressure2), (state1, state2)
+        muscles = enumerate(zip(self.pressures, self.states, commands, self.air, strict=True))
+        predicted = [self.model.for_muscle(i).predict(*muscle, duration) for i, muscle in muscles]
+        return tuple(pressure for pressure, _ in predicted), tuple(state for _, state in predicted)
 
-    def attainable(self, duration: ArrayLike) -> tuple[Attainable, Attainable]:
+    def attainable(self, duration: ArrayLike) -> Any:
         """Return the pressures that can be reached within a time [s]."""
         muscles = zip(self.pressures, self.states, zip(*self.commands, strict=True), self.air, strict=True)
-        reach1, reach2 = (self.model.for_muscle(i).attainable(*muscle, duration) for i, muscle in enumerate(muscles))
-        return reach1, reach2
+        return tuple(self.model.for_muscle(i).attainable(*muscle, duration) for i, muscle in enumerate(muscles))
 
-    def commands_toward(self, targets: Pair, lag: ArrayLike, period: ArrayLike) -> Pair:
+    def commands_toward(self, targets: Sequence[ArrayLike], lag: ArrayLike, period: ArrayLike) -> Any:
         """Return the commands [Pa] of a control period [s] that lead the pressures to targets [Pa] with a lag [s]."""
         muscles = zip(self.pressures, self.states, targets, self.air, strict=True)
         wanted = (self.model.for_muscle(i).command_toward(*muscle, lag, period) for i, muscle in enumerate(muscles))
-        command1, command2 = map(jnp.clip, wanted, *self.commands)
-        return command1, command2
+        return tuple(map(jnp.clip, wanted, *self.commands))
 
 
 class Estimates(NamedTuple):

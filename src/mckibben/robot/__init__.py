@@ -15,7 +15,7 @@ from mckibben.robot.ground import Ground
 from mckibben.robot.jumping import JumpStudy, study_jump
 from mckibben.robot.landing import LandingStudy, study_landing
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.metrics import EnergyBalance, RobotMetrics
+from mckibben.robot.metrics import RobotMetrics
 from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
 from mckibben.robot.point_stiffness import PointStiffness, point_stiffness
@@ -37,7 +37,6 @@ __all__ = [
     "Body",
     "BodyPoint",
     "ComputedTorque",
-    "EnergyBalance",
     "Foot",
     "Ground",
     "Joint",

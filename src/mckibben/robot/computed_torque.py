@@ -13,13 +13,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from mckibben.actuator import Actuator
 from mckibben.actuator.base import AirVolume, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.base import Setpoint, ValveModel
 from mckibben.control.feedback import Feedback
-from mckibben.control.model_based import mean_commands
+from mckibben.control.model_based import Valves, mean_commands
 from mckibben.control.observer import ExtendedStateObserver, MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
@@ -137,7 +136,7 @@ class ComputedTorque(TrackingControl):
         angles, pressures = tuple(map(floating, measurement.angles)), tuple(map(floating, measurement.pressures))
         zero = jnp.zeros_like(angles[0])
         still = (zero,) * len(angles)
-        known = self._accelerations(angles, still, pressures)
+        known = self._accelerations(angles, still, pressures, 0.0)
         terms = joint_terms(self.robot, angles)
         return ComputedTorqueState(
             self.reference.init(measurement),
@@ -171,7 +170,8 @@ class ComputedTorque(TrackingControl):
         expected = tuple(angle + lead * rate for angle, rate in zip(coming.angles, coming.velocities, strict=True))
         made = joint_equations(self.robot, expected, coming.velocities, self.gravity)
         terms = joint_terms(self.robot, expected)
-        lower, upper, swings = self._window(terms.tension, coming, period)
+        valves = self._valves(coming)
+        lower, upper, swings = self._window(terms.tension, valves, period)
         torques, feedback = list(made.bias), []
         for i, reference in enumerate(ahead):
             error, rate = reference.angle - coming.angles[i], reference.velocity - coming.velocities[i]
@@ -194,7 +194,7 @@ class ComputedTorque(TrackingControl):
             self.feedback.track(held, torque / made.matrix[i][i], period)
             for i, (held, torque) in enumerate(zip(feedback, short, strict=True))
         ]
-        commands = self._commands(coming, targets, lag, period)
+        commands = valves.commands_toward(targets, lag, period)
         return ComputedTorqueState(
             state.reference,
             motions,
@@ -218,15 +218,16 @@ class ComputedTorque(TrackingControl):
         }
 
     def _accelerations(
-        self, angles: Sequence[Array], rates: Sequence[Array], pressures: Sequence[Array]
+        self, angles: Sequence[Array], rates: Sequence[Array], pressures: Sequence[Array], period: ArrayLike
     ) -> tuple[Array, ...]:
-        """Accelerations [rad/s^2] of the joints by the model."""
+        """Mean accelerations [rad/s^2] of the joints by the model in a time [s]; damping is that at its end."""
         made = joint_equations(self.robot, angles, rates, self.gravity)
         torques = self.robot.torques(angles, pressures)
-        driven = [
-            torque - joint.damping * rate for torque, joint, rate in zip(torques, self.robot.joints, rates, strict=True)
-        ]
-        return tuple(made.accelerations(driven))
+        driven, damped = [], [list(row) for row in made.matrix]
+        for i, (torque, joint, rate) in enumerate(zip(torques, self.robot.joints, rates, strict=True)):
+            driven.append(torque - joint.damping * rate)
+            damped[i][i] = damped[i][i] + joint.damping * period
+        return tuple(made._replace(matrix=damped).accelerations(driven))
 
     def _updated(
         self, state: ComputedTorqueState, measurement: RobotMeasurement, period: ArrayLike
@@ -235,10 +236,10 @@ class ComputedTorque(TrackingControl):
         rates = tuple(motion.velocity for motion in state.motions)
         age = 0.0 if self.command_delay is None else self.command_delay / jnp.asarray(period)
         arrived = mean_commands(state.sent, age, age + 1) if self.periods else state.sent[0]
-        held = state.pressures, state.valves, arrived
-        pressures, valves = self._valves_after(measurement.angles, rates, *held, period)
+        last = _Coming(tuple(measurement.angles), rates, state.pressures, state.valves)
+        pressures, valves = self._valves(last).predict(arrived, period)
         pressures = self.pressure_observer.step(pressures, measurement.pressures, period)
-        known = self._accelerations(measurement.angles, rates, pressures)
+        known = self._accelerations(measurement.angles, rates, pressures, period)
         motions = tuple(
             self.observer.step(motion, angle, acceleration, period)
             for motion, angle, acceleration in zip(state.motions, measurement.angles, known, strict=True)
@@ -246,27 +247,14 @@ class ComputedTorque(TrackingControl):
         angles = tuple(motion.angle for motion in motions)
         return _Coming(angles, tuple(motion.velocity for motion in motions), pressures, valves), motions
 
-    def _air(
-        self, angles: Sequence[Array], rates: Sequence[Array], pressures: Sequence[Array]
-    ) -> Sequence[AirVolume | None]:
-        """Volume of the air of each muscle, for valves that need it."""
-        if not self.valve.holds_air:
-            return (None,) * len(pressures)
-        return muscle_air(self.robot, self.valve, angles, rates, pressures)
-
-    def _valves_after(
-        self,
-        angles: Sequence[Array],
-        rates: Sequence[Array],
-        pressures: tuple[Scalar, ...],
-        valves: tuple[PyTree, ...],
-        commands: Sequence[ArrayLike],
-        duration: ArrayLike,
-    ) -> tuple[tuple[Scalar, ...], tuple[PyTree, ...]]:
-        """Pressures [Pa] and states of the model of the valves a time [s] later, under constant commands [Pa]."""
-        muscles = zip(pressures, valves, commands, self._air(angles, rates, pressures), strict=True)
-        found = [self.valve.for_muscle(i).predict(*muscle, duration) for i, muscle in enumerate(muscles)]
-        return tuple(pressure for pressure, _ in found), tuple(held for _, held in found)
+    def _valves(self, at: _Coming) -> Valves:
+        """Model of the valves at an estimate."""
+        air: Sequence[AirVolume | None] = (None,) * len(at.pressures)
+        if self.valve.holds_air:
+            air = muscle_air(self.robot, self.valve, at.angles, at.velocities, at.pressures)
+        muscles = enumerate(self.robot.all_muscles)
+        ranges = [self.valve.for_muscle(i).command_range(muscle.domain) for i, muscle in muscles]
+        return Valves(self.valve, at.pressures, at.valves, air, tuple(zip(*ranges, strict=True)))
 
     def _predicted(
         self,
@@ -282,12 +270,12 @@ class ComputedTorque(TrackingControl):
         means = [mean_commands(sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
 
         def advance(at: _Coming, commands: Sequence[Array]) -> tuple[_Coming, None]:
-            following, valves = self._valves_after(at.angles, at.velocities, at.pressures, at.valves, commands, step)
+            following, valves = self._valves(at).predict(commands, step)
             middle = tuple((one + other) / 2 for one, other in zip(at.pressures, following, strict=True))
             midway = tuple(angle + step / 2 * rate for angle, rate in zip(at.angles, at.velocities, strict=True))
             rates = [
                 own + motion.disturbance
-                for own, motion in zip(self._accelerations(midway, at.velocities, middle), motions, strict=True)
+                for own, motion in zip(self._accelerations(midway, at.velocities, middle, step), motions, strict=True)
             ]
             angles = tuple(
                 angle + step * (velocity + step / 2 * rate)
@@ -299,38 +287,23 @@ class ComputedTorque(TrackingControl):
         return lax.scan(advance, now, tuple(jnp.stack(side) for side in zip(*means, strict=True)))[0]
 
     def _window(
-        self, tension: Sequence[tuple[PyTree, PyTree]], coming: _Coming, period: ArrayLike
+        self, tension: Sequence[tuple[PyTree, PyTree]], valves: Valves, period: ArrayLike
     ) -> tuple[tuple[Array, ...], tuple[Array, ...], list[ArrayLike]]:
         """Limits of the pressures [Pa]: taut, rated and within reach of the valves; and widths of that reach."""
         covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)
-        air = self._air(coming.angles, coming.velocities, coming.pressures)
         lower, upper, swings = [], [], []
-        for i, (muscle, (offset, gain)) in enumerate(zip(self.robot.all_muscles, tension, strict=True)):
-            own: Actuator = self.valve.for_muscle(i)
-            pressure, commands = coming.pressures[i], own.command_range(muscle.domain)
+        muscles = zip(self.robot.all_muscles, tension, valves.pressures, valves.attainable(period), strict=True)
+        for (muscle, (offset, gain), pressure, reach), least, most in zip(muscles, *valves.commands, strict=True):
             if isinstance(muscle.law, SpringLaw):
                 lower.append(jnp.zeros_like(pressure))
                 upper.append(jnp.zeros_like(pressure))
                 swings.append(0.0)
                 continue
-            reach = own.attainable(pressure, coming.valves[i], commands, air[i], period)(pressure)
-            slowest, fastest = ((limit - pressure) / covered for limit in reach)
+            slowest, fastest = ((limit - pressure) / covered for limit in reach(pressure))
             rated = (muscle.specimen.force_limit - offset) / gain
-            high = jnp.minimum(jnp.minimum(rated, commands[1]), pressure + fastest)
+            high = jnp.minimum(jnp.minimum(rated, most), pressure + fastest)
             low = jnp.maximum((self.minimum_tension - offset) / gain, muscle.domain.pressure_min)
-            upper.append(jnp.maximum(high, commands[0]))
+            upper.append(jnp.maximum(high, least))
             lower.append(jnp.minimum(jnp.maximum(low, pressure + slowest), upper[-1]))
             swings.append(fastest - slowest)
         return tuple(lower), tuple(upper), swings
-
-    def _commands(
-        self, coming: _Coming, targets: Sequence[Array], lag: ArrayLike, period: ArrayLike
-    ) -> tuple[Array, ...]:
-        """Commands [Pa] that lead the pressures to targets [Pa] with a lag [s]."""
-        air = self._air(coming.angles, coming.velocities, coming.pressures)
-        commands = []
-        for i, (target, muscle) in enumerate(zip(targets, self.robot.all_muscles, strict=True)):
-            own: Actuator = self.valve.for_muscle(i)
-            wanted = own.command_toward(coming.pressures[i], coming.valves[i], target, air[i], lag, period)
-            commands.append(jnp.clip(wanted, *own.command_range(muscle.domain)))
-        return tuple(commands)

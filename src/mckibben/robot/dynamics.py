@@ -42,16 +42,8 @@ class Posture(NamedTuple):
     roll: Scalar | None = None
 
 
-class Velocity(NamedTuple):
-    """Rates of a `Posture` [m/s], [rad/s]."""
-
-    x: Scalar
-    z: Scalar
-    pitch: Scalar
-    angles: tuple[Scalar, ...]
-    y: Scalar | None = None
-    yaw: Scalar | None = None
-    roll: Scalar | None = None
+Velocity = Posture
+"""Rates of a `Posture` [m/s], [rad/s]."""
 
 
 class Contact(NamedTuple):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,15 +27,14 @@ from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.result import Column, Listing, Result
 from mckibben.robot.control import PressureSchedule
 from mckibben.robot.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
-from mckibben.robot.jump_search import LANES, Evaluations, JumpRuns, ScheduleVariables, highest
 from mckibben.robot.landing import EDGES
-from mckibben.robot.metrics import EnergyBalance
 from mckibben.robot.plant import RobotPlant, RobotStart
 from mckibben.robot.scenario import JumpSettings, RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot, simulate_robots
 from mckibben.robot.uncertainty import drawn_plant
+from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
-from mckibben.storage.store import STUDY, open_store
+from mckibben.storage.store import STUDY, Job, open_store
 from mckibben.units import bar, deg, mm, ms
 
 Floats = NDArray[np.float64]
@@ -41,13 +43,113 @@ _POSTURES = 41  # of each joint, tried for the highest
 _LANDING = 0.25  # s of a jump after the duration of its search
 
 
+_GENERATIONS, _POPULATION = 80, 10  # of differential evolution; the latter for each variable
+LANES = 16
+"""Runs of one vector: a single height is computed as one of so many."""
+
+
+class ScheduleVariables(eqx.Module):
+    """Schedules by variables from 0 to 1: levels of the muscles, and, if timed, two switching times of each."""
+
+    held: tuple[Any, ...]  # pressures of the start [Pa]
+    low: Any  # range of the levels [Pa]
+    high: Any
+    latest: Any  # switching time [s]
+    timed: bool = eqx.field(static=True)  # each muscle switches twice; else all change once, at the start
+
+    @property
+    def size(self) -> int:
+        """Number of variables."""
+        return len(self.held) * (4 if self.timed else 1)
+
+    def schedule(self, variables: Any) -> PressureSchedule:
+        """Return the schedule of variables, shape (size, ...)."""
+        n = len(self.held)
+        x = [variables[i] for i in range(self.size)]
+        level: list[Any] = [self.low + (self.high - self.low) * one for one in x[: n * (2 if self.timed else 1)]]
+        if not self.timed:
+            return PressureSchedule(tuple((own,) for own in level))
+        first = [self.latest * one for one in x[2 * n : 3 * n]]
+        second = [at + (self.latest - at) * one for at, one in zip(first, x[3 * n :], strict=True)]
+        levels: Any = tuple((self.held[i], level[i], level[n + i]) for i in range(n))
+        return PressureSchedule(levels, tuple(zip(first, second, strict=True)))
+
+
+class JumpRuns(NamedTuple):
+    """Jumps of a plant from a start: heights to which the centre of mass rises."""
+
+    plant: RobotPlant
+    start: RobotStart
+    variables: ScheduleVariables
+    duration: float
+    step: float
+    substeps: int  # those that the first schedule needs, so that all jumps have the same
+    engine: str = "auto"
+
+    def simulate(self, variables: Floats) -> Batch:
+        """Metrics of jumps for columns of variables."""
+        steps = {"control_period": self.step, "substeps": self.substeps, "engine": self.engine}
+        schedule = self.variables.schedule(np.asarray(variables))
+        return simulate_robots(self.plant, schedule, self.start, duration=self.duration, **steps)
+
+    def heights(self, variables: Floats) -> Floats:
+        """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
+        found = self.simulate(variables)["apex"]
+        return np.where(np.isfinite(found), found, 0.0)
+
+
+class Evaluations:
+    """Evaluations of a search by their number, kept or computed; a search repeats them in the same order."""
+
+    def __init__(self, job: Job) -> None:
+        self._job, self._number = job, itertools.count()
+
+    def __call__(self, compute: Callable[[Floats], Floats], x: Floats) -> Floats:
+        number, key = next(self._number), np.array([float(zlib.crc32(np.ascontiguousarray(x).tobytes()))])
+        if number in self._job.numbers:
+            block = self._job.read_arrays(number)
+            if np.array_equal(block["key"], key):
+                return block["found"]
+        found = compute(x)
+        self._job.add_arrays(number, {"key": key, "found": found})
+        return found
+
+
+def highest(
+    runs: JumpRuns, guess: Floats | None, seed: int, evaluations: Evaluations, report: Callable[[float], object]
+) -> Floats:
+    """Return the variables of the highest jump found."""
+    from scipy.optimize import differential_evolution
+
+    size, generation = runs.variables.size, iter(range(1, 10_000))
+
+    def lost_heights(x: Floats) -> Any:
+        if x.ndim > 1:
+            return -evaluations(runs.heights, x)
+        return -evaluations(runs.heights, np.tile(x[:, None], LANES))[0]
+
+    found = differential_evolution(
+        lost_heights,
+        [(0.0, 1.0)] * size,
+        maxiter=_GENERATIONS,
+        popsize=_POPULATION,
+        rng=seed,
+        x0=guess,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        callback=lambda *_, **__: report(0.9 * next(generation) / _GENERATIONS) and None,
+    )
+    report(1.0)
+    return np.asarray(found.x)
+
+
 @dataclass(frozen=True)
 class Jump:
     """A jump with its controller, time traces, and results over the draws, of which the first is nominal."""
 
     controller: PressureSchedule
     run: RobotResult  # of the nominal jump, with its `resolution`
-    balance: EnergyBalance  # of the nominal run, landing included
     substeps: int  # of the jumps of the draws
     heights: Floats  # of the centre of mass at the apex above that of the standing robot of the same draw [m]
     rises: Floats  # of the centre of mass after take-off [m]
@@ -73,7 +175,6 @@ class Jump:
             "stop_energy_J": self.stop_energy,
             "air_energy_J": self.air_energy,
             "efficiency": self.work / self.air_energy if self.air_energy > 0 else None,
-            "energies_J": self.balance._asdict() | {"residual": self.balance.residual},
             "integration": {
                 "substeps": self.substeps,
                 "error_estimate_rad": resolution.error if math.isfinite(resolution.error) else None,
@@ -216,8 +317,8 @@ def study_jump(
 ) -> JumpStudy:
     """Find the highest jumps of a scenario, with constant and with timed pressures.
 
-    Both are searched by differential evolution over many runs at once, and polished by L-BFGS-B with gradients of
-    forward differentiation. The constant jump changes all commands at the start; the timed one may change each twice.
+    Both are searched by differential evolution over many runs at once. The constant jump changes all commands at the
+    start; the timed one may change each twice.
 
     Parameters
     ----------
@@ -318,7 +419,6 @@ def _jump(
     return Jump(
         controller,
         run,
-        EnergyBalance.of(plant, run),
         runs.substeps,
         heights=table["apex"] - standing,
         rises=table["take_off_speed"] ** 2 / (2 * plant.gravity),

@@ -136,8 +136,7 @@ class LandingStudy(Result):
         """The results as plain data; intervals are 5 to 95 % of the draws."""
         best, robust, table = self.best(), self.robust(), self.table
         stiffness, quantile = table["stiffness"].to_numpy(), self.trunk_quantile()
-        forces, late, trunk = self.body_weights(), self.body_weights("peak_force_late"), self.trunk_weights()
-        deflection, speed = table["deflection"].to_numpy(), table["take_off_speed"].to_numpy()
+        trunk, deflection = self.trunk_weights(), table["deflection"].to_numpy()
         bottoms = self.bottoms_out()
         landings = []
         for v, valve in enumerate(table["valve"].to_numpy()):
@@ -158,15 +157,9 @@ class LandingStudy(Result):
                         "influence": float(nominal.max() / nominal.min() - 1),
                         "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
                         "best_bottoms_out": bool(bottoms[v, d, at, 0]),
-                        "peak_trunk_force_weights": float(trunk[v, d, at, 0]),
                         "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], EDGES).tolist(),
-                        "peak_force_weights": float(forces[v, d, at, 0]),
-                        "peak_force_interval": np.percentile(forces[v, d, at, 1:], EDGES).tolist(),
-                        "peak_force_late_weights": float(late[v, d, at, 0]),
-                        "softest_peak_force_weights": float(forces[v, d, 0, 0]),
                         "deflection_mm": float(deflection[v, d, at, 0] / mm),
                         "best_bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
-                        "rebound_mm": float(speed[v, d, at, 0] ** 2 / (2 * table.attrs["gravity"]) / mm),
                     }
                 )
         return {

@@ -66,10 +66,14 @@ class Robot(Component):
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
-        """Return the section of an entry of the catalog with changes; those of lists name the part."""
+        """Return the section of an entry of the catalog with changes, those of lists name the part; or of a file."""
         section = {"from": value} if isinstance(value, str) else value
-        if not isinstance(section, dict) or "from" not in section:
+        if not isinstance(section, dict):
             return value
+        if "robot" in section:  # a scenario
+            return cls.from_file(section["robot"])
+        if "from" not in section or str(section["from"]).endswith((".yaml", ".yml")):
+            return section
         if section["from"] not in catalog.names("legs"):
             fail_validation(
                 f"the catalog has no robot {quoted(section['from'])}",

@@ -6,7 +6,6 @@ from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
@@ -16,24 +15,12 @@ from mckibben.simulation.metrics import Duration, Largest, LargestError, Run, To
 
 Scalar = Float[Array, ""]
 
-IMPACT = 10e-3
-"""Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
-
 
 @labelled
 class RobotMetrics(NamedTuple):
     """Metrics of a run of a robot, in SI."""
 
     peak_force: Annotated[Scalar, Largest("N", "largest upward force of the ground", of="ground_up")]
-    peak_force_late: Annotated[
-        Scalar,
-        Largest(
-            "N",
-            "largest upward force of the ground, without the impact of the foot",
-            of="force_after_impact",
-            note="later than 10 ms after the first touch",
-        ),
-    ]
     peak_trunk_force: Annotated[
         Scalar,
         Largest(
@@ -97,44 +84,10 @@ class RobotMetrics(NamedTuple):
     time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
 
 
-class EnergyBalance(NamedTuple):
-    """Energies of a run [J], from its start to its last sample; works are those done on the bodies.
-
-    Attributes
-    ----------
-    muscles, stops, resisting, ground
-        Work of the muscles, of the stops, of damping, friction and disturbances of the joints, and of the ground.
-    kinetic, potential
-        Changes of the energies of the bodies.
-    """
-
-    muscles: float
-    stops: float
-    resisting: float
-    ground: float
-    kinetic: float
-    potential: float
-
-    @classmethod
-    def of(cls, plant: RobotPlant, run: Any) -> EnergyBalance:
-        """Return the balance of a `RobotResult`, whose powers are integrated by the trapezoidal rule."""
-        powers = ("muscle_power", "stop_power", "resisting_power", "ground_power")
-        muscles, stops, resisting, ground = (float(np.trapezoid(run[name], run["time"])) for name in powers)
-        weight = float(plant.robot.total_mass) * float(plant.gravity)
-        kinetic, rise = (float(run[name][-1] - run[name][0]) for name in ("kinetic", "mass_height"))
-        return cls(muscles, stops, resisting, ground, kinetic, weight * rise)
-
-    @property
-    def residual(self) -> float:
-        """Work that does not appear as energy [J]: the error of sampling and integration."""
-        return self.muscles + self.stops + self.resisting + self.ground - self.kinetic - self.potential
-
-
 class RobotMetricSample(NamedTuple):
     """Quantities of a sample that metrics are made of; flags are 0 or 1."""
 
     ground_up: Scalar  # [N]
-    force_after_impact: Scalar  # [N], 0 before
     trunk_force: Scalar  # [N]
     depth: Scalar  # of the base below its height at the first touch [m], 0 before
     stop_torque: tuple[Scalar, ...]  # [N*m]
@@ -195,7 +148,6 @@ class Flight(NamedTuple):
         )
         return following, RobotMetricSample(
             ground_up=force,
-            force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
             trunk_force=plant.robot.bodies[0].mass * ((sample.speed - self.speed) / period + gravity),
             depth=jnp.where(touched >= 0, height - sample.z, 0.0),
             stop_torque=sample.stop_torque,
@@ -212,7 +164,7 @@ class MetricSums(NamedTuple):
     @classmethod
     def of(cls, first: RobotSample) -> MetricSums:
         zero = jnp.zeros_like(first.z)
-        nothing = RobotMetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
+        nothing = RobotMetricSample(zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
         return cls(_totals(nothing).empty(), Flight.of(first))
 
     def after(self, sample: RobotSample, period: ArrayLike, plant: RobotPlant) -> MetricSums:

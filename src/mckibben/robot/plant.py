@@ -112,8 +112,6 @@ class RobotSample(NamedTuple):
     kinetic: Annotated[Scalar, Label("J", "kinetic energy")]
     muscle_power: Annotated[Scalar, Label("W", "power of the muscles")]
     stop_power: Annotated[Scalar, Label("W", "power of the stops")]
-    resisting_power: Annotated[Scalar, Label("W", "power of damping, friction and disturbances of the joints")]
-    ground_power: Annotated[Scalar, Label("W", "power of the ground")]
     air_mass: Annotated[tuple[Scalar, ...], Label("kg", "mass of the air", along="muscle")]
     outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
 
@@ -187,10 +185,6 @@ class RobotPlant(Plant[RobotState]):
     def observe(self, state: RobotState) -> RobotSample:
         forces, volumes = self.forces(state), self.air_volumes(state)
         moving = motion(self.robot, state.posture, state.velocity, self.gravity)
-        rates = state.velocity.angles
-        by_muscles = -_power(forces.tensions, forces.path_rates)
-        by_stops, by_all = _power(forces.stops, rates), _power(forces.torques, rates)
-        touched = self._contact(state.posture, state.velocity)
         contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
@@ -217,10 +211,8 @@ class RobotPlant(Plant[RobotState]):
             mass_height=moving.height,
             mass_speed=moving.upward_speed,
             kinetic=moving.kinetic,
-            muscle_power=by_muscles,
-            stop_power=by_stops,
-            resisting_power=by_all - by_stops - by_muscles,
-            ground_power=jnp.asarray(0.0 if touched is None else forces.ground.dot(touched.velocity)),
+            muscle_power=-_power(forces.tensions, forces.path_rates),
+            stop_power=_power(forces.stops, state.velocity.angles),
             air_mass=tuple(
                 at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
                 for i, (pressure, one) in contents

@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import ComponentField, inherit, parse_component
@@ -224,6 +224,11 @@ class RobotScenario(RunSettings):
     control_period: PositiveTime = 0.25e-3
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        written, empty = super()._write(handler), {"angles": {}, "clearance": "0 mm"}
+        return {key: value for key, value in written.items() if value not in (None, {}, empty)}
 
     @field_validator("controllers", mode="wrap")
     @classmethod
