@@ -107,7 +107,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3710,
     "joint": 1200,
-    "robot": 4550,
+    "robot": 4440,
     "muscle": 1590,
     "numerics": 840,
     "paper": 740,
