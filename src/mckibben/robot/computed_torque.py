@@ -24,6 +24,7 @@ from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
 from mckibben.muscle import SpringLaw
 from mckibben.numerics.elementary import exp, floating
+from mckibben.numerics.spatial import total
 from mckibben.robot.allocation import Allocation, bounded_least_squares, joint_terms
 from mckibben.robot.control import TrackingControl
 from mckibben.robot.dynamics import joint_equations
@@ -226,7 +227,7 @@ class ComputedTorque(TrackingControl):
         driven, damped = [], [list(row) for row in made.matrix]
         for i, (torque, joint, rate) in enumerate(zip(torques, self.robot.joints, rates, strict=True)):
             driven.append(torque - joint.damping * rate)
-            damped[i][i] = damped[i][i] + joint.damping * period
+            damped[i][i] = total(damped[i][i], joint.damping * period)
         return tuple(made._replace(matrix=damped).accelerations(driven))
 
     def _updated(
