@@ -77,7 +77,6 @@ def test_every_public_name_is_there_and_documented(name):
     [
         ("force_law", "read_law"),
         ("SarosiLaw", "from mckibben.muscle import SarosiLaw"),
-        ("SmoothAffineLaw", "from mckibben.muscle import SmoothAffineLaw"),
         ("Trackability", "mckibben.reachability"),
         ("ExponentialLaws", "did you mean ExponentialLaw"),
     ],

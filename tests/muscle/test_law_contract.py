@@ -24,8 +24,7 @@ EXAMPLES = {
     "HuntLaw": lambda: muscle.HuntLaw(254.3e3, 1230.0, 192e3, 0.22, Domain(0.0, 0.2, 0.0, 5e5)),
     "SarosiLaw": lambda: catalog.law("sarosi-dmsp-10"),
     "ExponentialLaw": lambda: catalog.law("lei-mas-10-180n"),
-    "SmoothAffineLaw": lambda: muscle.SmoothAffineLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, BOX),
-    "SmoothLaw": lambda: muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, *S2, BOX),
+    "SmoothLaw": lambda: muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, *S2, EQ_3[6], 0.11, 0.28, BOX),
     "GaussianProcessLaw": lambda: muscle.GaussianProcessLaw(*EQ_3[:6], *DEVIATION, EQ_3[6], 0.11, 0.28, 3e5, 6e5, BOX),
 }
 EQ_3 = [getattr(catalog.law("lei-mas-10-180n"), p.name) for p in muscle.ExponentialLaw.parameters()]

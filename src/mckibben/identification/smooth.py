@@ -36,12 +36,12 @@ from mckibben.identification.least_squares import FitProblem, Solution, project,
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.regression import Refit, Regression, contraction_blocks, pressure_blocks
 from mckibben.identification.summary import domain_of
-from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
+from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
 from mckibben.muscle.slopes import unphysical
 from mckibben.muscle.smooth import DEGREE
 
-SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw, SmoothAffineLaw)
+SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw)
 """Laws of this method; each falls back to the following ones, and to Eq. 2."""
 _MARGIN = 1.0  # window beyond the points, in half ranges of them
 _GAIN = 1.0  # in the logarithm of the restricted likelihood, by hyperparameter
@@ -78,8 +78,8 @@ class OrderPrior(Prior):
     """Smoothing spline over contraction for each order in pressure."""
 
     @classmethod
-    def of(cls, orders: int, levels: Floats) -> OrderPrior:
-        """Prior for orders 0 to orders - 1 in pressure, up to the highest of the levels [Pa]."""
+    def of(cls, levels: Floats, *, orders: int = 3) -> OrderPrior:
+        """Prior for the orders from 0 in pressure, up to the highest of the levels [Pa]."""
         scale = np.diag(float(levels.max()) ** np.arange(orders))
         root = np.asarray(np.kron(scale, _roughness_root()), np.float64)
         return cls(root, tuple(np.full(orders, start) for start in (0.0, 5.0)), ((-4.0, 14.0),) * orders)
@@ -89,7 +89,7 @@ class OrderPrior(Prior):
         return derivative @ hyperparameters, derivative
 
     def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
-        """None if the highest order is, or all are, unsupported."""
+        """None if all orders are unsupported."""
         needed = np.zeros(len(best), bool)
         for order in reversed(range(len(best))):
             without = np.where(np.arange(len(best)) == order, self.bounds[order][0], best)
@@ -97,7 +97,7 @@ class OrderPrior(Prior):
             needed[order] = higher - cost >= _GAIN
             if not needed[order]:
                 best, cost = without, higher
-        return best if needed[2:].all() and needed.any() else None
+        return best if needed.any() else None
 
 
 class SurfacePrior(Prior):
@@ -141,9 +141,7 @@ def _roughness_root() -> Floats:
 
 def prior_of(kind: type[ForceLaw], levels: Floats) -> Prior:
     """Prior of a law with deviations, for pressure levels [Pa]."""
-    if kind is GaussianProcessLaw:
-        return SurfacePrior.of(levels)
-    return OrderPrior.of((len(kind.parameters()) - len(ExponentialLaw.parameters())) // (DEGREE + 1), levels)
+    return (SurfacePrior if kind is GaussianProcessLaw else OrderPrior).of(levels)
 
 
 def prior_rows(prior: Prior, scales: Floats) -> Floats:

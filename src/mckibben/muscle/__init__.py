@@ -13,7 +13,7 @@ from mckibben.muscle.gaussian_process import GaussianProcessLaw
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
-from mckibben.muscle.smooth import SmoothAffineLaw, SmoothLaw
+from mckibben.muscle.smooth import SmoothLaw
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.spring import SpringLaw, return_spring
 from mckibben.muscle.threshold import ThresholdLaw
@@ -69,7 +69,6 @@ __all__ = [
     "ReppergerLaw",
     "ReynoldsLaw",
     "SarosiLaw",
-    "SmoothAffineLaw",
     "SmoothLaw",
     "Specimen",
     "SpringLaw",

@@ -1,4 +1,4 @@
-"""Eq. 2 with smooth deviations over contraction, affine or quadratic in pressure."""
+"""Eq. 2 with smooth deviations over contraction, quadratic in pressure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import Parameter, PositiveContraction, PressureAffineLaw, check_point
+from mckibben.muscle.base import Parameter, PositiveContraction, check_point
 from mckibben.muscle.exponential import Decay, EquationTwo
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import polynomial
@@ -27,48 +27,7 @@ def _deviation(order: int) -> tuple[Parameter, ...]:
     )
 
 
-class _Deviations(EquationTwo):
-    """Fields and terms of both laws."""
-
-    __annotations__.update({f"s{order}{i}": "float" for order in (0, 1) for i in range(DEGREE + 1)})
-    decay: Decay
-    centre: float
-    half_width: PositiveContraction
-
-    source = "this project"
-    constants = (
-        Parameter("centre", "1", "percent", "centre of the window of the deviations"),
-        Parameter("half_width", "1", "percent", "its half width"),
-    )
-
-    def _terms(self, contraction: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Offset [N] and gain [N/Pa]; position v in the window and factor (1 - v^2)^3 of the deviations."""
-        eps = jnp.asarray(contraction)
-        v = jnp.clip((eps - self.centre) * (1 / self.half_width), -1.0, 1.0)
-        inside = 1 - v * v
-        window = inside * inside * inside
-        offset, gain = self.terms(eps)
-        return offset + window * self._polynomial(0, v), gain + window * self._polynomial(1, v), v, window
-
-    def _polynomial(self, order: int, v: Array) -> Array:
-        return polynomial(v, tuple(getattr(self, f"s{order}{i}") for i in range(DEGREE + 1)))
-
-
-class SmoothAffineLaw(_Deviations, PressureAffineLaw):
-    """`SmoothLaw` without its term quadratic in pressure: a law affine in pressure."""
-
-    short_name = "smooth_affine"
-
-    domain: Domain = Domain()
-
-    equation = "F = F_Eq2 + s0 + p s1, s_j = (1 - v^2)^3 sum_i s_ji v^i, v = clip((eps - centre)/half_width, -1, 1)"
-    linear_parameters = (*EquationTwo.linear_parameters, *_deviation(0), *_deviation(1))
-
-    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        return self._terms(contraction)[:2]
-
-
-class SmoothLaw(_Deviations):
+class SmoothLaw(EquationTwo):
     r"""Eq. 2 with smooth deviations over contraction, quadratic in pressure.
 
     .. math:: F = F_{Eq. 2} + s_0(\varepsilon) + p\,s_1(\varepsilon) + p^2 s_2(\varepsilon), \quad
@@ -76,8 +35,8 @@ class SmoothLaw(_Deviations):
         v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
 
     Outside the window :math:`\varepsilon_m \pm h` the law is Eq. 2. `identify` sets the window, estimates the size of
-    the deviations, and returns a `GaussianProcessLaw`, a `SmoothAffineLaw` or an `ExponentialLaw` where the data ask
-    for that (docs/laws.md).
+    the deviations, and returns a `GaussianProcessLaw` or an `ExponentialLaw` where the data ask for that
+    (docs/laws.md).
 
     Parameters
     ----------
@@ -103,11 +62,21 @@ class SmoothLaw(_Deviations):
 
     short_name = "smooth"
 
-    __annotations__.update({f"s2{i}": "float" for i in range(DEGREE + 1)})
+    __annotations__.update({f"s{order}{i}": "float" for order in range(3) for i in range(DEGREE + 1)})
+    decay: Decay
+    centre: float
+    half_width: PositiveContraction
     domain: Domain = Domain()
 
-    equation: ClassVar[str] = SmoothAffineLaw.equation.replace("p s1,", "p s1 + p^2 s2,")
-    linear_parameters = (*SmoothAffineLaw.linear_parameters, *_deviation(2))
+    source = "this project"
+    equation: ClassVar[str] = (
+        "F = F_Eq2 + s0 + p s1 + p^2 s2, s_j = (1 - v^2)^3 sum_i s_ji v^i, v = clip((eps - centre)/half_width, -1, 1)"
+    )
+    linear_parameters = (*EquationTwo.linear_parameters, *_deviation(0), *_deviation(1), *_deviation(2))
+    constants = (
+        Parameter("centre", "1", "percent", "centre of the window of the deviations"),
+        Parameter("half_width", "1", "percent", "its half width"),
+    )
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         contraction, pressure = check_point(contraction, pressure)
@@ -120,6 +89,13 @@ class SmoothLaw(_Deviations):
         above = jnp.asarray(force) - offset
         return 2 * above / (gain + jnp.sqrt(gain * gain + 4 * curvature * above))
 
-    def _quadratic(self, contraction: ArrayLike) -> tuple[Array, Array, Array]:
-        offset, gain, v, window = self._terms(contraction)
-        return offset, gain, window * self._polynomial(2, v)
+    def _quadratic(self, contraction: ArrayLike) -> tuple[Array, ...]:
+        """Coefficients of the force over pressure, from the offset [N] on."""
+        eps = jnp.asarray(contraction)
+        v = jnp.clip((eps - self.centre) * (1 / self.half_width), -1.0, 1.0)
+        inside = 1 - v * v
+        window = inside * inside * inside
+        offset, gain = self.terms(eps)
+        added = (polynomial(v, tuple(getattr(self, f"s{order}{i}") for i in range(DEGREE + 1))) for order in range(3))
+        first, second, third = (window * series for series in added)
+        return offset + first, gain + second, third
