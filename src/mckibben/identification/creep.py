@@ -22,7 +22,6 @@ from mckibben.identification.estimator import (
     ClusterRobustErrors,
     Floats,
     Ints,
-    common_error,
     t_quantile,
 )
 from mckibben.muscle import MaxwellCreep, NoCreep
@@ -417,9 +416,9 @@ class DelayedForce:
     @cached_property
     def scale(self) -> float:
         """Variance [N^2] of independent errors with which the amplitude has its variance."""
-        residuals = self.solution[2]
-        inflation = common_error(self._jacobian[:, 1:], residuals, self.owner, self.freedom)[1]
-        return inflation * float(residuals @ residuals) / self.freedom
+        residuals, (_, triangle) = self.solution[2], np.linalg.qr(self._jacobian)
+        independent = 1 / float(triangle[-1, -1]) ** 2  # of the last parameter
+        return max(self.error[0] ** 2 / independent, float(residuals @ residuals) / self.freedom)
 
     @cached_property
     def p_value(self) -> float:

@@ -316,19 +316,6 @@ def robust_errors(jacobian: Floats, residuals: Floats, labels: Ints) -> ErrorMod
     return IndependentErrors.of(jacobian, residuals) if model.decisive else model
 
 
-def common_error(jacobian: Floats, residuals: Floats, labels: Ints, freedom: float) -> tuple[float, float]:
-    """Effect of errors common to a group on the last parameter.
-
-    Returns the degrees of freedom of its variance, at least 1, and the ratio of this variance to that for independent
-    errors with their own degrees of freedom, at least 1.
-    """
-    direction = np.eye(jacobian.shape[1])[-1:]
-    variance, common = ClusterRobustErrors.of(jacobian, residuals, labels).variance(direction)
-    z = _solve(tsqr_r(jacobian), direction)
-    independent = float(residuals @ residuals) / freedom * float(np.sum(z**2))
-    return max(float(common[0]), 1.0), max(float(variance[0]) / independent, 1.0)
-
-
 def _residual_variance(residuals: Floats, starts: Ints, sizes: Ints, parameters: int) -> tuple[float, float]:
     """Mean square e^T e / n of the residuals, and n^2 / tr R^2 degrees of freedom less the parameters."""
     count = len(residuals)
