@@ -99,8 +99,20 @@ def test_creep_far_slower_than_the_plateaus_is_said_to_be_undetermined():
     assert "not determined" in found.verdict()
 
 
-@pytest.mark.parametrize("levels", [1e5 * np.array([1, 2, 1, 2, 1, 2, 1]), 1e5 * np.array([1, 2, 3])])
-def test_too_few_levels_or_plateaus_are_refused(levels):
+def test_one_level_of_the_pressure_is_refused():
     with pytest.raises(IdentificationError) as refused:
-        identify_pressure_creep(recordings_at((0.0,), levels=levels))
-    assert refused.value.lower == 6 and refused.value.remedy
+        identify_pressure_creep(recordings_at((0.0,), levels=1e5 * np.ones(3)))
+    assert refused.value.lower == 2 and refused.value.remedy
+
+
+def test_a_single_step_gives_the_creep_and_a_warning():
+    """As on a knee: after 2 bar, 22 % of the force follow with 15 s."""
+    time = np.arange(0, 53, 0.02)
+    pressure = np.where(time < 5, 0.0, 2e5)
+    delayed = pressure * -np.expm1(-np.maximum(time - 5, 0) / 15)
+    force = 1.1e-4 * (pressure + 0.22 * (delayed - pressure)) + np.random.default_rng(1).normal(0, 0.1, len(time))
+    found = identify_pressure_creep(Recording.of(time=time, pressure=pressure, force=force, contraction=0.05))
+    low, high = found.share_interval
+    assert low < 0.22 < high and high - low < 0.03
+    assert found.time_constant == pytest.approx(15.0, rel=0.1)
+    assert [note.field for note in found.notes] == ["plateaus"]
