@@ -42,6 +42,8 @@ duration: 0.4 s
 control_period: 2 ms
 substeps: 4
 """
+LAG = "{time_constant: 20 ms}"
+AIR = "{class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, dead_volume: 3 cm^3}"
 PID = """
 controllers:
   knee:
@@ -55,10 +57,10 @@ FULL = "examples/robot/lei-leg-control.yaml"
 KEPT = ("angle", "pressure", "command", "stiffness")
 
 
-@pytest.mark.parametrize("controllers", [PID, DECOUPLING], ids=["pid", "decoupling"])
+@pytest.mark.parametrize(("controllers", "valve"), [(PID, AIR), (DECOUPLING, LAG)], ids=["pid", "decoupling"])
 @pytest.mark.slow
-def test_a_robot_of_one_joint_moves_as_the_joint(controllers):
-    scenario = RobotScenario.parse(ONE + controllers)
+def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):
+    scenario = RobotScenario.parse(ONE.replace(LAG, valve) + controllers)
     run = run_tracking(scenario)
     parts = {name: getattr(scenario, name) for name in ("valve", "sensors", "command_delay")}
     alone = mk.Scenario(

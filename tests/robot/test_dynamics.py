@@ -9,14 +9,12 @@ import pytest
 from scipy.optimize import approx_fprime, fsolve
 
 import mckibben as mk
-from mckibben import catalog
 from mckibben.numerics.spatial import ZERO
-from mckibben.robot import Body, Ground, Joint, Place, Robot, RobotPlant, attainable_point_stiffness, point_stiffness
+from mckibben.robot import Ground, RobotPlant, attainable_point_stiffness, point_stiffness
 from mckibben.robot.dynamics import Posture, Velocity, acceleration, motion
 from mckibben.robot.ground import compliant_force
 from mckibben.robot.jumping import standing_torques
-from mckibben.units import deg
-from tests.robot.conftest import limb, pair_over, robot_of, with_unit
+from tests.robot.conftest import robot_of, with_unit
 
 zero = jnp.zeros(())
 
@@ -24,32 +22,6 @@ zero = jnp.zeros(())
 def moving():
     posture = Posture(zero, jnp.asarray(1.0), jnp.asarray(0.2), tuple(map(jnp.asarray, (0.5, -0.8, 0.3))))
     return posture, Velocity(*map(jnp.asarray, (0.3, 1.0, 0.7)), tuple(map(jnp.asarray, (2.0, -3.0, 1.0))))
-
-
-@pytest.mark.parametrize("valve", [mk.FirstOrderValve(0.02), mk.PressureRegulator(0.5e-8, 7e5, time_constant=0.005)])
-@pytest.mark.slow
-def test_knee_with_locked_hip_and_fixed_trunk_is_the_joint_of_the_paper(pair, valve):
-    load = catalog.load("knee-table-2")
-    inertia, moment = float(load.total_inertia), float(load.gravity_moment)
-    centre = moment / 9.81  # of a body of 1 kg
-    swing, own = {"axis": (0.0, -1.0, 0.0)}, inertia - centre**2
-    hip = Joint("hip", lower=-5 * deg, upper=5 * deg, body="thigh", locked=0.0, **swing)
-    knee = Joint("knee", lower=-30 * deg, upper=30 * deg, body="shank", place=Place(z=-0.4), **swing)
-    knee = dataclasses.replace(knee, offset=-load.hanging_angle, damping=load.damping)
-    bodies = Body("trunk", 1.0), limb("thigh", 0.5, 0.19, 0.009), limb("shank", 1.0, centre, own)
-    muscles = tuple(pair_over(name, pair) for name in ("hip", "knee"))
-    plant = RobotPlant(Robot(bodies, (hip, knee), muscles), valve)
-    joint = mk.JointPlant(pair, load, valve)
-    pressures, commands = (3e5, 3.3e5), (2.8e5, 3.6e5)
-    start = plant.init_state((0.0, 0.05), (3e5, 3e5, *pressures), clearance=1.0)
-    torque = plant.robot.torques(start.posture.angles, start.pressures)[1]
-    assert float(torque) == pytest.approx(float(pair.torque(0.05, pressures)), abs=1e-12)
-
-    end = jax.jit(lambda state: plant.advance(state, (3e5, 3e5, *commands), 1.0, 2000))(start)
-    alone = jax.jit(lambda state: joint.advance(state, commands, 1.0, 2000))(joint.init_state(0.05, pressures))
-    assert abs(float(alone.angle)) < 30 * deg  # no stop
-    assert float(end.posture.angles[1]) == pytest.approx(float(alone.angle), abs=1e-9)
-    assert np.allclose(end.pressures[2:], alone.pressures, rtol=1e-9)
 
 
 def test_standing_torques_are_those_of_virtual_work(plant):

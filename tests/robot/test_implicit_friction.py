@@ -20,7 +20,6 @@ from mckibben.robot import (
     RobotStart,
     read_robot,
     simulate_robot,
-    simulate_robots,
 )
 from mckibben.robot.dynamics import motion
 from mckibben.units import deg, mm, ms
@@ -130,20 +129,3 @@ def test_friction_does_not_limit_the_step(valve):
         simulate_robot(plant, schedule, start, substeps=3, **given)
     assert (caught.value.field, caught.value.lower) == ("substeps", 8)
     assert "implicit_friction" in caught.value.remedy
-
-
-@pytest.mark.slow
-def test_batches_are_single_runs_in_both_engines():
-    plant, start = with_ground(Ground(side_slope=5 * deg, implicit_friction=True))
-    schedule = PressureSchedule(tuple((one,) for one in start.pressures))
-    given = {"duration": 0.05, "control_period": 1 * ms, "substeps": 2}
-    over = {"start.upward_speed": [-0.5, start.upward_speed]}
-    native, xla = (
-        simulate_robots(plant, schedule, start, over=over, engine=engine, **given) for engine in ("native", "xla")
-    )
-    for name in native.table:
-        np.testing.assert_allclose(native[name], xla[name], rtol=1e-9, atol=1e-12, err_msg=name)
-    alone = simulate_robot(plant, schedule, start, **given)
-    assert float(native["peak_force"][1]) == pytest.approx(float(alone["ground_up"].max()), rel=1e-9)
-    assert np.abs(alone["ground_left"]).max() > 3
-    assert np.ptp(alone["angle"][0]) > 0.03 * deg

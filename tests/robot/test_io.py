@@ -9,7 +9,7 @@ import pytest
 
 from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.plant import JointFriction, SampledSensors, TorquePulses
-from mckibben.robot import PressureSchedule, RobotPlant, RobotScenario, RobotStart, simulate_robot, simulate_robots
+from mckibben.robot import PressureSchedule, RobotPlant, RobotScenario, RobotStart, simulate_robot
 from mckibben.robot.control import RobotController
 from mckibben.units import deg, kPa, ms
 from tests.robot.conftest import robot_of
@@ -113,25 +113,6 @@ def test_a_disturbance_turns_its_joint(fixed):
         np.testing.assert_allclose(np.subtract(plant.forces(sampled).torques, plant.forces(state).torques), torque)
     pushed, free = (simulate_robot(one, schedule(), START, **RUN)["angle"] for one in (plant, fixed))
     assert float((pushed - free)[2, 30]) > 1 * deg
-
-
-@pytest.mark.slow
-def test_a_batch_is_single_runs(fixed):
-    plant = dataclasses.replace(
-        with_joints(fixed, friction=JointFriction(0.3), disturbance=TorquePulses(1.0, start=5 * ms)),
-        sensors=SampledSensors(0.1 * deg, 4 * kPa),
-        command_delay=2.5 * ms,
-    )
-    masses = [0.4, 0.6]
-    batch = simulate_robots(plant, schedule(10 * ms), START, over={"robot.bodies.1.mass": masses}, **RUN)
-    for row, mass in enumerate(masses):
-        trunk, thigh, *others = plant.robot.bodies
-        bodies = (trunk, dataclasses.replace(thigh, mass=mass), *others)
-        own = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, bodies=bodies))
-        run = simulate_robot(own, schedule(10 * ms), START, **RUN)
-        assert float(batch["muscle_work"][row]) != 0
-        peak = float(abs(run["stop_torque"]).max())
-        assert float(batch["stop_torque"][:, row].max()) == pytest.approx(peak, rel=1e-6)
 
 
 def test_a_file_has_them_all():
