@@ -103,6 +103,27 @@ def test_help_and_errors_keep_to_the_width_of_a_terminal_and_are_whole_in_a_pipe
         assert max(map(len, shown.err.splitlines())) <= width
 
 
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("identify --la", "--law"),
+        ("identify --law expo", "exponential"),
+        ("identify --friction x --of cr", "creep"),
+        ("identify dmsp-10", "dmsp-10-250-martens2017"),
+        ("validate lei", "lei-mas-10-180n"),
+        ("identify x.csv --read specimen=MAS", "specimen=MAS-10-180N-AA-MC-O"),
+        ("sweep own-joint.yaml --over load.ma", "load.mass1"),
+        ("simul", "simulate"),
+    ],
+)
+def test_words_and_values_are_completed(cli, monkeypatch, tmp_path, typed, completed):
+    (tmp_path / "own-joint.yaml").write_text((ROOT / "examples" / "own-joint.yaml").read_text())
+    monkeypatch.setenv("_MCKIBBEN_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", f"mckibben {typed}")
+    monkeypatch.setenv("COMP_CWORD", str(len(typed.split())))
+    assert completed in cli().out.splitlines()
+
+
 def test_a_fault_of_ours_ends_with_1_and_says_what_to_do(cli, monkeypatch):
     import mckibben.study.inputs
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.help import MORE
+from mckibben.cli.help import MORE, completion
 from mckibben.cli.options import echo, keeping, long_job, on_command_line, results_folder, text_width
 from mckibben.cli.reading import read_options
 from mckibben.errors import ParameterError
@@ -49,6 +49,7 @@ def options_of(function: Callable[..., object], panel: str = "") -> tuple[str, d
         if name in described:
             metavar, words, part = described[name]
             shown: dict[str, Any] = {"metavar": metavar, "help": words, "rich_help_panel": part or None}
+            shown["autocompletion"] = completion(name, metavar or "")
             flag = f"--{name.strip('_').replace('_', '-')}"
             required = parameter.default is inspect.Parameter.empty
             annotation = Annotated[annotation, Argument(**shown) if required else Option(flag, **shown)]

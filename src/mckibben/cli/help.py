@@ -1,8 +1,10 @@
-"""Help of commands, and errors of their usage."""
+"""Help of commands, errors of their usage, and completion of values."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -91,3 +93,34 @@ class Commands(Helping, TyperGroup):
             remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(known)}"
             raise ParameterError(f"{ctx.command_path} has no command {quoted(args[0])}", value=args[0], remedy=remedy)
         return super().resolve_command(ctx, args)
+
+
+def completion(name: str, metavar: str = "") -> Callable[[Any, str], list[str]]:
+    """Return the function that completes the values of an option or argument: known ones, and files."""
+
+    def complete(ctx: Any, incomplete: str) -> list[str]:
+        words = metavar.split("|") if metavar.islower() else []
+        values = [*_values(name, ctx), *words, *map(str, Path().glob(f"{incomplete}*"))]
+        return [value for value in values if value.startswith(incomplete)]
+
+    return complete
+
+
+_ENTRIES = {"data": ("datasets", ""), "joint": ("joints", ""), "law": ("laws", ""), "read": ("specimens", "specimen=")}
+"""Kinds of entries of the catalog that a parameter takes, and what precedes them."""
+
+
+def _values(name: str, ctx: Any) -> Iterable[str]:
+    """Names of the catalog, of laws, or of the parameters of the scenario that stands before an option."""
+    if name in ("over", "conditions", "model_follows"):
+        from mckibben.scenario import Scenario, list_parameters
+
+        paths = [word for word in ctx.args if word.endswith((".yaml", ".yml"))]
+        return [parameter.name for path in paths[:1] for parameter in list_parameters(Scenario.read(path))]
+    if name not in _ENTRIES:
+        return []
+    from mckibben import catalog
+    from mckibben.muscle import LAWS
+
+    (kind, prefix), laws = _ENTRIES[name], [law.removesuffix("Law").lower() for law in LAWS]
+    return [*(laws if name == "law" else []), *(f"{prefix}{entry}" for entry in catalog.names(kind))]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument
 
+from mckibben.cli.help import completion
 from mckibben.cli.options import echo, parse_pairs
 from mckibben.errors import ScenarioError
 from mckibben.units import show
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe, Recording
 
 _DATA = "Data files of one test, or the name of a dataset in the catalog."
-Data = Annotated[list[str], Argument(metavar="DATA...", help=_DATA)]
+Data = Annotated[list[str], Argument(metavar="DATA...", help=_DATA, autocompletion=completion("data"))]
 Texts = list[str] | None
 
 
