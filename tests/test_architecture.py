@@ -93,7 +93,7 @@ BUDGET = {
     "actuator": 1050,
     "calibration": 1750,
     "catalog": 230,
-    "cli": 1550,
+    "cli": 1560,
     "codegen": 2630,
     "component": 1020,
     "config": 550,
