@@ -1,11 +1,11 @@
 """Every command of docs/first-day.md, on the firmware of this computer with a simulated joint."""
 
+import io
 import json
 import re
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import pytest
 from scipy.optimize import brentq
 
 import mckibben as mk
+from mckibben.cli import main
 from mckibben.codegen.native import compiler
 from mckibben.component.schema import read_component
 from mckibben.muscle import Muscle, forces
@@ -71,18 +72,24 @@ def change(name, texts):
     Path(name).write_text(text, encoding="utf-8")
 
 
-def clip_on(board, answers):
-    """Confirm the bare joint; then clip the weight on, and confirm it."""
-    answers.write("y\n")
-    answers.flush()
-    while not Path("calibration/bare/result.nc").exists():
-        time.sleep(0.1)
+def clip_on(board):
+    """Answers of an operator: the joint is bare; then the weight is clipped on."""
+    yield "y"
     board.flash("0.5", "0.2")
-    answers.write("y\n")
-    answers.flush()
+    yield "y"
 
 
-def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch):
+class Operator(io.TextIOBase):
+    """Standard input with an answer for each question, made when it is asked."""
+
+    def __init__(self, answers):
+        self.answers = answers
+
+    def readline(self, *_):
+        return f"{next(self.answers)}\n"
+
+
+def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for path in (ROOT / "examples" / "first-day").iterdir():
         shutil.copy(path, tmp_path)
@@ -102,16 +109,12 @@ def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch):
             arguments = [*re.sub(r"'(.*?)'", lambda m: m[1].replace(" ", "\0"), command).split()]
             arguments = [argument.replace("\0", " ") for argument in arguments]
             arguments += ["--duration", "20 s"] * (arguments[0] == "calibrate")
-            answers = "\n".join(lengths()) if "bench.yaml" in command else None
-            line = [sys.executable, "-m", "mckibben", *arguments]
-            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-            with subprocess.Popen(line, **pipes, text=True) as run:
-                if arguments[0] == "calibrate":
-                    threading.Thread(target=clip_on, args=(board, run.stdin), daemon=True).start()
-                    said = run.stdout.read()
-                else:
-                    said, _ = run.communicate(answers)
-            assert run.returncode == 0, f"{command}\n{said}"
+            answers = clip_on(board) if arguments[0] == "calibrate" else lengths()
+            monkeypatch.setattr(sys, "stdin", Operator(answers))
+            monkeypatch.setattr(sys, "argv", ["mckibben", *arguments])
+            with pytest.raises(SystemExit) as end:
+                main()
+            assert not end.value.code, (command, capsys.readouterr())
             if arguments[0] in ("export", "calibrate"):
                 board.flash()
             if arguments[0] == "new":
