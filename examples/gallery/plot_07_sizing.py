@@ -2,21 +2,19 @@
 Sizing of a joint
 =================
 
-Which lengths give a required range of stiffness over a range of angles?
+Which muscles and pulleys give a required range of stiffness over a range of angles?
 """
 
 import mckibben as mk
 
 # %%
-# As printed, the knee cannot be held beyond about 10 deg. The requirement is a stiffness of 14 to 16 N*m/rad from -15
-# to 15 deg; the connector length and the radius may be chosen.
+# The requirement is a stiffness of 15 to 18 N*m/rad from -30 to 30 deg with a load of 2 kg.
 
-need = mk.Requirement.read("../sizing/knee.yaml")
+need = mk.Requirement.read("../sizing/pulleys.yaml")
 found = mk.size(need)
 print(found.to_text())
 
 # %%
-# The frame is the required stiffness, the blue area is attainable with these lengths. The knee as printed has 70
-# N*m/rad and more, outside the figure.
+# The frame is the required stiffness, the blue area is attainable with the parts of the first candidate.
 
 figure = found.plot()

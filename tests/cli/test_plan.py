@@ -64,14 +64,3 @@ def test_one_direction_and_a_joint_of_a_scenario(cli, loading):
     assert (found.code, found.err) == (0, "")
     assert "standard error now not determined; after these 8 points" in " ".join(found.out.split())
     assert "all points are loading: friction is not distinguished" in " ".join(found.out.split())
-
-
-def test_too_few_points_for_a_fit(cli, tmp_path, loading):
-    lines = (tmp_path / loading).read_text(encoding="utf-8").splitlines()
-    (tmp_path / "few.csv").write_text("\n".join(lines[: lines.index(next(x for x in lines if x[0] != "#")) + 5]) + "\n")
-    asked = cli("plan", "few.csv", "--points", "12", "--noise", "1 N", "--read", "accept=rows")
-    assert asked.code == 2 and "guess" in asked.err
-    given = cli(
-        "plan", "few.csv", "--points", "12", "--noise", "1 N", "--read", "accept=rows", "--law", "lei-mas-10-180n"
-    )
-    assert given.code == 0 and "linearised about the guess" in given.out

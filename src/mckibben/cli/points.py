@@ -68,15 +68,14 @@ def plan(
     Parameters
     ----------
     law
-        Kind of law, see 'mckibben catalog'; or a fit file or law of the catalog, to linearise about if the data
-        do not determine one.
+        Kind of law, see 'mckibben catalog'.
     for_ : QUANTITY
         Quantity of interest: a coefficient such as 'decay'; 'force', or 'force at 0..10 %, 3..6 bar';
-        'stiffness' or 'torque', or 'stiffness at 5 deg, 2 bar, 4 bar'.
+        'stiffness', or 'stiffness at 5 deg, 2 bar, 4 bar'.
     points : N
         Number of points.
     joint : JOINT
-        Joint for stiffness and torque: from the catalog, or a scenario file.
+        Joint for stiffness: from the catalog, or a scenario file.
     limits : RANGES
         Contraction and pressure, '0..20 %, 1..6 bar' (default: the specimen's).
     step : STEPS
@@ -88,11 +87,9 @@ def plan(
     from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
     from mckibben.muscle import Domain
-    from mckibben.study.inputs import joint_named, law_named, law_type_named
+    from mckibben.study.inputs import joint_named, law_type_named
 
-    is_known = Path(law).suffix in (".yaml", ".yml") or law in catalog.names("laws")
-    initial = law_named(law) if is_known else None
-    law_type = law_type_named(law) if initial is None else type(initial)
+    law_type = law_type_named(law)
     interest = parse_quantity_of_interest(for_, law_type, lambda: joint_named(joint))
     contraction, pressure = parse_pair("--limits", limits, "0..20 %, 1..6 bar")
     box = None
@@ -112,7 +109,6 @@ def plan(
         contraction_step=_contraction_step(steps[0], length),
         pressure_step=parse_quantity("--step", steps[1] or "0.25 bar", "Pa"),
         noise=parse_optional("--noise", noise, "N"),
-        guess=initial,
     )
 
 

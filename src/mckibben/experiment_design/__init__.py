@@ -5,7 +5,6 @@ from mckibben.experiment_design.quantities import (
     Coefficient,
     Force,
     JointStiffness,
-    JointTorque,
     QuantityOfInterest,
     parse_quantity_of_interest,
 )
@@ -17,7 +16,6 @@ __all__ = [
     "ExperimentPlan",
     "Force",
     "JointStiffness",
-    "JointTorque",
     "PlannedPoint",
     "QuantityOfInterest",
     "parse_quantity_of_interest",

@@ -97,22 +97,19 @@ def design_region(
     Raises
     ------
     RangeError
-        If no point is taut and the rated force is unknown, or a step is not positive.
+        If a step is not positive.
     """
     data, attrs = prior.measured, prior.measured.table.attrs
     notes: list[str] = []
     if specimen is None and attrs["specimen"] in catalog.names("specimens"):
         specimen = catalog.specimen(attrs["specimen"])
     measured = (data.contraction, data.levels)
-    box = Domain(*(end(values) for values in measured for end in (np.min, np.max))) if len(data) else Domain()
+    box = Domain(*(end(values) for values in measured for end in (np.min, np.max)))
     if specimen is not None and specimen.rated_force is not None:
         highest = 0.95 * float(specimen.force_limit)
-    elif len(prior.points):
+    else:
         highest = float(data.force.max())
         notes.append("the rated force of the muscle is unknown: the plan stays within the forces of the data")
-    else:
-        remedy = "name the specimen, and give it its rated_force"
-        raise RangeError("no point is taut, and the largest permitted force is unknown", remedy=remedy)
     rated = Domain() if specimen is None else specimen.domain
     domain = (rated if limits is None else limits.intersection(rated)).filled(box)
     length = attrs.get("initial_length") or (float(specimen.initial_length) if specimen else None)

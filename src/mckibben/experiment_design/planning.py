@@ -40,7 +40,6 @@ def plan(
     contraction_step: float | None = None,
     pressure_step: float = 0.25 * bar,
     noise: float | None = None,
-    guess: ForceLaw | None = None,
 ) -> ExperimentPlan:
     r"""Plan the measurement points that most reduce the standard error of a quantity.
 
@@ -58,7 +57,7 @@ def plan(
     data
         Measured points, or a fit to them.
     quantity
-        `Coefficient`, `Force`, `JointStiffness` or `JointTorque`.
+        `Coefficient`, `Force` or `JointStiffness`.
     law_type
         Kind of law. Default: that of the fit.
     points
@@ -71,14 +70,11 @@ def plan(
         Resolution of the rig [-], [Pa]. Default: 1 mm (0.5 % of an unknown length), and 0.25 bar.
     noise
         Standard deviation of a point [N]. Default: estimated from residuals.
-    guess
-        Law to linearise about, needed with `noise` if the data do not determine one.
 
     Raises
     ------
     IdentificationError
-        If no measurement within the limits reduces the error, or the data determine no law and `guess` or `noise` is
-        missing.
+        If no measurement within the limits reduces the error, or the data determine no law.
     RangeError
         If nothing can be measured within the limits, or a number is out of range.
     ParameterError
@@ -104,7 +100,7 @@ def plan(
         raise RangeError(message, field="points", value=points, lower=1, upper=200)
     if noise is not None:
         check_positive("plan", "N", noise=noise)
-    prior = PriorData.of(data, law_type, noise, guess)
+    prior = PriorData.of(data, law_type, noise)
     region, notes = design_region(prior, limits, specimen, contraction_step, pressure_step)
     states = StateGrid.of(prior.law, region)
     candidates = CandidateSet.of(prior, states)
@@ -179,9 +175,7 @@ def _diagnostics(prior: PriorData, free: Floats) -> tuple[str, ...]:
         names = _tied(prior.names, free)
         texts.append(f"not identifiable: {count} combination{'s' * (count > 1)} of {names} affect no measured force")
     directions = list(prior.measured.directions)
-    if not len(prior.points):
-        texts.append("no point is taut: the force is not determined anywhere")
-    elif not directions:
+    if not directions:
         texts.append("directions are not recorded: friction cannot be identified, and the plan assumes none")
     elif len(directions) == 1:
         (other,) = {"loading", "unloading"} - set(directions)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +12,7 @@ from mckibben.experiment_design.information import Floats, Indices, NoiseModel, 
 from mckibben.identification import Fit, Grouping, fit_law
 from mckibben.identification.grouping import group_labels
 from mckibben.identification.least_squares import design_matrix
-from mckibben.muscle import Domain, ForceLaw
+from mckibben.muscle import ForceLaw
 
 DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}
 """Sign of the friction force, by direction."""
@@ -23,14 +22,14 @@ DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}
 class PriorData:
     """Measured points and the law linearised in its parameters."""
 
-    law: ForceLaw  # fitted or guessed
+    law: ForceLaw
     points: IsobaricDataset = field(repr=False)  # taut ones
     measured: IsobaricDataset = field(repr=False)  # all
     friction: bool  # half the gap between the directions is the last unknown
     rows: Floats = field(repr=False)  # design matrix, (taut points, unknowns)
     strokes: Indices = field(repr=False)  # (taut points,)
     noise: NoiseModel
-    half_width: float  # of the friction [N], 0 without a fit
+    half_width: float  # of the friction [N]
     notes: tuple[str, ...] = ()
 
     @property
@@ -44,22 +43,22 @@ class PriorData:
         return self.parameters + ["friction"] * self.friction
 
     @classmethod
-    def of(
-        cls, data: IsobaricDataset | Fit, law_type: type[ForceLaw] | None, noise: float | None, guess: ForceLaw | None
-    ) -> PriorData:
+    def of(cls, data: IsobaricDataset | Fit, law_type: type[ForceLaw] | None, noise: float | None) -> PriorData:
         """Return prior data from points or a fit; arguments as for `mckibben.experiment_design.plan`.
 
         Raises
         ------
         IdentificationError
-            If the points do not determine the law and `guess` or `noise` is missing, or residuals are zero.
+            If the points do not determine the law, or residuals are zero.
         ParameterError
-            If the kind of law is missing, is not that of the guess, or has parameters with a prior.
+            If the kind of law is missing, or has parameters with a prior.
         """
-        fit = data if isinstance(data, Fit) else _fit(data, law_type, noise, guess)
+        if law_type is None and not isinstance(data, Fit):
+            remedy = "give one, such as ExponentialLaw"
+            raise ParameterError("a plan needs the kind of law", field="law_type", remedy=remedy)
+        fit = data if isinstance(data, Fit) else fit_law(law_type, data)
         measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
-        points = measured.taut
-        law = fit.law if isinstance(fit, Fit) else fit
+        points, law = measured.taut, fit.law
         if any(p.penalised for p in type(law).parameters()):
             message = f"{type(law).__name__} has deviations with a prior: points cannot be planned for them"
             raise ParameterError(message, remedy="plan for ExponentialLaw, which it extends")
@@ -68,11 +67,6 @@ class PriorData:
         if friction:
             signs = [DIRECTION_SIGN.get(str(d), 0.0) for d in points.table["direction"].to_numpy()]
             rows = np.concatenate([rows, np.array(signs)[:, None]], axis=1)
-        if not isinstance(fit, Fit):
-            assert noise is not None
-            strokes = group_labels(points, Grouping.POINT) if len(points) else np.empty(0, np.int64)
-            notes = ("the data do not determine the law: the plan is linearised about the guess",)
-            return cls(law, points, measured, friction, rows, strokes, NoiseModel(noise), 0.0, notes)
         regression = fit.require_regression()
         residuals, (by, ungrouped) = regression.solution.residuals, regression.default_grouping
         strokes = group_labels(points, by)
@@ -81,28 +75,6 @@ class PriorData:
         width = float(np.linalg.lstsq(rows, residuals, rcond=1e-10)[0][-1]) if friction else 0.0
         notes = () if grouped else (f"the points of a stroke count as independent: {ungrouped}",)
         return cls(law, points, measured, friction, rows, strokes, noises, width, notes)
-
-
-def _fit(
-    data: IsobaricDataset, law_type: type[ForceLaw] | None, noise: float | None, guess: ForceLaw | None
-) -> Fit | ForceLaw:
-    """The fit to the points, or the guess if they determine none."""
-    if law_type is None:
-        remedy = "give one, such as ExponentialLaw"
-        raise ParameterError("a plan needs the kind of law", field="law_type", remedy=remedy)
-    try:
-        return fit_law(law_type, data)
-    except IdentificationError as error:
-        if guess is None or noise is None:
-            raise IdentificationError(
-                f"the data do not determine {law_type.__name__}: {error.message}",
-                field="guess" if guess is None else "noise",
-                remedy="give a law to linearise about (guess), and the error of a point on the rig (noise)",
-            ) from None
-    if type(guess) is not law_type:
-        message = f"the guess is a {type(guess).__name__}, but the plan is for {law_type.__name__}"
-        raise ParameterError(message, field="guess", remedy="plan for the kind of the guess")
-    return dataclasses.replace(guess, domain=Domain())
 
 
 def _noise(rows: Floats, residuals: Floats, strokes: Indices | None, noise: float | None, highest: float) -> NoiseModel:

@@ -65,7 +65,7 @@ class Coefficient(QuantityOfInterest):
     def _parameter(self, law_type: type[ForceLaw]) -> Parameter:
         known = {p.name: p for p in law_type.parameters()}
         if self.name not in known:
-            remedy = f"give stiffness, torque, force, or a coefficient; {law_type.__name__} has {', '.join(known)}"
+            remedy = f"give stiffness, force, or a coefficient; {law_type.__name__} has {', '.join(known)}"
             raise ParameterError(f"{self.name!r} is not a quantity of interest", value=self.name, remedy=remedy)
         return known[self.name]
 
@@ -111,9 +111,10 @@ class Force(QuantityOfInterest):
 
 
 @dataclass(frozen=True)
-class _JointQuantity(QuantityOfInterest):
-    """Torque or stiffness of a joint.
+class JointStiffness(QuantityOfInterest):
+    """Stiffness, at constant pressures, of a joint whose muscles both follow the law.
 
+    At angles [rad] and pressures of muscles 1 and 2 [Pa]; the criterion for several angles is the mean variance.
     Linearisation raises `RangeError` for an angle or a pressure outside the range of a muscle; a slack muscle is a
     warning.
     """
@@ -122,18 +123,14 @@ class _JointQuantity(QuantityOfInterest):
     angle: float | Sequence[float] = 0.0
     pressures: tuple[float, float] = (3 * bar, 3 * bar)
 
-    _row = 0
-    _name = ""
-    _unit = ""
-
     def __str__(self) -> str:
         angles = np.atleast_1d(np.asarray(self.angle, float)) / deg
         shown = f"{angles[0]:.4g}" if len(angles) == 1 else f"{angles[0]:.4g}..{angles[-1]:.4g}"
         p1, p2 = (pressure / bar for pressure in self.pressures)
-        return f"{self._name} at {shown} deg, {p1:.4g} bar, {p2:.4g} bar"
+        return f"stiffness at {shown} deg, {p1:.4g} bar, {p2:.4g} bar"
 
     def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
-        return self._unit, self._unit
+        return "N*m/rad", "N*m/rad"
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         angles = np.atleast_1d(np.asarray(self.angle, np.float64))
@@ -154,30 +151,9 @@ class _JointQuantity(QuantityOfInterest):
                 message = f"{pressure[0] / bar:g} bar is outside {low / bar:g}..{high / bar:g} bar of {name}"
                 raise RangeError(message, value=pressure[0], lower=low, upper=high, unit="Pa")
             if np.any(forces(law, contraction, pressure) <= 0):
-                warnings.append(f"muscle {number} is slack there and does not contribute to the {self._name}")
+                warnings.append(f"muscle {number} is slack there and does not contribute to the stiffness")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
-        return LinearizedQuantity(gradients[self._row], values[self._row], states=places, warnings=tuple(warnings))
-
-
-@dataclass(frozen=True)
-class JointTorque(_JointQuantity):
-    """Torque of a joint whose muscles both follow the law, at angles [rad] and pressures of muscles 1 and 2 [Pa].
-
-    The criterion for several angles is the mean variance.
-    """
-
-    _row = 0
-    _name = "torque"
-    _unit = "N*m"
-
-
-@dataclass(frozen=True)
-class JointStiffness(_JointQuantity):
-    """Stiffness of a joint at constant pressures; parameters as for `JointTorque`."""
-
-    _row = 1
-    _name = "stiffness"
-    _unit = "N*m/rad"
+        return LinearizedQuantity(gradients[1], values[1], states=places, warnings=tuple(warnings))
 
 
 def parse_quantity_of_interest(
@@ -188,9 +164,8 @@ def parse_quantity_of_interest(
     Parameters
     ----------
     text
-        A coefficient such as "decay"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness" or
-        "torque", or either "at 5 deg, 3 bar" (both muscles), "at -10..10 deg, 2 bar, 4 bar" (muscles 1 and 2). The
-        default is 0 deg and 3 bar.
+        A coefficient such as "decay"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness", or that "at 5 deg, 3 bar"
+        (both muscles), "at -10..10 deg, 2 bar, 4 bar" (muscles 1 and 2). The default is 0 deg and 3 bar.
     law_type
         Law with the coefficients.
     joint
@@ -225,17 +200,16 @@ def parse_quantity_of_interest(
     try:
         if kind == "force":
             return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")) if parts else None)
-        kinds = {"stiffness": JointStiffness, "torque": JointTorque}
         if not parts:
-            return kinds[kind](joint())
+            return JointStiffness(joint())
         low, high = parse_range(parts[0], "rad")
         pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
     except UnitError as error:
         raise UnitError(f"{text!r}: {error}; {_PLACES[kind == 'force']}", value=text) from None
     angle = low if low == high else tuple(np.linspace(low, high, 5).tolist())
-    return kinds[kind](joint(), angle, (pressures[0], pressures[-1]))
+    return JointStiffness(joint(), angle, (pressures[0], pressures[-1]))
 
 
-_FORMS = {"force": (0, 2), "stiffness": (0, 1, 2, 3), "torque": (0, 1, 2, 3)}
+_FORMS = {"force": (0, 2), "stiffness": (0, 1, 2, 3)}
 """Numbers of values after "at"."""
 _PLACES = "write an angle and pressures, 'at 5 deg, 2 bar, 4 bar'", "write 'force at 0..10 %, 3..6 bar'"

@@ -57,7 +57,7 @@ class ExperimentPlan(Result):
     Attributes
     ----------
     law
-        Law about which the quantity is linearised: fitted or guessed.
+        Law about which the quantity is linearised.
     points
         In order of gain.
     error_now, error_after

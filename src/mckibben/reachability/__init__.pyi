@@ -1,7 +1,5 @@
 from .envelope import Envelope as Envelope
 from .envelope import envelope as envelope
-from .lengths import design_lengths as design_lengths
-from .requirement import LengthRange as LengthRange
 from .requirement import Make as Make
 from .requirement import Requirement as Requirement
 from .requirement import catalog_makes as catalog_makes

@@ -18,11 +18,10 @@ from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.errors import ParameterError
 from mckibben.identification import Fit, fit_law
-from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint import Load
 from mckibben.muscle import ExponentialLaw, Muscle, Specimen
 from mckibben.units import (
     Angle,
-    Coordinate,
     Duration,
     Length,
     MomentArm,
@@ -40,26 +39,10 @@ SHORTEST = 0.04
 
 
 @dataclass(frozen=True)
-class LengthRange(Checked):
-    """Length of a joint that may be chosen, one of its `design_lengths`, and its bounds [m]."""
-
-    name: str
-    lowest: Coordinate
-    highest: Coordinate
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.lowest < self.highest:
-            message = f"{self.name} from {show(self.lowest, 'mm')} to {show(self.highest, 'mm')} is not a range"
-            remedy = "give two lengths, the shorter first"
-            raise ParameterError(message, field="lowest", value=self.lowest, remedy=remedy)
-
-
-@dataclass(frozen=True)
 class Requirement(Checked):
     """Load, motion and stiffness of a joint with two antagonistic muscles, and what may be chosen for it.
 
-    A file has these fields with units, see docs/size.md. Without a `joint`, muscles on pulleys are selected.
+    A file has these fields with units, see docs/size.md. The joint has muscles on pulleys.
 
     Parameters
     ----------
@@ -83,13 +66,11 @@ class Requirement(Checked):
         Files of muscles to choose from, and whether those of the catalog are considered, too.
     longest, widest
         Longest muscle, and largest radius of a pulley [m].
-    joint, lengths
-        A joint whose lengths are chosen within bounds; the others are kept.
 
     Raises
     ------
     ParameterError
-        If the angles are not two, the lower first, or the stiffness likewise; or if a joint has no `lengths`.
+        If the angles are not two, the lower first, or the stiffness likewise.
     RangeError
         If a number is outside the range of its field.
 
@@ -116,8 +97,6 @@ class Requirement(Checked):
     catalog: bool = True
     longest: Length = 1.0
     widest: MomentArm = 0.15
-    joint: AntagonisticJoint | None = None
-    lengths: tuple[LengthRange, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,9 +106,6 @@ class Requirement(Checked):
             ):
                 remedy = "give two, the lower first, such as [-30 deg, 30 deg]"
                 raise ParameterError(f"{name} are not a range", field=name, value=pair, remedy=remedy)
-        if (self.joint is None) != (not self.lengths):
-            message, remedy = "a joint and its lengths go together", "give both, or neither to select pulleys"
-            raise ParameterError(message, field="lengths", remedy=remedy)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Requirement:

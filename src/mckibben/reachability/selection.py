@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,12 +21,11 @@ from mckibben.component.calls import checked_call
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
 from mckibben.errors import ParameterError, UnreachableError
-from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley, RigidTendon
+from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
-from mckibben.reachability.lengths import check_lengths, with_lengths
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
 from mckibben.reachability.requirement import SHORTEST, Make, Requirement, catalog_makes, read_make
 from mckibben.reachability.trajectory import reference_trajectory
@@ -209,12 +208,10 @@ class Selection(Result):
 
 @checked_call
 def size(requirement: Requirement, makes: Sequence[Make] | None = None) -> Selection:
-    """Size a joint with two antagonistic muscles for a requirement: lengths, valves and air supply.
+    """Size a joint with two antagonistic muscles on pulleys for a requirement: lengths, valves and air supply.
 
-    For each make of muscles, the shortest muscle is sought whose joint with two pulleys meets the requirement with its
-    forces at both ends of their uncertainty, over a grid of lengths, radii and contractions. Where the requirement has
-    a `joint`, its `lengths` are those with the largest of the least `constraint_margins`, found by differential
-    evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997). The pressure is at most 90 % of the
+    For each make of muscles, the shortest muscle is sought whose joint meets the requirement with its forces at both
+    ends of their uncertainty, over a grid of lengths, radii and contractions. The pressure is at most 90 % of the
     supply, and both muscles remain taut.
 
     Parameters
@@ -227,27 +224,16 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None) -> Selec
     Raises
     ------
     ParameterError
-        If there are no makes, a law is not affine in pressure, the joint has springs, or lacks one of the lengths.
+        If there are no makes, or a law is not affine in pressure.
     UnreachableError
         If no make meets the requirement, with the limit of each and the lengths that come closest.
 
     Examples
     --------
-    >>> from mckibben import catalog
-    >>> from mckibben.reachability import LengthRange
-    >>> from mckibben.units import bar
-    >>> knee = {"joint": catalog.joint("knee-table-2"), "lengths": (LengthRange("connector_length", 0.19, 0.22),)}
-    >>> need = Requirement(
-    ...     catalog.load("knee-table-2"), (-0.2, 0.2), 4.0, 6 * bar, stiffness=(14.0, 16.0), spread=0.0, **knee
-    ... )
-    >>> found = size(need)
-    >>> round(found.best.lengths["connector_length"] / mm)
-    207
+    >>> found = size(Requirement.read("examples/sizing/pulleys.yaml"))
+    >>> found.best.name, round(found.best.lengths["radius"] / mm, 1)
+    ('Festo 20 mm', 29.5)
     """
-    if requirement.joint is not None:
-        check_lengths(requirement.joint, requirement.lengths)
-        own = requirement.joint.muscle1.specimen.name
-        return Selection(requirement, (_candidate_of_joint(own, requirement.joint, requirement),), ())
     if makes is None:
         files = [read_make(path, requirement.spread) for path in requirement.muscles]
         makes = (*files, *(catalog_makes() if requirement.catalog else ()))
@@ -295,6 +281,19 @@ def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requir
     return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
 
 
+def _with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPlant:
+    """The plant with other lengths [m] of muscles, whose volume scales with it, and pulleys; they may be traced."""
+    paths, muscles, length = [], [], lengths["muscle_length"]
+    for number, muscle in enumerate((plant.joint.muscle1, plant.joint.muscle2), 1):
+        specimen = muscle.specimen
+        scale = length / specimen.initial_length
+        terms = specimen.volume_terms and tuple(term * scale for term in specimen.volume_terms)
+        longer = dataclasses.replace(specimen, initial_length=length, volume_terms=terms)
+        muscles.append(dataclasses.replace(muscle, specimen=longer))
+        paths.append(Pulley(lengths["radius"], lengths[f"path{number}.rest_length"]))  # type: ignore[arg-type]
+    return dataclasses.replace(plant, joint=AntagonisticJoint(PairedPaths(*paths), *muscles))
+
+
 @jit
 def _margins_of(
     plant: JointPlant, lengths: Any, angles: ArrayLike, stiffness: Any, reserve: ArrayLike, speed: ArrayLike
@@ -302,7 +301,7 @@ def _margins_of(
     """Least margins over torques and angles, shape (candidates, constraints); friction adds to the reserve."""
 
     def margins(lengths: dict[str, Array]) -> Array:
-        sized = with_lengths(plant, lengths)
+        sized = _with_lengths(plant, lengths)
         opposed, both = friction_torque(sized, angles, speed, _TENSION)
         needed = reserve + jnp.where(stiffness[0] <= stiffness[1], both, opposed)
         return constraint_margins(sized, angles, stiffness, needed, _TENSION).min(axis=(1, 2))
@@ -327,31 +326,6 @@ def _candidate_of_make(make: Make, need: Requirement) -> Candidate:
         raise _unreached(margins, grid)
     at = int(np.argmax(np.where(feasible & (lengths == lengths[feasible].min()), least, -np.inf)))
     return _candidate(make.name, make.uncertainty, _on_pulleys(make.muscle), _row(grid, at), margins[at], need)
-
-
-def _candidate_of_joint(name: str, joint: AntagonisticJoint, need: Requirement) -> Candidate:
-    """The joint with the lengths that leave the largest of the least margins."""
-    from scipy.optimize import differential_evolution  # 0.3 s
-
-    if any(joint.springs) or not isinstance(joint.tendon, RigidTendon):
-        remedy = "leave the springs out; `mckibben envelope` needs neither"
-        raise ParameterError("sizing needs two muscles and rigid tendons", field="joint", remedy=remedy)
-    plants = [_template(joint, need, 1 + sign * need.spread) for sign in (-1, 1)]
-
-    def lengths_of(x: Floats) -> dict[str, Floats]:
-        return dict(zip([length.name for length in need.lengths], np.atleast_2d(x.T).T, strict=True))
-
-    def shortfall(x: Floats) -> Floats:
-        return -np.maximum(_margins(plants, lengths_of(x), need).min(axis=1), -1e9)
-
-    bounds = [(length.lowest, length.highest) for length in need.lengths]
-    search: dict[str, Any] = {"vectorized": True, "updating": "deferred", "polish": False, "rng": 0, "tol": 1e-8}
-    fit = differential_evolution(shortfall, bounds, **search)
-    best = lengths_of(fit.x[:, None])
-    margins = _margins(plants, best, need)
-    if not margins.min() >= 0:
-        raise _unreached(margins, best)
-    return _candidate(name, need.spread, joint, _row(best, 0), margins[0], need)
 
 
 def _row(lengths: dict[str, Floats], at: int) -> dict[str, float]:
@@ -411,7 +385,7 @@ def _candidate(
 ) -> Candidate:
     """Torque, stiffness and air supply of a joint with chosen lengths."""
     angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
-    plants = [with_lengths(_template(joint, need, 1 + part * uncertainty), lengths) for part in (-1, 0, 1)]
+    plants = [_with_lengths(_template(joint, need, 1 + part * uncertainty), lengths) for part in (-1, 0, 1)]
     stiffness, torque = [], []
     for plant in plants:
         opposed, both = (float(part) for part in friction_torque(plant, angles, need.speed, _TENSION))
