@@ -34,6 +34,7 @@ PositiveNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3, open_lower=True)]
 RATE = 50.0  # Hz, of the fitted samples
 COEFFICIENTS = 3  # of each polynomial of a correction
 OF_MUSCLE = 2 * COEFFICIENTS + 3  # parameters: these, friction, presliding and growth of the friction
+FORCES = np.array([i * OF_MUSCLE + j for i in range(2) for j in range(2 * COEFFICIENTS)])  # corrections of the laws
 _CREEP = 2 * OF_MUSCLE + 7  # first creep stiffness, after mass, weight, zero, arms, load cells and apparent inertia
 CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
 PARAMETERS = _CREEP + 2 * CREEP_TIMES.size
@@ -74,8 +75,8 @@ class JointPrior(Checked):
     ----------
     strength, offset
         Pressure-proportional and constant part of a muscle's force, relative to the law's force at its highest pressure
-        and the middle contraction; halved for each further power of contraction. Default of the offset: half of the
-        strength.
+        and the middle contraction; halved for each further power of contraction. Default of the strength: estimated
+        from the recordings; of the offset: half of the strength.
     friction, presliding
         Logarithms of the half width of the friction band at the mean pressure, and of the presliding length.
     friction_growth
@@ -100,7 +101,7 @@ class JointPrior(Checked):
         [Pa].
     """
 
-    strength: Strength = 0.1
+    strength: Strength | None = None
     offset: Strength | None = None
     friction: Strength = 0.6
     presliding: Strength = 0.5
@@ -260,11 +261,13 @@ def problem_of(
     beyond: float = 1.2,
     band: float = 0.02,
     presliding: float = 2e-3,
+    scatter: float = 0.1,
 ) -> CalibrationProblem:
     """Return the model, with friction added if it has none, and the scales of its corrections.
 
     Corrections have a half width of `beyond` times that of the measured contractions. Friction, where the model has
     none, begins at a `band` relative to the highest force, and a `presliding` length relative to the initial length.
+    Where the prior has no strength, its estimate begins at a `scatter` of muscles.
 
     Raises
     ------
@@ -290,7 +293,9 @@ def problem_of(
             muscle = dataclasses.replace(muscle, friction=friction)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    widths = {"offset": prior.strength / 2, **{name: width for name, width in vars(prior).items() if width is not None}}
+    strength = prior.strength or scatter
+    widths = {name: width for name, width in vars(prior).items() if width is not None}
+    widths = {"scatter": 1.0, "strength": strength, "offset": strength / 2, **widths}
     return CalibrationProblem(joint, load, tuple(scales), widths)
 
 
@@ -317,8 +322,8 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             continue
         values, scales = z[i * OF_MUSCLE : (i + 1) * OF_MUSCLE], problem.scales[i]
         correction = ForceCorrection(
-            tuple(values[:n] * shrink * (prior["offset"] * scales.force)),
-            tuple(values[n : 2 * n] * shrink * (prior["strength"] * scales.force / scales.highest)),
+            tuple(values[:n] * shrink * (prior["scatter"] * prior["offset"] * scales.force)),
+            tuple(values[n : 2 * n] * shrink * (prior["scatter"] * prior["strength"] * scales.force / scales.highest)),
             scales.centre,
             scales.half_width,
         )

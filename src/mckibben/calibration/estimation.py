@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from mckibben.calibration.equations import (
     COEFFICIENTS,
+    FORCES,
     OF_MUSCLE,
     PARAMETERS,
     RATE,
@@ -82,6 +83,9 @@ class JointCalibration(Calibration):
         Root mean square of the error of the model [N*m]: the residual without its noise. Deviations contain it.
     highest
         Highest torque of a muscle [N*m].
+    kept
+        Whether the mean stiffness along the recordings is that of the model before, because they do not tell another
+        one from it.
     """
 
     joint: AntagonisticJoint
@@ -94,6 +98,7 @@ class JointCalibration(Calibration):
     noise: float = column("N*m", "noise of the torque", digits=2)
     misfit: float = column("N*m", "error of the model", digits=2)
     highest: float = 0.0
+    kept: bool = False
 
     figures = ("calibration",)
 
@@ -202,14 +207,11 @@ class JointCalibration(Calibration):
         z = self._minima[0].z
         remedy = "which recordings had the weight, the units and the encoder's zero, and state in --prior what is known"
         remarks = misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy)
-        widths = {name: self._problem.prior[name] for name in ("strength", "mass")}
-        if all(width == getattr(JointPrior, name) for name, width in widths.items()):
-            text = (
-                "forces and mass have the default deviations, with which the stiffness of muscles that were tested can "
-            )
-            text += "get worse"
-            remedy = "state what is known in --prior: strength: 2 % after a test of these muscles, mass: 5 % if weighed"
-            remarks.append(Remark.warning("prior", text, remedy))
+        if self.kept:
+            text = "the recordings do not tell the mean stiffness from that of the model before, which is kept"
+            remedy = "weigh the limb and state mass: 5 % in --prior, or use a heavier weight and wider angles"
+            remarks.append(Remark.note("stiffness", text, remedy))
+        z = np.where(np.isin(np.arange(z.size), FORCES), self._problem.prior["scatter"], 1.0) * z
         distance = float(z @ z)
         if distance > chdtri(z.size, 1e-6):
             text = f"the recordings contradict the model: it is too far from the estimates (chi-squared {distance:.3g})"
@@ -265,7 +267,7 @@ def calibrate_joint(
     if not halves:
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
-    minima, residual, noise = _solve(problem, halves)
+    problem, minima, residual, noise, kept = _solve(problem, halves, scatter=prior.strength is None)
     highest = float(
         max(scales.force for scales in problem.scales) * np.max(np.abs(joint.geometry.moment_arms(halves[0][0].angle)))
     )
@@ -276,7 +278,7 @@ def calibrate_joint(
         raise IdentificationError(f"the recordings contradict the model: {error.message}", remedy=_CHECK) from None
     parts = model.joint, model.load, tuple(recordings), problem, minima
     misfit = math.sqrt(max(residual**2 - noise**2, 0.0))
-    return JointCalibration(quantities_of(problem, minima), *parts, residual, noise, misfit, highest)
+    return JointCalibration(quantities_of(problem, minima), *parts, residual, noise, misfit, highest, kept)
 
 
 def quantities_of(problem: CalibrationProblem, minima: Sequence[LocalMinimum]) -> dict[str, JointEstimate]:
@@ -351,11 +353,17 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
 
 
 def _solve(
-    problem: CalibrationProblem, recordings: Sequence[Halves], *, stages: int = 3, variance: float = 1e-3
-) -> tuple[tuple[LocalMinimum, ...], float, float]:
-    """Minima of all starts, the best one first, the residual torque [N*m], and its noise.
+    problem: CalibrationProblem,
+    recordings: Sequence[Halves],
+    *,
+    scatter: bool,
+    stages: int = 4,
+    variance: float = 1e-3,
+) -> tuple[CalibrationProblem, tuple[LocalMinimum, ...], float, float, bool]:
+    """The problem, minima of all starts, the best one first, residual torque [N*m], its noise, and `kept`.
 
-    The variances, of the torque first that stated [N^2*m^2], are estimated from the residuals in stages.
+    The variances, of the torque first that stated [N^2*m^2], are estimated from the residuals in stages, and with
+    `scatter` the width of the prior of the forces from their corrections (D. J. C. MacKay, Neural Computation 4, 1992).
     """
     edge = int(4 * _FILTER * RATE)
     begins = [sliding_from(problem.joint, half.angle) + edge for half, _ in recordings]
@@ -386,13 +394,16 @@ def _solve(
 
     search = [start(strength) for strength in STRENGTHS] + [start(exchange=sign * 0.35) for sign in (1, -1)]
     minima = sorted((_minimised(terms, z, iterations=8) for z in search), key=lambda fit: fit[1])
-    z = minima[0][0]
+    z, places = minima[0][0], np.array([z for z, _ in minima])
     for _ in range(stages):
         z, _ = _minimised(terms, z)
-        determined = PARAMETERS - float(np.trace(np.linalg.inv(terms(z)[2])))
-        variances = np.maximum(_variances(*errors(z), determined), 1e-8)
-    others = _distinct([z, *(z for z, _ in minima)])
-    minima = sorted((_minimised(terms, z) for z in others), key=lambda fit: fit[1])
+        informed = 1 - np.diag(np.linalg.inv(terms(z)[2]))  # 0 of a parameter of which the recordings tell nothing
+        variances = np.maximum(_variances(*errors(z), float(informed.sum())), 1e-8)
+        if scatter:
+            factor = math.sqrt(z[FORCES] @ z[FORCES] / informed[FORCES].sum())
+            problem = problem._replace(prior={**problem.prior, "scatter": problem.prior["scatter"] * factor})
+            z[FORCES], places[:, FORCES] = z[FORCES] / factor, places[:, FORCES] / factor
+    minima = sorted((_minimised(terms, z) for z in _distinct([z, *places])), key=lambda fit: fit[1])
     weights = probabilities([objective for _, objective in minima])
     best = [
         LocalMinimum(z, np.asarray(np.linalg.inv(terms(z)[2]), float), weight)
@@ -400,7 +411,34 @@ def _solve(
         if weight > 0
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
-    return tuple(best), residual, noise
+    best, kept = supported(best, _mean_stiffness(problem, recordings))
+    return problem, tuple(best), residual, noise, kept
+
+
+def _mean_stiffness(problem: CalibrationProblem, recordings: Sequence[Halves]) -> Floats:
+    """Derivatives of the mean stiffness along recordings with respect to the parameters, at the model before."""
+    halves = [half for half, _ in recordings]
+    angle = np.concatenate([half.angle for half in halves])
+    pressures = tuple(np.concatenate([half.pressures[i] for half in halves]) for i in range(2))
+    return np.mean(_stiffness(problem, jnp.zeros(PARAMETERS), angle, pressures)[1], axis=0)
+
+
+def supported(
+    minima: list[LocalMinimum], slope: Floats, *, substantial: float = math.sqrt(10)
+) -> tuple[list[LocalMinimum], bool]:
+    """Minima at which a quantity with that slope is as before, and True, unless its change has substantial evidence.
+
+    That is a Bayes factor of at least the square root of 10 (H. Jeffreys, Theory of Probability, Oxford 1961), the
+    density of no change before over that after (J. M. Dickey, Annals of Mathematical Statistics 42, 1971). Deviations
+    contain the change.
+    """
+    way = slope / np.linalg.norm(slope)
+    weights, change, spread = np.array([(m.weight, way @ m.z, way @ m.covariance @ way) for m in minima]).T
+    if np.sum(weights * np.exp(-(change**2) / (2 * spread)) / np.sqrt(spread)) * substantial <= 1:
+        return minima, False
+    moves = [m.covariance @ way * size for m, size in zip(minima, change / spread, strict=True)]
+    pairs = zip(minima, moves, strict=True)
+    return [m._replace(z=m.z - move, covariance=m.covariance + np.outer(move, move)) for m, move in pairs], True
 
 
 def _filtered(column: Floats, begin: int) -> Floats:

@@ -45,7 +45,7 @@ class ValveExperiment:
     duration: float
     pressure_error: float = JointLimits.pressure_error
     following: float = JointLimits.following
-    strength: float = JointPrior.strength
+    strength: float = 0.1
 
     def scenarios(self, scenario: Scenario) -> dict[str, Scenario]:
         """Scenario of each part by its name.
