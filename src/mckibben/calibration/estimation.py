@@ -418,9 +418,9 @@ def _solve(
 def _mean_stiffness(problem: CalibrationProblem, recordings: Sequence[Halves]) -> Floats:
     """Derivatives of the mean stiffness along recordings with respect to the parameters, at the model before."""
     halves = [half for half, _ in recordings]
-    angle = np.concatenate([half.angle for half in halves])
-    pressures = tuple(np.concatenate([half.pressures[i] for half in halves]) for i in range(2))
-    return np.mean(_stiffness(problem, jnp.zeros(PARAMETERS), angle, pressures)[1], axis=0)
+    angle = jnp.concatenate([jnp.asarray(half.angle) for half in halves])
+    first, second = (jnp.concatenate([jnp.asarray(half.pressures[i]) for half in halves]) for i in range(2))
+    return np.mean(_stiffness(problem, jnp.zeros(PARAMETERS), angle, (first, second))[1], axis=0)
 
 
 def supported(

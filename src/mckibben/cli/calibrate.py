@@ -95,7 +95,7 @@ def calibrate(
     ]
     unused = [measure(path) for path in held_out or ()]
     if valves:
-        experiment = calibration.ValveExperiment(low, high, seconds, strength=deviations.strength)
+        experiment = calibration.ValveExperiment(low, high, seconds)
         recordings = recordings or _measured(read, experiment, out, rig, quiet=json)
         return calibration.calibrate_scenario_valves(read, recordings, deviations)
     recordings = recordings or _measured(

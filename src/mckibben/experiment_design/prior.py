@@ -53,10 +53,13 @@ class PriorData:
         ParameterError
             If the kind of law is missing, or has parameters with a prior.
         """
-        if law_type is None and not isinstance(data, Fit):
+        if isinstance(data, Fit):
+            fit = data
+        elif law_type is None:
             remedy = "give one, such as ExponentialLaw"
             raise ParameterError("a plan needs the kind of law", field="law_type", remedy=remedy)
-        fit = data if isinstance(data, Fit) else fit_law(law_type, data)
+        else:
+            fit = fit_law(law_type, data)
         measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
         points, law = measured.taut, fit.law
         if any(p.penalised for p in type(law).parameters()):

@@ -281,7 +281,7 @@ def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requir
     return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
 
 
-def _with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPlant:
+def _with_lengths(plant: JointPlant, lengths: Mapping[str, Any]) -> JointPlant:
     """The plant with other lengths [m] of muscles, whose volume scales with it, and pulleys; they may be traced."""
     paths, muscles, length = [], [], lengths["muscle_length"]
     for number, muscle in enumerate((plant.joint.muscle1, plant.joint.muscle2), 1):
@@ -290,7 +290,7 @@ def _with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointP
         terms = specimen.volume_terms and tuple(term * scale for term in specimen.volume_terms)
         longer = dataclasses.replace(specimen, initial_length=length, volume_terms=terms)
         muscles.append(dataclasses.replace(muscle, specimen=longer))
-        paths.append(Pulley(lengths["radius"], lengths[f"path{number}.rest_length"]))  # type: ignore[arg-type]
+        paths.append(Pulley(lengths["radius"], lengths[f"path{number}.rest_length"]))
     return dataclasses.replace(plant, joint=AntagonisticJoint(PairedPaths(*paths), *muscles))
 
 
