@@ -101,7 +101,7 @@ BUDGET = {
     "contract": 650,
     "control": 2510,
     "dataset": 3270,
-    "experiment_design": 690,
+    "experiment_design": 700,
     "export": 2510,
     "firmware": 150,
     "identification": 3700,

@@ -84,8 +84,8 @@ class JointCalibration(Calibration):
     highest
         Highest torque of a muscle [N*m].
     kept
-        Whether the mean stiffness along the recordings is that of the model before, because they do not tell another
-        one from it.
+        Whether the stiffness along the recordings is that of the model before, because they do not tell another one
+        from it.
     """
 
     joint: AntagonisticJoint
@@ -208,7 +208,7 @@ class JointCalibration(Calibration):
         remedy = "which recordings had the weight, the units and the encoder's zero, and state in --prior what is known"
         remarks = misfit_remarks(self.residual, self.noise, self.highest, "N*m", remedy)
         if self.kept:
-            text = "the recordings do not tell the mean stiffness from that of the model before, which is kept"
+            text = "the recordings do not tell the stiffness from that of the model before, which is kept"
             remedy = "weigh the limb and state mass: 5 % in --prior, or use a heavier weight and wider angles"
             remarks.append(Remark.note("stiffness", text, remedy))
         z = np.where(np.isin(np.arange(z.size), FORCES), self._problem.prior["scatter"], 1.0) * z
@@ -411,32 +411,34 @@ def _solve(
         if weight > 0
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
-    best, kept = supported(best, _mean_stiffness(problem, recordings))
+    best, kept = supported(best, _stiffness_slopes(problem, recordings))
     return problem, tuple(best), residual, noise, kept
 
 
-def _mean_stiffness(problem: CalibrationProblem, recordings: Sequence[Halves]) -> Floats:
-    """Derivatives of the mean stiffness along recordings with respect to the parameters, at the model before."""
-    halves = [half for half, _ in recordings]
-    angle = jnp.concatenate([jnp.asarray(half.angle) for half in halves])
-    first, second = (jnp.concatenate([jnp.asarray(half.pressures[i]) for half in halves]) for i in range(2))
-    return np.mean(_stiffness(problem, jnp.zeros(PARAMETERS), angle, (first, second))[1], axis=0)
+def _stiffness_slopes(problem: CalibrationProblem, recordings: Sequence[Halves]) -> Floats:
+    """Derivatives of the stiffness along recordings at the model before, shape (samples, parameters)."""
+    columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
+    angle, first, second = (jnp.concatenate([jnp.asarray(part) for part in column]) for column in columns)
+    return np.asarray(_stiffness(problem, jnp.zeros(PARAMETERS), angle, (first, second))[1])
 
 
 def supported(
-    minima: list[LocalMinimum], slope: Floats, *, substantial: float = math.sqrt(10)
+    minima: list[LocalMinimum], slopes: Floats, *, substantial: float = math.sqrt(10), negligible: float = 0.01
 ) -> tuple[list[LocalMinimum], bool]:
-    """Minima at which a quantity with that slope is as before, and True, unless its change has substantial evidence.
+    """Minima with values as before, and True, unless the change of their mean has substantial evidence.
 
     That is a Bayes factor of at least the square root of 10 (H. Jeffreys, Theory of Probability, Oxford 1961), the
-    density of no change before over that after (J. M. Dickey, Annals of Mathematical Statistics 42, 1971). Deviations
-    contain the change.
+    density of no change before over that after (J. M. Dickey, Annals of Mathematical Statistics 42, 1971). The values
+    have these slopes, shape (values, parameters), of which directions of less than the `negligible` part of the
+    largest are ignored. Deviations contain the change.
     """
-    way = slope / np.linalg.norm(slope)
+    way = slopes.mean(axis=0) / np.linalg.norm(slopes.mean(axis=0))
     weights, change, spread = np.array([(m.weight, way @ m.z, way @ m.covariance @ way) for m in minima]).T
     if np.sum(weights * np.exp(-(change**2) / (2 * spread)) / np.sqrt(spread)) * substantial <= 1:
         return minima, False
-    moves = [m.covariance @ way * size for m, size in zip(minima, change / spread, strict=True)]
+    _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
+    rows = rows[sizes > negligible * sizes[0]]
+    moves = [m.covariance @ rows.T @ np.linalg.solve(rows @ m.covariance @ rows.T, rows @ m.z) for m in minima]
     pairs = zip(minima, moves, strict=True)
     return [m._replace(z=m.z - move, covariance=m.covariance + np.outer(move, move)) for m, move in pairs], True
 
