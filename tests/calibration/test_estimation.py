@@ -136,7 +136,8 @@ def test_a_quantity_that_is_hardly_told_from_that_before_stays_as_before(change,
     """Deviation 0.5, of 1 before: the density at no change over that before is 2 exp(-(change / 0.5)^2 / 2)."""
     covariance = np.array([[0.25, 0.2], [0.2, 1.0]])
     before = LocalMinimum(np.array([change * 0.5, 1.0]), covariance)
-    (after,), found = supported([before], np.array([[3.0, 0.0], [4.0, 0.0]]))
+    slopes = np.array([[3.0, 0.0], [4.0, 0.0]])
+    (after,), found = supported([before], lambda z: (slopes @ z, slopes))
     assert found == kept == (2 * np.exp(-(change**2) / 2) > 10**-0.5)
     moved = covariance[:, 0] / covariance[0, 0] * before.z[0] if kept else np.zeros(2)  # that of the conditional mean
     np.testing.assert_allclose(after.z, before.z - moved, atol=1e-12)

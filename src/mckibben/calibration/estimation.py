@@ -411,36 +411,48 @@ def _solve(
         if weight > 0
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
-    best, kept = supported(best, _stiffness_slopes(problem, recordings))
+    columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
+    angle, first, second = (jnp.concatenate([jnp.asarray(part) for part in column]) for column in columns)
+
+    def stiffness(z: Floats) -> tuple[Floats, Floats]:
+        values, slopes = _stiffness(problem, jnp.asarray(z), angle, (first, second))
+        return np.asarray(values), np.asarray(slopes)
+
+    best, kept = supported(best, stiffness)
     return problem, tuple(best), residual, noise, kept
 
 
-def _stiffness_slopes(problem: CalibrationProblem, recordings: Sequence[Halves]) -> Floats:
-    """Derivatives of the stiffness along recordings at the model before, shape (samples, parameters)."""
-    columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
-    angle, first, second = (jnp.concatenate([jnp.asarray(part) for part in column]) for column in columns)
-    return np.asarray(_stiffness(problem, jnp.zeros(PARAMETERS), angle, (first, second))[1])
-
-
 def supported(
-    minima: list[LocalMinimum], slopes: Floats, *, substantial: float = math.sqrt(10), negligible: float = 0.01
+    minima: list[LocalMinimum],
+    function: Callable[[Floats], tuple[Floats, Floats]],
+    *,
+    substantial: float = math.sqrt(10),
+    negligible: float = 0.01,
+    steps: int = 3,
 ) -> tuple[list[LocalMinimum], bool]:
     """Minima with values as before, and True, unless the change of their mean has substantial evidence.
 
     That is a Bayes factor of at least the square root of 10 (H. Jeffreys, Theory of Probability, Oxford 1961), the
-    density of no change before over that after (J. M. Dickey, Annals of Mathematical Statistics 42, 1971). The values
-    have these slopes, shape (values, parameters), of which directions of less than the `negligible` part of the
-    largest are ignored. Deviations contain the change.
+    density of no change before over that after (J. M. Dickey, Annals of Mathematical Statistics 42, 1971). The function
+    returns values, shape (values,), and slopes, shape (values, parameters), of which directions of less than the
+    `negligible` part of the largest are ignored. Each minimum moves in Newton steps; its deviations contain the change.
     """
+    before, slopes = function(np.zeros(minima[0].z.size))
     way = slopes.mean(axis=0) / np.linalg.norm(slopes.mean(axis=0))
     weights, change, spread = np.array([(m.weight, way @ m.z, way @ m.covariance @ way) for m in minima]).T
     if np.sum(weights * np.exp(-(change**2) / (2 * spread)) / np.sqrt(spread)) * substantial <= 1:
         return minima, False
-    _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
-    rows = rows[sizes > negligible * sizes[0]]
-    moves = [m.covariance @ rows.T @ np.linalg.solve(rows @ m.covariance @ rows.T, rows @ m.z) for m in minima]
-    pairs = zip(minima, moves, strict=True)
-    return [m._replace(z=m.z - move, covariance=m.covariance + np.outer(move, move)) for m, move in pairs], True
+    kept = []
+    for minimum in minima:
+        (z, covariance, _), moved = minimum, minimum.z
+        for _ in range(steps):
+            now, slopes = function(moved)
+            left, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
+            rows = rows[: (rank := int(np.sum(sizes > negligible * sizes[0])))]
+            along = left.T[:rank] @ (now - before) / sizes[:rank]
+            moved = moved - covariance @ rows.T @ np.linalg.solve(rows @ covariance @ rows.T, along)
+        kept.append(minimum._replace(z=moved, covariance=covariance + np.outer(z - moved, z - moved)))
+    return kept, True
 
 
 def _filtered(column: Floats, begin: int) -> Floats:
