@@ -20,7 +20,7 @@ from machine import sentence
 from mckibben.rig import JointRig, prepare
 from mckibben.rig import control_loop as module
 from mckibben.rig.control_loop import realtime_process_settings
-from mckibben.rig.joint_record import Percentiles
+from mckibben.rig.joint_record import percentiles
 from mckibben.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -44,11 +44,11 @@ def asleep(duration, period):
             if left > 0:
                 time.sleep(left)
             late[i] = time.perf_counter() - until
-    return int((late > period).sum()), Percentiles.of(late)
+    return int((late > period).sum()), percentiles(late)
 
 
 def spread(times):
-    return " / ".join(f"{time * 1e6:.0f}" for time in times)
+    return " / ".join(f"{time:.0f}" for time in times.values())
 
 
 def main():

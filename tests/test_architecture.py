@@ -113,7 +113,7 @@ BUDGET = {
     "plant": 530,
     "reachability": 1120,
     "report": 2320,
-    "rig": 4600,
+    "rig": 4590,
     "scenario": 730,
     "serial_protocol": 160,
     "simulation": 2790,

@@ -119,16 +119,17 @@ def _report(ran: JointRunResult, session: JointSession, *, paced: bool) -> RunRe
         "infeasible": "" if ran.reach.feasible else ran.reach.verdict(),
         "metrics": {} if result is None else in_shown_units(result.metrics),
         "priority": ran.priority,
-        "timing": timing.to_json() if paced else None,
+        "timing": timing._asdict() if paced else None,
     }
     spreads = {
         "sample to loop": timing.lateness,
         "loop to valves": timing.work,
         "jitter between commands": timing.jitter,
     }
+    values = zip(*(spread.values() for spread in spreads.values()), strict=True)
     times = {
-        name: (Column("s", name, "us"), values)
-        for name, values in zip(("median", "95 %", "99.9 %", "worst"), zip(*spreads.values(), strict=True), strict=True)
+        name: (Column("s", name, "us"), [time * 1e-6 for time in row])
+        for name, row in zip(("median", "95 %", "99.9 %", "worst"), values, strict=True)
     }
     title = (
         f"{timing.missed} of {timing.periods} deadlines missed ({timing.skipped} periods skipped, "

@@ -146,30 +146,18 @@ def _by_laws(plant: JointPlant) -> JointPlant:
     return dataclasses.replace(plant, joint=dataclasses.replace(joint, muscle1=muscle1, muscle2=muscle2))
 
 
-class Percentiles(NamedTuple):
-    """Percentiles of times [s]: 50, 95, 99.9 and 100 %.
+PERCENTILES = {"median_us": 50, "p95_us": 95, "p999_us": 99.9, "worst_us": 100}
+"""Percentiles of the times of a loop, by name."""
 
-    Examples
-    --------
-    >>> Percentiles.of(np.arange(101.0)).most
+
+def percentiles(times: NDArray[np.float64]) -> dict[str, float]:
+    """Percentiles of times [s] of shape (times,), in microseconds; NaN of none.
+
+    >>> round(percentiles(np.arange(101.0) * 1e-6)["p95_us"], 6)
     95.0
     """
-
-    median: float
-    most: float
-    nearly_all: float
-    worst: float
-
-    @classmethod
-    def of(cls, times: NDArray[np.float64]) -> Percentiles:
-        """Return the percentiles of times [s] of shape (times,); NaN of none."""
-        if not times.size:
-            return cls(*[float("nan")] * 4)
-        return cls(*(float(value) for value in np.percentile(times, (50, 95, 99.9, 100))))
-
-    def to_json(self) -> dict[str, float]:
-        """Return them as a JSON object [us]."""
-        return dict(zip(("median_us", "p95_us", "p999_us", "worst_us"), (time * 1e6 for time in self), strict=True))
+    values = np.percentile(times * 1e6, [*PERCENTILES.values()]) if times.size else np.full(len(PERCENTILES), np.nan)
+    return dict(zip(PERCENTILES, values.tolist(), strict=True))
 
 
 class Timing(NamedTuple):
@@ -184,17 +172,17 @@ class Timing(NamedTuple):
     skipped, dropped
         Of these: without a command, because the loop was late and took the next sample; lost by the device.
     lateness, work, jitter
-        Times [s] from a sample to its reading by the loop; from the reading to the commands; and absolute differences
-        between the time between commands and the period.
+        Percentiles of the times from a sample to its reading by the loop; from the reading to the commands; and of the
+        absolute differences between the time between commands and the period, in microseconds.
     """
 
     periods: int
     missed: int
     skipped: int
     dropped: int
-    lateness: Percentiles
-    work: Percentiles
-    jitter: Percentiles
+    lateness: dict[str, float]
+    work: dict[str, float]
+    jitter: dict[str, float]
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:
@@ -221,12 +209,7 @@ class Timing(NamedTuple):
             missed=periods - int(in_time.sum()),
             skipped=int((~answered).sum()),
             dropped=periods - sample.size,
-            lateness=Percentiles.of((had - taken)[answered]),
-            work=Percentiles.of((out - had)[answered]),
-            jitter=Percentiles.of(np.abs(between - period)),
+            lateness=percentiles((had - taken)[answered]),
+            work=percentiles((out - had)[answered]),
+            jitter=percentiles(np.abs(between - period)),
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """As a JSON object, times in microseconds."""
-        counts = {name: getattr(self, name) for name in ("periods", "missed", "skipped", "dropped")}
-        return counts | {name: getattr(self, name).to_json() for name in ("lateness", "work", "jitter")}
