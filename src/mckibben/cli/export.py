@@ -47,8 +47,7 @@ def export(
     from mckibben.export import export as write
     from mckibben.export.targets import CONTROLLERS
     from mckibben.firmware import Hardware
-    from mckibben.robot import read_scenario
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import Scenario, read_scenario
 
     with keeping(folder):
         read = read_scenario(scenario)

@@ -37,11 +37,12 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    from mckibben.robot import RobotScenario, read_scenario, run_tracking
-    from mckibben.scenario import run_scenario
+    from mckibben.scenario import Scenario, read_scenario, run_scenario
 
     read = read_scenario(scenario)
-    if isinstance(read, RobotScenario):
+    if not isinstance(read, Scenario):
+        from mckibben.robot import run_tracking
+
         check_unused("simulate, of a robot,", animate=animate)
         return run_tracking(read, source=str(scenario))
     result = run_scenario(read, source=str(scenario))

@@ -20,7 +20,7 @@ from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
 from mckibben.robot.point_stiffness import PointStiffness, point_stiffness
 from mckibben.robot.reading import ReadRobot, read_mjcf
-from mckibben.robot.scenario import RobotScenario, read_robot, read_scenario
+from mckibben.robot.scenario import RobotScenario, read_robot
 from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
 from mckibben.robot.statics import (
     JointRange,
@@ -74,7 +74,6 @@ __all__ = [
     "pressures_for_point_stiffness",
     "read_mjcf",
     "read_robot",
-    "read_scenario",
     "robot_metrics",
     "run_tracking",
     "simulate_robot",

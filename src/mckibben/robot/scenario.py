@@ -13,9 +13,9 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import ComponentField, inherit, parse_component
-from mckibben.config.document import read_document, to_text
+from mckibben.config.document import to_text
 from mckibben.config.fields import Flag, Title
-from mckibben.config.model import ConfigModel, fail_validation, located_below, read_text
+from mckibben.config.model import ConfigModel, fail_validation, located_below
 from mckibben.control import Controller
 from mckibben.errors import RangeError, quoted, suggest
 from mckibben.muscle import SpringLaw
@@ -31,7 +31,6 @@ from mckibben.scenario.scenario import (
     ControllerPart,
     ReferencePart,
     RunSettings,
-    Scenario,
     SensorsPart,
     Substeps,
     ValvePart,
@@ -442,12 +441,6 @@ def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: i
     """Models of a joint for its controller: its pair of muscles, the load with all angles near 0, and the valve."""
     load = joint_load(robot, robot.posture_angles({}), index, RobotPlant.gravity)
     return {"joint": robot.pair(index), "load": load, "valve": valve, "command_delay": command_delay}
-
-
-def read_scenario(path: str | os.PathLike[str]) -> Scenario | RobotScenario:
-    """Read a scenario of a joint, or of a robot, which has a section `robot`; raises `ScenarioError`."""
-    known = read_document(read_text(path, "a scenario", "examples/")).data
-    return (RobotScenario if isinstance(known, dict) and "robot" in known else Scenario).read(path)
 
 
 def _unknown_joint(robot: Robot, name: str) -> tuple[str, str]:

@@ -2,7 +2,7 @@
 
 from mckibben.scenario.muscle import read_specimen, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
-from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario
+from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, read_scenario, run_scenario
 from mckibben.scenario.start import UNKNOWN, starting_scenario, starting_stiffness, starting_text
 from mckibben.scenario.values import (
     ModelFollows,
@@ -28,6 +28,7 @@ __all__ = [
     "followed_names",
     "initial_state",
     "list_parameters",
+    "read_scenario",
     "read_specimen",
     "run_many",
     "run_scenario",

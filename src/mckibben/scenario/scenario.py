@@ -17,8 +17,9 @@ from mckibben.actuator import Actuator, IdealValve
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import whole_periods
 from mckibben.component.schema import ComponentField, independent, inherit, write
+from mckibben.config.document import read_document
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
+from mckibben.config.model import ConfigModel, DocumentModel, fail_validation, read_text
 from mckibben.control import Controller, Reference
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
@@ -285,6 +286,12 @@ def _with_run(scenario: Scenario, function: Callable[..., T], **settings: Any) -
 def _above(name: str) -> Any:
     """A package above this one, for methods that forward to it; imported when one is called."""
     return importlib.import_module(f"mckibben.{name}")
+
+
+def read_scenario(path: str | os.PathLike[str]) -> Any:
+    """Read a scenario of a joint, or of a robot, which has a section `robot`; raises `ScenarioError`."""
+    known = read_document(read_text(path, "a scenario", "examples/")).data
+    return (_above("robot").RobotScenario if isinstance(known, dict) and "robot" in known else Scenario).read(path)
 
 
 def initial_state(scenario: Scenario) -> AtRest:
