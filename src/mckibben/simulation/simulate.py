@@ -99,7 +99,7 @@ def simulate(
         and by how much.
     McKibbenWarning
         If the run is not resolved, with the time from which: it is chaotic, or needs more than 64 times the fewest
-        steps.
+        steps; or if it takes more than 1 GB of memory.
 
     Raises
     ------
