@@ -5,6 +5,7 @@ import json
 import re
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ from typer.testing import CliRunner
 import mckibben as mk
 from mckibben.cli import app
 from mckibben.errors import RangeError, ScenarioError
+from mckibben.export import export
+from mckibben.export.mujoco import load_mujoco
+from mckibben.plant import PerfectSensors
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
 from mckibben.robot.allocation import Allocation, bounded_least_squares, joint_terms
 from mckibben.robot.dynamics import joint_equations, joint_load
@@ -208,6 +212,23 @@ def test_the_arm_of_the_documentation_reaches(tmp_path):
     results = json.loads((tmp_path / "arm" / "run" / "results.json").read_text())
     assert max(results["columns"]["angle_rmse"]["values"]) < 2 * deg
     assert (tmp_path / "arm" / "c" / "controller.c").exists()
+
+
+@pytest.mark.slow
+def test_mujoco_holds_the_start_and_moves_alike(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    scenario = RobotScenario.read(FULL)
+    export(scenario, "mjcf", tmp_path, name="controlled")
+    model = load_mujoco(tmp_path)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.qacc).max() < 1e-9
+    start, plant = scenario.initial(), dataclasses.replace(scenario.plant(), sensors=PerfectSensors())
+    data.ctrl[:] = commands = np.array(start.pressures) + 3e4 * np.eye(6)[4]
+    mujoco.mj_step(model, data, round(0.3 / model.opt.timestep))
+    end = jax.jit(lambda state: plant.advance(state, tuple(commands), 0.3, 600))(plant.begin(start))
+    np.testing.assert_allclose(data.qpos, end.posture.angles, atol=1e-6)
 
 
 def test_a_locked_joint_is_refused():

@@ -82,18 +82,24 @@ def robot_files(plant: RobotPlant, name: str = "robot", title: str = "a robot", 
 
 
 def mjcf_files(scenario: RobotScenario, name: str, folder: Path) -> Exported:
-    """The robot of a scenario in its touchdown or squat posture, and the plugin for its muscles."""
-    plant, start = plant_and_start(scenario)
-    return robot_files(plant, name, scenario.name, timestep=scenario.control_period, start=start)
+    """The robot of a scenario at its start, or in touchdown or squat posture, and the plugin for its muscles."""
+    plant, start, timestep = plant_and_start(scenario)
+    return robot_files(plant, name, scenario.name, timestep=timestep, start=start)
 
 
-def plant_and_start(scenario: RobotScenario) -> tuple[RobotPlant, RobotState]:
-    """Plant of a scenario, and its touchdown or squat posture without pressure."""
+def plant_and_start(scenario: RobotScenario) -> tuple[RobotPlant, RobotState, float]:
+    """Plant of a scenario, start of its run or, without a controller, touchdown or squat, and a time step [s]."""
     plant = scenario.plant()
+    if scenario.duration is not None:
+        start = plant.begin(scenario.initial())
+        period = scenario.control_period
+        needed = scenario.substeps or plant.needed_substeps(start.posture.angles, None, period)
+        return plant, start, period / needed
     angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
     if scenario.landing is not None:
         angles = scenario.landing.touchdown
-    return plant, plant.init_state(plant.robot.posture_angles(angles), [0.0] * len(plant.robot.all_muscles))
+    start = plant.init_state(plant.robot.posture_angles(angles), [0.0] * len(plant.robot.all_muscles))
+    return plant, start, scenario.control_period
 
 
 class _Body:

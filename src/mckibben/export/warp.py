@@ -42,8 +42,8 @@ def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState,
 
 def robot_files(scenario: RobotScenario, name: str, folder: Path) -> Exported:
     """The robot of a scenario in its touchdown or squat posture as MJCF, and its muscles for MuJoCo Warp."""
-    plant, start = plant_and_start(scenario)
-    return warp_robot(plant, name, scenario.name, timestep=scenario.control_period, start=start)
+    plant, start, timestep = plant_and_start(scenario)
+    return warp_robot(plant, name, scenario.name, timestep=timestep, start=start)
 
 
 def warp_robot(plant: RobotPlant, name: str, title: str = "", *, timestep: float, start: RobotState) -> Exported:
