@@ -11,6 +11,7 @@ from pathlib import Path
 import mckibben
 from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js
+from mckibben.config.model import DocumentModel
 from mckibben.containment.limits import Limits
 from mckibben.export.controller import ControllerModule, controller_functions, controller_module, controller_program
 from mckibben.export.targets import Exported, filled
@@ -37,13 +38,20 @@ def c_files(
     limits
         Limits of its samples.
     """
-    made, text = controller_module(scenario, name, limits), scenario.dumps(folder=folder)
+    return described_files(controller_module(scenario, name, limits), scenario, "scenario", name, folder, single=single)
+
+
+def described_files(
+    made: ControllerModule, scenario: DocumentModel, noun: str, name: str, folder: Path, *, single: bool
+) -> Exported:
+    """A controller as C99 with its scenario, which the comment of the sources calls by a noun."""
+    text, title = scenario.dumps(folder=folder), str(getattr(scenario, "name", ""))
     comment = (
-        f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
+        f"Controller of the {noun} {title!r}, written by mckibben {mckibben.__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    title = f'the scenario "{scenario.name}"'
-    files = program_files(made, name, title, comment, scenario.control_period, single=single)
+    period = scenario.control_period  # type: ignore[attr-defined]
+    files = program_files(made, name, f'the {noun} "{title}"', comment, period, single=single)
     return Exported({**files, "scenario.yaml": text}, made.left_out, made.module.worst_case("step"))
 
 

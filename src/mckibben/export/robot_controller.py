@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from pathlib import Path
 
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, PyTree
 
-import mckibben
 from mckibben.containment import ControlSample
 from mckibben.containment.functions import functions_of
 from mckibben.containment.limits import FINITE, Limits
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
 from mckibben.export.controller import ControllerModule, recorded, stepping_module
-from mckibben.export.controller_files import program_files
+from mckibben.export.controller_files import described_files
 from mckibben.export.targets import Exported
 from mckibben.numerics.compiled import numeric
 from mckibben.robot import Robot, RobotMeasurement, RobotReference, RobotScenario, TrackingControl
@@ -53,14 +51,8 @@ def c_files(
     if scenario.duration is None:
         remedy = "give it `controller` or `controllers`, `reference` and `duration`"
         raise ExportError("the robot has no controller", field="controller", remedy=remedy)
-    made, text = _module(scenario, name, scenario.duration, limits or Limits()), scenario.dumps(folder=folder)
-    comment = (
-        f"Controller of the robot {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
-        f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
-    )
-    title = f'the robot "{scenario.name}"'
-    files = program_files(made, name, title, comment, scenario.control_period, single=single)
-    return Exported({**files, "scenario.yaml": text}, made.left_out, made.module.worst_case("step"))
+    made = _module(scenario, name, scenario.duration, limits or Limits())
+    return described_files(made, scenario, "robot", name, folder, single=single)
 
 
 def _module(scenario: RobotScenario, name: str, duration: float, limits: Limits) -> ControllerModule:

@@ -91,10 +91,8 @@ def plant_and_start(scenario: RobotScenario) -> tuple[RobotPlant, RobotState, fl
     """Plant of a scenario, start of its run or, without a controller, touchdown or squat, and a time step [s]."""
     plant = scenario.plant()
     if scenario.duration is not None:
-        start = plant.begin(scenario.initial())
-        period = scenario.control_period
-        needed = scenario.substeps or plant.needed_substeps(start.posture.angles, None, period)
-        return plant, start, period / needed
+        start, period = plant.begin(scenario.initial()), scenario.control_period
+        return plant, start, period / (scenario.substeps or plant.needed_substeps(start.posture.angles, None, period))
     angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
     if scenario.landing is not None:
         angles = scenario.landing.touchdown
