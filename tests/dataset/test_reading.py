@@ -141,13 +141,6 @@ def test_megapascals_read_as_bars_are_a_question(put):
     are_the_points(read_dataset(path, columns={"Druck": "pressure_MPa"}))
 
 
-def test_the_sign_of_a_length_is_turned_by_the_name_of_its_column(put):
-    path = put(table("Pressure [bar];Elongation [mm];Force [N]", P, 2 * C, F))
-    (problem,) = problems_of(path, initial_length=0.2)
-    assert "--column 'Elongation [mm]=-lengthening_mm'" in problem
-    are_the_points(read_dataset(path, initial_length=0.2, columns={"Elongation [mm]": "-lengthening_mm"}))
-
-
 def test_every_mistake_is_listed_with_its_line(put):
     text = table(HEADER).replace("3.01;5;", "a;5;").replace("4.02;0;", "4.02;0;b;").replace("2;2.5;", "c;2.5;")
     assert [problem.partition(":")[0] for problem in problems_of(put(text))] == [

@@ -3,7 +3,6 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import fit_law, validate
 from mckibben.identification.regression import pressure_blocks
 from mckibben.muscle import ChouLaw, ExponentialLaw
@@ -65,28 +64,6 @@ def test_points_outside_the_domain_are_counted(campaign):
     at_6_bar = validation.of("ExponentialLaw", pressure=6 * bar)
     assert at_6_bar.outside == at_6_bar.points
     assert "outside the domain" in validation.to_dict()["tables"][0]["columns"]["outside"]["title"]
-
-
-def test_two_laws_of_a_type_are_numbered_and_names_are_kept(campaign):
-    assert validate([EQ_3, CHOU, EQ_3], campaign).laws == ("ExponentialLaw 1", "ChouLaw", "ExponentialLaw 2")
-    assert validate({"a": EQ_3, "b": CHOU}, campaign).laws == ("a", "b")
-
-
-def test_a_direction_that_is_not_recorded_makes_no_groups():
-    validation = validate([EQ_3], catalog.dataset("dmsp-10-250-martens2017"))
-    assert {e.direction for e in validation.errors} == {None}
-    assert validation.of("ExponentialLaw").bias == pytest.approx(
-        64, abs=1
-    )  # another specimen: docs/paper.md, decision 14
-
-
-def test_nothing_to_compare(campaign):
-    with pytest.raises(IdentificationError, match="0 laws"):
-        validate([], campaign)
-    with pytest.raises(IdentificationError, match="0 taut points"):
-        validate([EQ_3], campaign.select(campaign.slack))
-    with pytest.raises(RangeError, match="no errors of ExponentialLaw"):
-        validate([EQ_3], campaign).of("ExponentialLaw", pressure=7 * bar)
 
 
 def test_levels_with_two_points_each_are_blocks_however_close_they_are():
