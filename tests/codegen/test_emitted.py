@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from jax import lax
 
-from mckibben.codegen import SourceModule, native, write_c
+from mckibben.codegen import SourceModule, write_c
 from mckibben.codegen.native import NativeFunction, Split, compiler, over_periods
-from mckibben.errors import ExportError, McKibbenWarning
+from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -221,7 +221,7 @@ def test_an_array_in_two_places_of_a_tree_is_one_argument():
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_one_program_serves_runs_of_any_number_of_periods_and_warns_of_much_memory(many, monkeypatch):
+def test_one_program_serves_runs_of_any_number_of_periods(many):
     def function(shared, lane):
         factor, rows = shared
         x = lane if many else rows
@@ -242,6 +242,3 @@ def test_one_program_serves_runs_of_any_number_of_periods_and_warns_of_much_memo
         right = jax.vmap(function, (None, -1), -1)(shared, x) if many else function(shared, None)
         jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-5), found, right)
     assert len(emitted._known) == 1
-    monkeypatch.setattr(native, "_MANY", 400)
-    with pytest.warns(McKibbenWarning):
-        emitted(shared, over_periods(x) if many else None, single=many)

@@ -85,6 +85,11 @@ def test_substeps_are_at_least_one(plant, control, substeps):
     assert caught.value.value == substeps
 
 
+def test_much_memory_is_announced_before_the_run(plant, control):
+    with pytest.warns(McKibbenWarning), pytest.raises(SimulationError):
+        simulate(plant, control, REFERENCE, duration=3600.0, substeps=0)
+
+
 def test_a_start_that_cannot_be_held_is_an_error(plant, control):
     heavy = eqx.tree_at(lambda p: p.load.mass2, plant, 50.0)
     with pytest.raises(UnreachableError, match="0 deg"):

@@ -40,7 +40,6 @@ from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.vectors import VectorWriter, prelude
 from mckibben.codegen.writer import Writer, inputs_of
-from mckibben.component.calls import user_level
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
@@ -53,7 +52,6 @@ _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in (
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
 _FOR_LONG = ("-fira-region=one",)  # gcc only: registers of a long program in half the time; batches would be slower
 _LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
-_MANY = 1.25e8  # results, of 8 bytes
 _COMPILING = 360.0, 5000.0  # s for the compiler, which may share its processor, plus a second per so many characters
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
 _OTHER_FOLDER = (
@@ -319,10 +317,6 @@ class Compiled:
         lengths = [math.prod(shape) * size for shape, _ in leaves]
 
         def compute() -> PyTree:
-            if sum(lengths) > _MANY:
-                text = f"the results of a program take {8e-9 * sum(lengths):.1f} GB of memory"
-                remedy = "a shorter run takes less, and `simulate_many` keeps the metrics alone"
-                warnings.warn(f"{text}; {remedy}", McKibbenWarning, stacklevel=user_level())
             results = np.empty(sum(lengths))
             self._call(packed, words, results, size)
             values, at = [], 0

@@ -47,6 +47,8 @@ from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_
 from mckibben.simulation.trajectories import Trajectory
 from mckibben.units import deg
 
+_BYTES = 456  # of a control period, as measured with all columns
+
 
 @checked_call
 def simulate(
@@ -114,6 +116,9 @@ def simulate(
         remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
         raise SimulationError("a plant, a controller and a reference are needed", remedy=remedy)
     times = sampling_times(duration, control_period)
+    if (size := times.size * _BYTES) > 1e9:
+        text = f"the run takes some {size / 1e9:.1f} GB of memory; `simulate_many` keeps the metrics alone"
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     check_accuracy(accuracy, substeps)
     check_engine(engine)
     problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
