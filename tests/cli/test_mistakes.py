@@ -52,7 +52,7 @@ def files(tmp_path, shortened):
         (("identify", FESTO, "--pool", "--law", "all"), "--pool"),
         (("validate", "nobody", FESTO), "there is no law 'nobody'; give a fit file"),
         (("validate", "chou", FESTO), "add --read specimen=NAME, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250"),
-        (("plan", MARTENS, "--for", "happiness"), "is not a quantity of interest; give stiffness, torque, force"),
+        (("plan", MARTENS, "--for", "happiness"), "is not a quantity of interest; give stiffness, force"),
         (("plan", MARTENS, "--points", "0"), "0 points are not within 1..200"),
         (("plan", MARTENS, "--step", "1 bar, 0.5 bar"), "--step: unit 'bar'"),
         (("plan", MARTENS, "--noise", "3"), "--noise: '3' has no unit"),

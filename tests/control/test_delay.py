@@ -17,7 +17,7 @@ from mckibben.control import (
     PositionStiffnessControl,
     Setpoint,
 )
-from mckibben.control.model_based import _means
+from mckibben.control.model_based import mean_commands
 from mckibben.errors import ParameterError, RangeError
 from mckibben.units import ms
 
@@ -36,7 +36,7 @@ def test_the_mean_of_commands_between_two_ages_is_that_of_their_steps(newest, ol
     sent = tuple((jnp.asarray(x), jnp.asarray(-2 * x)) for x in (1.0, 5.0, 2.0))
     ages = newest + (np.arange(40_000) + 0.5) / 40_000 * (oldest - newest)
     expected = np.array([1.0, 5.0, 2.0])[np.floor(ages).astype(int)].mean()
-    np.testing.assert_allclose(_means(sent, newest, oldest), (expected, -2 * expected), rtol=1e-4)
+    np.testing.assert_allclose(mean_commands(sent, newest, oldest), (expected, -2 * expected), rtol=1e-4)
 
 
 def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, knee, load):
