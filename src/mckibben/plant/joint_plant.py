@@ -270,7 +270,8 @@ def _at_extremes(plant: JointPlant, angles: Angles) -> Iterator[NDArray]:
 def _geometry_at(joint: AntagonisticJoint, angles: ArrayLike, *, volumes: bool) -> PyTree:
     lowest1, lowest2 = (muscle.domain.pressure_min for muscle in joint.muscles)
     pairs = zip(joint.muscles, joint.contractions(angles, (lowest1, lowest2)), strict=True)
-    return *joint.geometry.paths_and_arms(angles), [muscle.specimen.volume(at) for muscle, at in pairs if volumes]
+    air = [muscle.specimen.volume(at) for muscle, at in pairs if volumes]  # that of a spring is a number
+    return *joint.geometry.paths_and_arms(angles), jnp.broadcast_arrays(*air)
 
 
 @jit
