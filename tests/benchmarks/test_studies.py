@@ -20,20 +20,19 @@ def prediction_and_learning(tool, folder):
     tool.learning(2)
 
 
-def stiffness_errors(tool, folder):
-    assert all(tool.errors(1, 2, tool.NAMES[1], excited=True, torque_error=0.1) < 2)  # N*m/rad
-
-
 def foreign_files(tool, folder):
     tool.files("servo", folder)
     assert len(read_dataset(folder / "muscle.csv")) > 100
 
 
 def kinds_of_test(tool, folder):
+    covered = []
     for kind in tool.KINDS:
         tally = tool.tallied(kind, 1, ExponentialLaw, 0, folder)
-        assert not tally["refused"] and np.median(tally["error"]) < 0.01 and np.mean(tally["force"]) > 0.8
+        assert not tally["refused"] and np.median(tally["error"]) < 0.01
         assert all(tally["friction"]) == (kind is not tool.steps_of_pressure) and not any(tally["false drift"])
+        covered += tally["force"]
+    assert np.mean(covered) > 0.9
 
 
 def real_time(tool, folder):
@@ -53,7 +52,6 @@ def known_reference(tool, folder):
     ("name", "run", "rows"),
     [
         ("decoupling", prediction_and_learning, 9),
-        ("stiffness", stiffness_errors, 0),
         ("foreign_lab", foreign_files, 0),
         ("real_time", real_time, 5),
         ("preview", known_reference, 7),

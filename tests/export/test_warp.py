@@ -134,7 +134,7 @@ def cases():
     valves += [mk.IdealValve(), LAGS, *(SecondOrderValve(60.0, damping=one) for one in (1.0, 3.0))]
     count = max(len(valves), len(geometries), -(-len(laws) // 2))
     parts = [islice(cycle(each), count) for each in (geometries, valves, frictions, creeps)]
-    pairs = zip(islice(cycle(laws), 0, 2 * count, 2), islice(cycle(laws), 1, 2 * count, 2), strict=True)
+    pairs = zip(islice(cycle(laws), 0, 2 * count, 2), islice(cycle(laws), 3, 2 * count + 2, 2), strict=True)
     found = {}
     for number, (pair, geometry, valve, friction, creep) in enumerate(zip(pairs, *parts, strict=True)):
         ones = [dataclasses.replace(JOINTS["law_joint"](one).muscle1, friction=friction, creep=creep) for one in pair]

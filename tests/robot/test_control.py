@@ -18,7 +18,7 @@ from mckibben.export import export
 from mckibben.export.mujoco import load_mujoco
 from mckibben.plant import PerfectSensors
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
-from mckibben.robot.allocation import Allocation, bounded_least_squares, joint_terms
+from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
 from mckibben.robot.dynamics import joint_equations, joint_load
 from mckibben.robot.statics import HeldPosture
 from mckibben.units import bar, deg
@@ -136,7 +136,7 @@ def test_what_is_not_attainable_is_a_remark():
     reference = "reference:\n" + "".join(
         f"  {name}: {{angle: 2 deg, stiffness: 60 N*m/rad}}\n" for name in ("side", "nod")
     )
-    run = run_tracking(RobotScenario.parse(text + reference + TORQUE + "duration: 0.1 s\ncontrol_period: 2 ms\n"))
+    run = run_tracking(RobotScenario.parse(text + reference + TORQUE + "duration: 0.1 s\n"))
     assert {remark.field for remark in run.notes} == {"reference"} and "attains" in str(run.notes[0])
     assert run["saturated"].all()
 
@@ -149,7 +149,7 @@ def test_pressures_in_the_loop_are_those_of_the_statics(stiffness):
     terms = joint_terms(robot, tuple(map(jnp.asarray, angles)))
     low, high = (tuple(map(jnp.asarray, side)) for side in (limits.low, limits.high))
     zero = jnp.zeros(())
-    start = Allocation(tuple((a + b) / 2 for a, b in zip(low, high, strict=True)), (zero,) * 6, zero)
+    start = BoundedSolution(tuple((a + b) / 2 for a, b in zip(low, high, strict=True)), (zero,) * 6, zero)
     errors = terms.errors(torques, stiffness, 30.0, 1e-3, [a * bar for a in low], [a * bar for a in high])
     found = bounded_least_squares(*errors, low, high, start)
     np.testing.assert_allclose(found.values, np.array(wanted.pressures) / bar, atol=2e-4)
@@ -164,7 +164,7 @@ def test_the_certificate_bounds_what_few_steps_leave(seed):
     rows = [dict(enumerate(map(jnp.asarray, row))) for row in factors]
     limits = tuple(map(jnp.asarray, low)), tuple(map(jnp.asarray, high))
     zero = jnp.zeros(())
-    start = Allocation((zero,) * size, (zero,) * size, zero)
+    start = BoundedSolution((zero,) * size, (zero,) * size, zero)
     from scipy.optimize import lsq_linear
 
     least = 2 * lsq_linear(factors, right, (low, high), tol=1e-14).cost

@@ -500,7 +500,7 @@ def test_a_robot_turns_with_its_sliders_and_shows_what_its_joints_attain():
             await until(lambda: user._gather_elements(None, ui.table, None, None))
             knee = the(user, ui.slider, "knee")
             knee.set_value(-30.0)
-            await until(lambda: state(robot.RobotState).angles[-1] == -30.0)
+            await until(lambda: state(robot.RobotPageState).angles[-1] == -30.0)
             return {row["0"] for shown in user.find(kind=ui.table).elements for row in shown.rows}
 
     assert asyncio.run(visit()) >= {"side", "hip", "knee", "knee2"}

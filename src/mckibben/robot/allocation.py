@@ -100,7 +100,7 @@ def _sum(row: Row, pressures: Sequence[Array]) -> Array:
     return jnp.asarray(functools.reduce(total, (gain * pressures[m] for m, (_, gain) in row.items()), _offset(row)))
 
 
-class Allocation(NamedTuple):
+class BoundedSolution(NamedTuple):
     """Solution of a bounded least-squares problem.
 
     Attributes
@@ -123,9 +123,9 @@ def bounded_least_squares(
     right: Sequence[Number],
     lower: Sequence[Array],
     upper: Sequence[Array],
-    start: Allocation,
+    start: BoundedSolution,
     steps: int | None = None,
-) -> Allocation:
+) -> BoundedSolution:
     """Return the least squares of ``rows @ x - right`` within limits, by a primal active set.
 
     Every step solves for the unknowns that are free, goes as far as the limits permit, and holds the unknown that meets
@@ -203,4 +203,4 @@ def bounded_least_squares(
         slope * (one - jnp.where(slope > 0, low, high))
         for one, slope, low, high in zip(x, gradient(x), lower, upper, strict=True)
     ]
-    return Allocation(x, active, 2 * functools.reduce(total, descents))
+    return BoundedSolution(x, active, 2 * functools.reduce(total, descents))

@@ -25,7 +25,7 @@ from mckibben.errors import RangeError
 from mckibben.muscle import SpringLaw
 from mckibben.numerics.elementary import exp, floating
 from mckibben.numerics.spatial import total
-from mckibben.robot.allocation import Allocation, bounded_least_squares, joint_terms
+from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
 from mckibben.robot.control import TrackingControl
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
@@ -49,7 +49,7 @@ class ComputedTorqueState(NamedTuple):
     pressures: tuple[Scalar, ...]
     valves: tuple[PyTree, ...]
     sent: tuple[tuple[Scalar, ...], ...]  # commands on their way [Pa], the last first
-    allocation: Allocation
+    allocation: BoundedSolution
     stiffness: tuple[Scalar, ...]  # of the model [N*m/rad]
 
 
@@ -147,7 +147,7 @@ class ComputedTorque(TrackingControl):
             pressures,
             tuple(self.valve.for_muscle(i).init_model(pressure) for i, pressure in enumerate(pressures)),
             (pressures,) * (self.periods + 1),
-            Allocation(tuple(pressure / bar for pressure in pressures), (zero,) * len(pressures), zero),
+            BoundedSolution(tuple(pressure / bar for pressure in pressures), (zero,) * len(pressures), zero),
             terms.stiffness_at(pressures),
         )
 

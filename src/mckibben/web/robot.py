@@ -43,7 +43,7 @@ from mckibben.web.session import Latest, in_thread, session
 
 
 @dataclass
-class RobotState:
+class RobotPageState:
     """State of the page.
 
     Attributes
@@ -134,7 +134,7 @@ def page() -> None:
     """The page."""
     visitor = session()
     with frame("/robot"):
-        _Page(visitor.state(RobotState), visitor.folder, visitor.state(IdentificationState).muscle)
+        _Page(visitor.state(RobotPageState), visitor.folder, visitor.state(IdentificationState).muscle)
 
 
 class _Page:
@@ -148,7 +148,7 @@ class _Page:
         Muscle that was identified in the session.
     """
 
-    def __init__(self, state: RobotState, folder: Path, fitted: Muscle | None) -> None:
+    def __init__(self, state: RobotPageState, folder: Path, fitted: Muscle | None) -> None:
         self.state, self.folder, self.known = state, folder, muscles(fitted)
         self.latest = Latest(pose, self.show, self.fail)
         self.size = 1.0

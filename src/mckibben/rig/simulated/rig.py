@@ -129,6 +129,7 @@ class Motor:
 
     Examples
     --------
+    >>> from mckibben.units import mm
     >>> motor = Motor()
     >>> motor.move(0.0, 0.1 * mm, 0.2 * mm)
     >>> (motor.positions(np.array([0.0, 0.25, 1.0])) / mm).round(6).tolist(), motor.moving(0.4)
