@@ -237,7 +237,7 @@ def test_only_the_command_line_prints():
             assert "print" not in calls, name
 
 
-SHARED = {"Calibration", "Column", "Drive", "Joint", "Measured", "Study", "Table"}
+SHARED = {"Calibration", "Column", "Joint", "Measured", "Study", "Table"}
 """Names of two classes that remain to be told apart."""
 
 

@@ -400,6 +400,11 @@ class RobotScenario(RunSettings):
         """The duration [s] as a multiple of the control period."""
         return self.control_period * round(duration / self.control_period)
 
+    @property
+    def supply(self) -> float:
+        """Gauge pressure of the supply of the valves [Pa]; infinite where they have none."""
+        return float(getattr(self.valve, "supply", None) or np.inf)
+
     def plant(self) -> RobotPlant:
         """The simulated robot."""
         plant = RobotPlant(self.robot, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
@@ -428,9 +433,8 @@ class RobotScenario(RunSettings):
         stiffness = [float(first[joint.name].stiffness) for joint in robot.joints]
         torques = holding_torques(robot, angles, RobotPlant.gravity)
         if is_affine(robot):
-            supply = float(getattr(self.valve, "supply", None) or np.inf)
             pressures = pressures_for_joint_stiffness(
-                robot, angles, stiffness, torques=torques, supply=supply
+                robot, angles, stiffness, torques=torques, supply=self.supply
             ).pressures
         else:
             pressures = robot.pressures_for(angles, torques.tolist(), stiffness)

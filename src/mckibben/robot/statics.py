@@ -597,7 +597,7 @@ def solve_statics(scenario: RobotScenario, *, source: str = "") -> tuple[dict[st
         If it cannot be solved.
     """
     wanted, source, robot = scenario.stiffness, source or scenario.name, scenario.robot
-    supply = float(getattr(scenario.valve, "supply", None) or np.inf)
+    supply = scenario.supply
     angles = robot.posture_angles({} if wanted is None else wanted.posture)
     held = None if wanted is None or not wanted.gravity else holding_torques(robot, angles)
     try:

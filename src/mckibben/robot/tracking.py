@@ -136,11 +136,10 @@ def _unattainable(
     scenario: RobotScenario, times: Floats, angles: Floats, stiffness: Floats, postures: int = 25
 ) -> Iterator[Remark]:
     """Remarks on postures that the muscles cannot hold, and on stiffness that they do not attain there, at rest."""
-    robot, valve = scenario.robot, scenario.valve
+    robot, supply = scenario.robot, scenario.supply
     if not is_affine(robot):
         yield Remark.note("reference", "not checked: a law is not affine in pressure, or a tendon not rigid")
         return
-    supply = float(getattr(valve, "supply", None) or np.inf)
     worst: dict[str, tuple[float, Remark]] = {}
     for index in np.unique(np.linspace(0, times.size - 1, postures).astype(int)):
         posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {times[index]:.3g} s"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,11 +16,16 @@ from mckibben.config.model import parse_model
 from mckibben.errors import McKibbenError, printable
 from mckibben.muscle import Muscle
 from mckibben.report.palette import GREY
-from mckibben.result import Column, Listing, Remark
+from mckibben.result import Listing, Remark
 from mckibben.robot.outline import Outline, outline
 from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.statics import HeldPosture, attainable_listing, attainable_statics, holding_torques
-from mckibben.units import bar, deg
+from mckibben.robot.statics import (
+    attainable_listing,
+    attainable_statics,
+    holding_torques,
+    pressures_for_joint_stiffness,
+)
+from mckibben.units import deg
 from mckibben.web.charts import pressure_colour
 from mckibben.web.design import muscles
 from mckibben.web.identify import IdentificationState
@@ -115,19 +119,15 @@ def pose(scenario: RobotScenario, angles: tuple[float, ...]) -> Posed:
     """Compute outline, attainable ranges and pressures of a robot at angles [rad]."""
     robot = scenario.robot
     lines = outline(robot, angles)
-    supply = float(getattr(scenario.valve, "supply", None) or math.inf)
     try:
         held = holding_torques(robot, angles)
-        ranges = attainable_listing(attainable_statics(robot, angles, torques=held, supply=supply))
-        setting = HeldPosture.of(robot, angles, held, supply)
+        ranges = attainable_statics(robot, angles, torques=held, supply=scenario.supply)
+        any_stiffness = [None] * len(angles)
+        solved = pressures_for_joint_stiffness(robot, angles, any_stiffness, torques=held, supply=scenario.supply)
     except McKibbenError as error:
         return Posed(lines, None, (), error)
-    pressures = setting.nearest(np.zeros((0, len(setting.low))), np.zeros(0)) * bar
-    columns = {
-        "muscle": (Column(), list(robot.muscle_names)),
-        "pressure": (Column("Pa", "pressure", "bar", digits=3), pressures),
-    }
-    return Posed(lines, pressures, (ranges, Listing("Pressures that hold this posture", columns, detail=True)), None)
+    holding = replace(solved.listing(), title="Pressures that hold this posture", detail=True)
+    return Posed(lines, np.array(solved.pressures), (attainable_listing(ranges), holding), None)
 
 
 def page() -> None:
