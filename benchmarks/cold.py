@@ -59,13 +59,7 @@ class Command:
     def row(self, imported: list[float]) -> Row:
         """Its times, and their ratio: the median of the ratios within a round."""
         ratios = [one / other for one, other in zip(self.seconds, imported, strict=False)]
-        return Row(
-            self.name,
-            note=self.note,
-            base=IMPORT,
-            seconds=tuple(self.seconds),
-            ratio=statistics.median(ratios),
-        )
+        return Row(self.name, note=self.note, base=IMPORT, seconds=tuple(self.seconds), ratio=statistics.median(ratios))
 
 
 def cold(folder: Path, *, quick: bool) -> Table:

@@ -137,8 +137,7 @@ def strokes_at_speeds(lab, path):
 def steps_of_pressure(lab, path):
     levels = [*PRESSURES, *PRESSURES[-2::-1]]
     steps = parts(
-        (2, levels[0], levels[0]),
-        *(leg for a, b in itertools.pairwise(levels) for leg in ((0.3, a, b), (1.7, b, b))),
+        (2, levels[0], levels[0]), *(leg for a, b in itertools.pairwise(levels) for leg in ((0.3, a, b), (1.7, b, b)))
     )
     stops = lab.farthest * np.array([0, 0.33, 0.67, 1, 0.83, 0.5, 0.17])
     eps = np.concatenate(

@@ -66,14 +66,7 @@ def test_anything_else_is_refused_with_a_unit_error(text):
 
 
 @pytest.mark.parametrize(
-    ("text", "unit"),
-    [
-        ("13 N*m", "N*m/rad"),
-        ("3 deg", "1"),
-        ("3", "rad"),
-        ("6 kg", "N"),
-        ("2 rad/s", "Hz"),
-    ],
+    ("text", "unit"), [("13 N*m", "N*m/rad"), ("3 deg", "1"), ("3", "rad"), ("6 kg", "N"), ("2 rad/s", "Hz")]
 )
 def test_a_unit_of_another_kind_is_refused_and_both_kinds_are_named(text, unit):
     with pytest.raises(UnitError) as caught:

@@ -18,10 +18,11 @@ from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.result import Severity
 from mckibben.scenario import Scenario
 from mckibben.units import bar, cm, deg, kPa, ms
+from tests.air import ATMOSPHERE, GAS, ROOM, flow
 
 pytestmark = pytest.mark.usefixtures("optimized")  # programs run hundreds of times
 PERIOD, NOISE, OFFSET = 8 * ms, 1 * kPa, (0.6 * kPa, -0.9 * kPa)
-ATMOSPHERE, ENERGY, DENSITY = 1.01325e5, 288.0 * 293.15, 1.185
+ENERGY = GAS * ROOM
 DATA_SHEET = PressureRegulator(
     0.05 * L_PER_S_BAR, 7 * bar, time_constant=15 * ms, band=0.5 * bar, dead_volume=4 * cm**3
 )
@@ -53,15 +54,6 @@ def sampled(rate, first, sent):
         command = sent[max(k - late, 0)]
         state = odeint(rate, state, (0, PERIOD), args=(command,), rtol=1e-8, atol=1e-2, tfirst=True)[-1]
     return np.array(found)
-
-
-def flow(conductance, inlet, outlet, temperature=293.15):
-    """Mass flow by ISO 6358 [kg/s], laminar near equal pressures, of air at a temperature [K]."""
-    if outlet > inlet:
-        return -flow(conductance, outlet, inlet, temperature)
-    share = math.sqrt(1 - (max(min(outlet / inlet, 0.999) - 0.3, 0.0) / 0.7) ** 2)
-    laminar = min((1 - outlet / inlet) / 0.001, 1.0)
-    return conductance * DENSITY * inlet * share * laminar * math.sqrt(293.15 / temperature)
 
 
 def regulated(sent, volume):
@@ -104,14 +96,14 @@ def warmed(sent, volume, wall=0.1):
         pressure, temperature, lagged = y[0] + ATMOSPHERE, y[1], y[2]
         opening = min(max((lagged - y[0]) / TRUE.band, -1.0), 1.0) * TRUE.conductance
         inflow = flow(max(opening, 0.0), TRUE.supply + ATMOSPHERE, pressure)
-        outflow = flow(max(-opening, 0.0), pressure, ATMOSPHERE, temperature)
-        energy = 288.0 * (inflow * 293.15 - outflow * temperature)
-        slope = (1.4 * energy + 0.4 * wall * (293.15 - temperature)) / volume
-        mass = pressure * volume / (288.0 * temperature)
+        outflow = -flow(max(-opening, 0.0), ATMOSPHERE, pressure, temperature=temperature)
+        energy = GAS * (inflow * ROOM - outflow * temperature)
+        slope = (1.4 * energy + 0.4 * wall * (ROOM - temperature)) / volume
+        mass = pressure * volume / (GAS * temperature)
         warming = temperature * (slope / pressure - (inflow - outflow) / mass)
         return [slope, warming, (command - lagged) / TRUE.time_constant]
 
-    return sampled(rate, [sent[0], 293.15, sent[0]], sent)[:, 0]
+    return sampled(rate, [sent[0], ROOM, sent[0]], sent)[:, 0]
 
 
 def recording(sent, pressures, seed=1):
@@ -282,11 +274,7 @@ def test_recordings_that_cannot_identify_a_valve_are_refused(change):
 
 
 @pytest.mark.parametrize(
-    "valve",
-    [
-        FlowValve(5e-9, 7e5, direct=True),
-        FlowValve(5e-9, 7e5, reservoir_volume=1e-3, line_conductance=5e-9),
-    ],
+    "valve", [FlowValve(5e-9, 7e5, direct=True), FlowValve(5e-9, 7e5, reservoir_volume=1e-3, line_conductance=5e-9)]
 )
 def test_valves_that_cannot_be_identified_are_refused(valve):
     with pytest.raises(IdentificationError):

@@ -161,15 +161,6 @@ def test_what_depends_on_parameters_alone_is_prepared(tmp_path):
     assert "exp" not in source[source.index("void gain_step") :]  # it is computed once
 
 
-def test_divisions_by_parameters_are_products_in_the_functions():
-    module = SourceModule("ratio", {"scale": np.asarray(3.0)})
-    inputs = {"x": np.asarray(1.0), "y": np.asarray(1.0)}
-    module.add("step", "one period", lambda p, x, y: {"one": x / p["scale"], "other": x / y}, inputs)
-    function = write_c(module).source.partition("void ratio_step")[2]
-    assert function.count(" / ") == 1  # x / y
-    assert "x * self->prepared" in function
-
-
 def test_in_single_precision_what_depends_on_the_reference_alone_is_double(tmp_path):
     module = SourceModule("filter", {"period": np.asarray(1e-3)})
 

@@ -5,21 +5,16 @@ import os
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 import yaml
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
-
 PACKAGE = '''
-    """A law and a valve of another package."""
+    """A law of another package."""
 
     import jax.numpy as jnp
 
     from mckibben.muscle import Domain, Muscle, Parameter, PressureAffineLaw
-    from mckibben.actuator import Valve
-    from mckibben.units import PressureRate
 
 
     class AcmeLaw(PressureAffineLaw):
@@ -38,17 +33,6 @@ PACKAGE = '''
 
         def pressure_terms(self, contraction):
             return -self.k * contraction, self.a - self.b * contraction
-
-
-    class AcmeValve(Valve):
-        rate: PressureRate = 1e6
-
-        def pressure_after(self, pressure, command, elapsed):
-            most = self.rate * jnp.asarray(elapsed)
-            return pressure + jnp.clip(jnp.asarray(command) - pressure, -most, most)
-
-        def command_for(self, pressure, rate):
-            return jnp.asarray(pressure) + 0.01 * rate
 '''
 
 
@@ -105,13 +89,6 @@ def run(process, tmp_path):
     return run
 
 
-def scenario(folder, **parts):
-    content = yaml.safe_load(EXAMPLE.read_text()) | {"duration": "50 ms"} | parts
-    content["reference"] = {"angle": "0 deg", "stiffness": content["reference"]["stiffness"]}
-    (folder / "scenario.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
-    return folder / "scenario.yaml"
-
-
 @pytest.mark.slow
 def test_a_law_of_a_module_is_identified_and_read_with_its_equation(run, tmp_path):
     run("identify", "dmsp-10-250-martens2017", "--law", "acme", "--out", "fit")
@@ -124,20 +101,3 @@ def test_a_law_of_a_module_is_identified_and_read_with_its_equation(run, tmp_pat
     path.write_text(path.read_text().replace("p - k eps", "p + k eps"))  # as of another version of the module
     _, message = run("validate", path, "dmsp-10-250-martens2017", code=2)
     assert "equation" in message
-
-
-@pytest.mark.slow
-def test_a_valve_and_a_law_of_a_module_are_simulated(run, tmp_path):
-    law = {"class": "acme_parts:AcmeLaw", "a": "60 N/bar", "b": "200 N/bar", "k": "400 N"}
-    joint = {"geometry": "knee-table-2", "muscle": {"specimen": "MAS-10-180N-AA-MC-O", "law": law}}
-    read = scenario(tmp_path, joint=joint, valve={"class": "AcmeValve", "rate": "20 bar/s"})
-    run("simulate", read, "--out", "run")
-    (kept,) = (tmp_path / "run").glob("*.yaml")
-    content = yaml.safe_load(kept.read_text())
-    assert content["valve"]["class"] == "AcmeValve"
-    assert content["joint"]["muscle"]["law"]["equation"].endswith("p - k eps")
-    other = tmp_path / "other.yaml"
-    other.write_text(kept.read_text().replace("p - k eps", "p + k eps"))
-    _, message = run("simulate", other, code=2)
-    assert "equation" in message and "p + k eps" in message
-    assert json.loads(run("simulate", kept, "--json")[0])["verdict"]

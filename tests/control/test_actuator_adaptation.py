@@ -12,12 +12,7 @@ from jax import lax
 import mckibben as mk
 from mckibben.actuator import FirstOrderValve, PressureRegulator, SecondOrderValve, UnequalValves
 from mckibben.actuator.base import air_volumes
-from mckibben.control import (
-    ActuatorAdaptation,
-    DelayCompensation,
-    OpenLoopControl,
-    Samples,
-)
+from mckibben.control import ActuatorAdaptation, DelayCompensation, OpenLoopControl, Samples
 from mckibben.control.actuator_adaptation import with_speed
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric

@@ -82,11 +82,7 @@ def increment_by_hand(loop, network, state, setpoint, measured):
     """The change of output for a network, from the paper's scheme in plain NumPy."""
     error = setpoint - measured
     derivative = (0.005 * float(state.pid.derivative) + (float(state.pid.last.measured) - measured)) / (0.005 + PERIOD)
-    parts = [
-        3.0 * (error - float(state.error)),
-        4.0 * PERIOD * error,
-        0.2 * (derivative - float(state.pid.derivative)),
-    ]
+    parts = [3.0 * (error - float(state.error)), 4.0 * PERIOD * error, 0.2 * (derivative - float(state.pid.derivative))]
     inputs = np.array([setpoint / 2.0, measured / 2.0, error / 0.5, 1.0])
     hidden = np.append(np.tanh(np.asarray(network.hidden) @ inputs), 1.0)
     factors = 5.0 ** np.tanh(np.asarray(network.output) @ hidden)

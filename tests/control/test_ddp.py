@@ -218,14 +218,6 @@ def test_costs_of_a_user_enter_the_optimum():
     assert abs(float(command.pressures[0] - without.pressures[0])) > 0.05
 
 
-def test_one_step_is_next_to_it():
-    """From a plan to stand still, at that; in a loop it begins with the plan of the last period."""
-    problem = joint_problem(highest=2.5)
-    start = start_of(problem, 0.5, 0.2, (2.4, 2.4))
-    once, often = (first_command(iterations, problem, start, (2.4, 2.4)) for iterations in (1, 8))
-    np.testing.assert_allclose(once.pressures, often.pressures, atol=2e-3)
-
-
 def test_without_limits_it_is_the_linear_loop_however_short_the_horizon():
     """With d = 2.25 the jerk is -(e + d de/dt + d dde/dtt), and the stiffness falls with its own pole."""
     problem = joint_problem(bend=0.0, stage=0.01, hold_weights=(0.5, 1 / 3), valve_fraction=1.0)

@@ -150,8 +150,7 @@ def test_sliding_mode_is_bounded_outside_its_layer_and_linear_inside():
 
 
 @pytest.mark.parametrize(
-    ("law", "ratio"),
-    [(PolePlacement(30.0), 9), (PolePlacement(30.0, damping=2.0), 4), (SlidingMode(30.0, 80.0), 12)],
+    ("law", "ratio"), [(PolePlacement(30.0), 9), (PolePlacement(30.0, damping=2.0), 4), (SlidingMode(30.0, 80.0), 12)]
 )
 def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
     step = law.step(law.init(0.0), 1e-6, 0.0, 1e6, PERIOD), law.step(law.init(0.0), 0.0, 1e-6, 1e6, PERIOD)

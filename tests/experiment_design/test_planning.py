@@ -10,14 +10,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.experiment_design import (
-    Coefficient,
-    Force,
-    JointStiffness,
-    parse_quantity_of_interest,
-    plan,
-)
-from mckibben.experiment_design.candidates import DesignRegion, StateGrid
+from mckibben.experiment_design import Coefficient, Force, JointStiffness, parse_quantity_of_interest, plan
 from mckibben.experiment_design.information import (
     ExchangeProblem,
     IdentifiableSubspace,
@@ -53,12 +46,7 @@ def made(law, directions, *, noise=1.0, half_width=3.0, seed=0, specimen="MAS-10
     force = np.asarray(law.force(contraction, pressure)) + half_width * np.where(direction == "loading", 1, -1)
     force = np.maximum(force + noise * np.random.default_rng(seed).normal(size=force.size), 0.0)
     return IsobaricDataset.of(
-        pressure=pressure,
-        contraction=contraction,
-        force=force,
-        direction=direction,
-        specimen=specimen,
-        slack_force=8.0,
+        pressure=pressure, contraction=contraction, force=force, direction=direction, specimen=specimen, slack_force=8.0
     )
 
 
@@ -291,11 +279,3 @@ def test_quantities_are_read_from_text_and_print_back(as_printed):
     assert str(several) == "stiffness at -4..4 deg, 3 bar, 3 bar"
     with pytest.raises(ParameterError, match="has braid_angle"):
         parse_quantity_of_interest("decay", ChouLaw, lambda: as_printed)
-
-
-def test_states_are_multiples_of_the_steps(law):
-    found = StateGrid.of(law, DesignRegion(Domain(-0.03, 0.25, 0, 6 * bar), 1 / 180, 0.5 * bar, 5.0, 600.0))
-    assert len(found.pressures) == 13
-    assert found.contractions[0] == pytest.approx(-5 / 180) and found.contractions[-1] == pytest.approx(45 / 180)
-    force = np.asarray(law.force(found.contractions, found.pressures[:, None]))
-    np.testing.assert_array_equal(found.allowed, (force > 5) & (force <= 600))

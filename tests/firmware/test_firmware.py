@@ -200,8 +200,7 @@ def test_an_emulated_cortex_m7_does_the_same(session, folder, digest):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 @pytest.mark.parametrize(
-    ("board", "angle"),
-    [("uno_r4", "as5600"), ("teensy4", "quadrature"), ("esp32", "as5600"), ("stm32", "quadrature")],
+    ("board", "angle"), [("uno_r4", "as5600"), ("teensy4", "quadrature"), ("esp32", "as5600"), ("stm32", "quadrature")]
 )
 def test_sketches_are_valid_with_declarations_of_the_core(board, angle, tmp_path):
     """Against declarations written by hand: the cores themselves were not at hand."""

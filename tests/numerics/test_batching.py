@@ -207,18 +207,6 @@ def test_an_error_in_a_piece_is_raised_and_stops_the_rest():
     assert watch.running == 0
 
 
-def test_a_reader_that_stops_stops_the_work():
-    watch = Watch()
-    answers = map_chunks(watch, 1000, 1, 2)
-    next(answers)
-    next(answers)
-    answers.close()
-    begun = watch.begun
-    time.sleep(0.02)
-    assert watch.begun == begun <= 6
-    assert watch.running == 0
-
-
 def test_a_name_of_files_for_several_parts_sets_them_all(plant):
     after = with_leaves({"plant": plant}, {"joint.muscle.specimen.rated_force": [500.0, 600.0], "load.mass2": 0.4})
     for name in ("joint.muscle1.specimen.rated_force", "joint.muscle2.specimen.rated_force"):

@@ -119,18 +119,6 @@ def test_while_the_source_is_edited_nothing_is_written(folder, monkeypatch):
     assert list(folder.iterdir()) == []
 
 
-@pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
-def test_a_file_that_others_can_write_is_not_looked_into(folder, monkeypatch, mode):
-    asked(Program(square))
-    (file,) = folder.iterdir()
-    assert file.stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o777 == 0o700
-    file.chmod(mode)
-    opened = []
-    monkeypatch.setattr(program_cache.pickle, "loads", lambda content: opened.append(content))
-    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
-    assert opened == [] and file.stat().st_mode & 0o777 == 0o600
-
-
 def test_a_folder_that_others_can_write_or_a_link_is_not_used(folder, tmp_path, monkeypatch):
     folder.mkdir(mode=0o700)
     folder.chmod(0o770)

@@ -12,7 +12,6 @@ import pytest
 from mckibben import control, paper
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
-from mckibben.paper import reproduction
 from mckibben.paper.settings import AS_PRINTED, PRE_CONTRACTED, SETTINGS, StiffnessReference, bp_scenario, pid_scenario
 from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun
 from mckibben.scenario import Scenario, run_scenario
@@ -175,13 +174,7 @@ def test_saved_files_read_back(folder, results, reproduction):
     assert not list(folder.rglob(".*.part"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        f"as-printed-constant-{BP.lower()}",
-        f"pre-contracted-step-{PID.lower()}",
-    ],
-)
+@pytest.mark.parametrize("name", [f"as-printed-constant-{BP.lower()}", f"pre-contracted-step-{PID.lower()}"])
 def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name):
     kept = SimulationResult.from_netcdf(folder / "trajectories" / f"{name}.nc")
     scenario = Scenario.read(folder / "scenarios" / f"{name}.yaml")
@@ -190,33 +183,6 @@ def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name)
     for column in kept.columns:
         np.testing.assert_array_equal(again[column], kept[column])
     assert Scenario.parse(kept.scenario) == scenario  # the trajectory carries what made it
-
-
-def test_reproduce_puts_the_parts_together(monkeypatch, identification, joint_maps, tracking):
-    asked = {}
-
-    def part(name, answer):
-        def run(**options):
-            asked[name] = {k: v for k, v in options.items() if k != "progress"}
-            if "progress" in options:
-                options["progress"](0.5)
-            return answer
-
-        return run
-
-    monkeypatch.setattr(reproduction, "run_identification", part("identification", identification))
-    monkeypatch.setattr(reproduction, "run_joint", part("joint", joint_maps))
-    monkeypatch.setattr(reproduction, "run_tracking", part("tracking", tracking))
-    reported, generations = [], {}
-    for quick, repeats, seeds in ((False, 5, 20), (True, 2, 5)):
-        done = paper.reproduce(quick=quick, progress=lambda what, share: reported.append((share, what)))
-        assert (done.identification, done.joint, done.tracking) == (identification, joint_maps, tracking)
-        assert done.quick is quick
-        assert asked["identification"] == {"repeats": repeats}
-        assert asked["tracking"]["seeds"] == seeds
-        generations[quick] = asked["tracking"]["generations"]
-    assert 0 < generations[True] < generations[False]
-    assert all(what and 0 <= share <= 1 for share, what in reported)
 
 
 def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys, tmp_path, reproduction):

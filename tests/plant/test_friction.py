@@ -4,17 +4,14 @@ import dataclasses
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from mckibben.control import Setpoint
 from mckibben.muscle import MaxwellSlip
-from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import episode
 from mckibben.units import bar, mm
 
 PERIODS, PERIOD = 250, 1e-3
@@ -105,36 +102,3 @@ def test_its_torque_is_against_the_motion_and_that_of_the_tensions(with_slip):
     updated = joint.update_state(states, 0.1, pressures)
     again = joint.friction_torque(0.1, 0.5, pressures, updated)
     assert float(again) == pytest.approx(up, abs=1e-12)
-
-
-@pytest.mark.slow
-def test_a_derivative_is_that_of_a_small_change(ideal_plant, knee, load, playback):
-    """With a half width that grows with the tension, which is compiled within seconds."""
-    held = Setpoint(jnp.full(40, P1), jnp.full(40, P2))
-    slip = dataclasses.replace(SLIP, tension_growth=0.02, reference_tension=200.0)
-    with_slip = numeric(JointPlant(with_friction(knee, slip), load, ideal_plant.valve))
-
-    @jax.jit
-    def final(width):
-        chosen = eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, with_slip, width)
-        start = chosen.complete_state(PlantState(0.1, 0.8, (P1, P2)))
-        with batched_program():  # a smaller program
-            return jax.jvp(
-                lambda w: (
-                    episode(
-                        eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, chosen, w),
-                        playback,
-                        held,
-                        start,
-                        1e-3,
-                        1,
-                    )[0].angle
-                ),
-                (width,),
-                (jnp.ones_like(width),),
-            )
-
-    _, slope = final(jnp.asarray(12.0))
-    quotient = (final(jnp.asarray(12.001))[0] - final(jnp.asarray(11.999))[0]) / 0.002
-    assert float(slope) < 0
-    assert float(slope) == pytest.approx(float(quotient), rel=1e-4)

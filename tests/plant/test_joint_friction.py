@@ -1,7 +1,6 @@
 """Dry friction of the joint itself: a pendulum against closed forms, its energy, sticking, scenarios and exports."""
 
 import dataclasses
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,21 +8,16 @@ import numpy as np
 import pytest
 from jax import lax
 
-import mckibben as mk
 from mckibben.actuator import IdealValve
-from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.joint import GeneralLoad, PairedPaths, Pulley
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointFriction, JointPlant
-from mckibben.scenario import Scenario
 from mckibben.units import deg, mm
 
 TORQUE, PRESLIDING, GRAVITY, INERTIA = 0.01, 2e-3, 0.7, 0.02  # N*m, rad, N*m, kg*m^2
 PERIOD, SUBSTEPS = 1e-3, 2
 FRICTION = JointFriction(TORQUE, PRESLIDING)
-SCENARIO = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
-OF_SCENARIO = "friction: {torque: 0.2 N*m, presliding: 0.4 deg}\n"
 
 
 @pytest.fixture(scope="module")
@@ -84,25 +78,3 @@ def test_it_sticks_within_the_friction_and_does_not_creep(swing):
     assert abs(end[:2000].mean() - end[2000:].mean()) < 0.01 * PRESLIDING
     loose = np.asarray(swing(held, torque=1e-9).angle)
     assert loose.min() == pytest.approx(-held, rel=1e-3)
-
-
-@pytest.fixture(scope="module")
-def scenario():
-    return Scenario.parse(SCENARIO.replace("duration: 10 s", "duration: 500 ms") + OF_SCENARIO)
-
-
-@pytest.mark.slow
-def test_too_few_substeps_are_refused_and_batches_warn_of_them(scenario):
-    stiff = Scenario.parse(SCENARIO + "friction: {torque: 30 N*m, presliding: 0.005 deg}\n")
-    plant = stiff.plant()
-    with pytest.raises(SimulationError) as caught:
-        mk.simulate(
-            plant, stiff.control(), stiff.reference(), duration=0.5, control_period=1e-3, substeps=1,
-            initial=stiff.initial(plant),
-        )  # fmt: skip
-    assert caught.value.field == "substeps"
-    with pytest.warns(McKibbenWarning, match=f"give at least {caught.value.lower}"):
-        mk.simulate_many(
-            plant, stiff.control(), stiff.reference(), over={"friction.torque": [0.01, 30.0]}, duration=0.1,
-            control_period=1e-3, substeps=1, initial=stiff.initial(plant), metrics=["angle_rmse"],
-        )  # fmt: skip

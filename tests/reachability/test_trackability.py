@@ -132,15 +132,6 @@ def test_a_stiffness_that_changes_costs_the_valve_its_rate(knee, load):
     assert on(JointPlant(knee, load, FirstOrderValve(1e-3)), fast).trackable
 
 
-def test_an_infeasible_reference_is_described_with_its_numbers(as_printed, load):
-    found = on(JointPlant(as_printed, load, FirstOrderValve(0.02)), Reference(Sine(20 * deg, 0.5), 72.5))
-    assert not found.trackable
-    said = found.verdict()
-    assert said.startswith("not even statically trackable: the joint cannot give the torque for 6")
-    assert "outside -3..25 %" in found.cause and found.cause in said
-    assert "desired 72.5, attainable 1" in said and "N*m/rad at -10." in said
-
-
 def test_the_torque_of_the_motion_is_named_and_may_make_a_stiffness_attainable(plant):
     found, slower = (on(plant, Reference(Sine(20 * deg, frequency), 15.0)) for frequency in (6.0, 2.0))
     assert not found.trackable and "with the torque of the motion, up to " in found.verdict()

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Sine, Step
-from mckibben.reachability.trajectory import (
-    breakpoints,
-    derivatives,
-    is_near,
-    reference_trajectory,
-    smoothed,
-    smoothed_values,
-)
+from mckibben.reachability.trajectory import breakpoints, derivatives, reference_trajectory, smoothed, smoothed_values
 
 TIMES = np.arange(1001) * 1e-3
 
@@ -80,10 +73,3 @@ def test_jumps_and_corners_are_found():
     assert breakpoints(Ramp(0.0, 1.0, start=0.1, duration=0.4), TIMES).tolist() == [0.1, 0.5]
     held = Samples(np.array([0.1, 0.5]), np.array([0.0, 1.0]))
     assert breakpoints(held, TIMES).tolist() == [0.1, 0.5], "before and after its samples a signal stands still"
-
-
-def test_times_near_others():
-    times = np.array([0.0, 0.1, 0.2, 0.3])
-    assert is_near(times, np.array([0.21]), 0.05).tolist() == [False, False, True, False]
-    assert not is_near(times, np.empty(0), 1.0).any()
-    assert is_near(times, np.array([0.3, 0.0]), 0.01).tolist() == [True, False, False, True]

@@ -13,8 +13,7 @@ from mckibben.rig.runner import columns_of
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 
 BENCH = Bench(
-    of=catalog.specimen("MAS-10-180N-AA-MC-O"),
-    limits=RigLimits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05),
+    of=catalog.specimen("MAS-10-180N-AA-MC-O"), limits=RigLimits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05)
 )
 POINT_0 = Point(
     number=0,

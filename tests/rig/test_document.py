@@ -3,17 +3,12 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from mckibben import catalog
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig import steps as typed
 from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.running import check
 
-MUSCLE = catalog.joint("knee-table-2").muscle1
 EXAMPLES = Path(__file__).parents[2] / "examples"
 HEAD = """name: a test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
@@ -64,52 +59,6 @@ def test_steps_come_back_as_they_were_written():
     assert RigTest.parse(text) == test
     assert "    - move: 10 %\n" in text and "    - hold_force: 100 N\n" in text
     assert RigTest.parse(text).dumps() == text
-
-
-CONTRACTION = st.floats(-0.03, 0.25)
-POSITIVE = st.floats(1e-3, 1e3)
-PRESSURE = st.just(0.0) | st.floats(1e3, 6e5)
-ACQUIRE = st.builds(
-    typed.Acquire,
-    samples=st.integers(1, 5000),
-    duration=POSITIVE,
-    direction=st.sampled_from(["", "loading", "unloading"]),
-    phase=st.sampled_from(["", "filling", "venting"]),
-    keep=st.booleans(),
-)
-SIMPLE = st.one_of(
-    st.builds(typed.Move, to=CONTRACTION, speed=st.floats(1e-5, 1e-2)),
-    st.builds(typed.Dwell, duration=st.floats(0, 1e3)),
-    st.builds(typed.Pressurise, pressure=PRESSURE, rate=st.none() | st.floats(1e2, 1e6), holding=st.none() | POSITIVE),
-    st.builds(typed.HoldForce, force=POSITIVE, tolerance=POSITIVE, speed=st.floats(1e-5, 1e-2), longest=POSITIVE),
-    ACQUIRE,
-    st.builds(
-        typed.Walk,
-        to=st.none() | CONTRACTION,
-        step=st.floats(1e-4, 1e-2),
-        dwell=st.floats(0, 10),
-        acquire=ACQUIRE,
-        force=st.none() | POSITIVE,
-        slack=st.none() | st.integers(1, 9),
-        slack_force=st.floats(0, 10),
-    ),
-    st.just(typed.Vent()),
-)
-
-
-def repeated(inner):
-    return st.builds(typed.Repeat, times=st.integers(1, 9), steps=st.lists(inner, min_size=1, max_size=3))
-
-
-STEP = SIMPLE | repeated(SIMPLE) | repeated(repeated(SIMPLE))  # a file is nested no deeper
-
-
-@given(steps=st.lists(STEP, min_size=1, max_size=4))
-@settings(max_examples=60)
-@pytest.mark.slow
-def test_any_typed_steps_are_written_and_read_back_to_the_last_bit(steps):
-    text = RigTest.parse(STEPS).model_copy(update={"protocol": typed.Steps(steps=tuple(steps))}).dumps()
-    assert RigTest.parse(text).protocol == typed.Steps(steps=tuple(steps))
 
 
 def test_everything_that_is_wrong_is_told_at_once_with_its_line():

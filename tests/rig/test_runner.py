@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import SignalledError, StoppedError
+from mckibben.errors import StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.muscle import ExponentialLaw, MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol, record
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import Recorder, assemble, read_record, segments
-from mckibben.rig.runner import BLOCK, Runner, columns_of
-from mckibben.rig.safety import StopFlag
+from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.simulated import Regulator, SimulatedRig
 from mckibben.rig.steps import (
     Acquire,
@@ -118,70 +117,6 @@ def test_plateaus_are_recorded_whole_and_the_way_between_thinned_out(tmp_path):
     assert [point.every for point in read_record(tmp_path).points] == [2, 2]
 
 
-class Interrupting:
-    """Counts cycles, and interrupts a test after so many."""
-
-    def __init__(self, after=0):
-        self.after, self.cycles, self.stop_flag = after, 0, StopFlag()
-
-    def __call__(self, progress):
-        self.cycles += 1
-        if self.cycles == self.after:
-            self.stop_flag.signal = signal.SIGINT
-
-
-@pytest.mark.slow
-def test_an_interrupted_test_says_so_and_goes_on_at_its_last_vent(tmp_path):
-    slow = Muscle(MUSCLE.specimen, MUSCLE.law, MaxwellSlip(12.0, 0.5e-3))
-    acquire = Acquire(samples=250, duration=0.25)
-    walk = {"step": 1 * mm, "speed": 4 * mm, "dwell": 0.1, "acquire": acquire}
-    steps = [
-        Vent(),
-        Move(to=6 * percent, speed=4 * mm),
-        Pressurise(pressure=2 * bar),
-        Move(to=1 * percent, speed=4 * mm),
-        Repeat(times=2, steps=(Walk(to=5 * percent, **walk), Walk(to=None, **walk))),
-        Vent(),
-        Pressurise(pressure=1 * bar),
-        acquire,
-    ]
-    counting = Interrupting()
-    whole = assemble(tmp_path / "whole", run(tmp_path / "whole", steps, muscle=slow, report=counting))
-    partly = 0
-    for after in np.linspace(1, counting.cycles - 2, 5, dtype=int).tolist():
-        folder = tmp_path / str(after)
-        twin = SimulatedRig(slow, seed=3, regulator=EXACT)
-        bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
-        with Recorder(folder, {}, columns_of(twin.inputs)) as recorder:
-            interrupting = Interrupting(after)
-            flag = interrupting.stop_flag
-            runner = Runner(twin, bench, recorder, report=interrupting, stop_flag=flag)
-            with pytest.raises(SignalledError, match=r"by SIGINT \(Ctrl-C\); the muscle is vented") as stopped:
-                runner.run(steps)
-        assert stopped.value.signal == signal.SIGINT
-        assert twin.truth.pressure < 0.2 * bar
-        record = read_record(folder)
-        assert [event.kind for event in record.events][-2:] == ["stopped", "vented"]
-        taken = len(record.points)
-        partly += bool((record.columns["plateau"] == taken).any())
-        begun = [event.data["points"] for event in record.events if event.kind == BLOCK]
-        assert begun == [0, len(whole) - 1, len(whole)][: len(begun)] and max(begun, default=0) <= taken
-        done = record.points[: max(begun, default=0)]
-        stop = len(done)
-        with Recorder(folder, {}, columns_of(twin.inputs), resume=True) as recorder:
-            again = SimulatedRig(slow, seed=4, regulator=EXACT)
-            since = float(record.columns["time"][-1]) + 1e-3
-            Runner(again, bench, recorder, since=since, done=done).run(steps)
-        data = assemble(folder, bench)
-        np.testing.assert_allclose(data.contraction, whole.contraction, atol=1e-9)
-        np.testing.assert_array_equal(data.table["repeat"], whole.table["repeat"])
-        np.testing.assert_array_equal(data.force[:stop], whole.force[:stop])
-        # the friction is as it was, as the block begins anew: 24 N are between the sides
-        np.testing.assert_allclose(data.force, whole.force, atol=1.5)
-        assert (np.diff(data.table["time"]) > 0).all()
-    assert partly >= 1  # was stopped in the midst of a plateau, which is then done again
-
-
 def test_a_fault_of_ours_vents_and_is_told(tmp_path):
     def report(progress):
         if progress.points:
@@ -199,13 +134,6 @@ def test_a_muscle_that_does_not_pull_as_its_law_tells_stops(tmp_path):
     steps = [Pressurise(pressure=3 * bar), Move(to=5 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
     with pytest.raises(StoppedError, match=r"force of [\d.]+ N at 5 % and [\d.]+ bar deviates from the law, [\d.]+ N"):
         run(tmp_path, steps, muscle=other, limits=replace(LIMITS, deviation=20.0))
-
-
-def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_path):
-    twin = faults.FaultyRig(MUSCLE, seed=3, faults=[faults.supply_lost(4.0)])
-    with pytest.raises(StoppedError, match="the pressure does not follow"):
-        run(tmp_path, [Pressurise(pressure=2 * bar), Dwell(duration=60.0)], twin=twin)
-    assert twin.truth.time < 4.0 + 3.0
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import shutil
 import signal
 import struct
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +15,7 @@ import pytest
 
 from mckibben.calibration import identify_air
 from mckibben.dataset import read_dataset
-from mckibben.errors import (
-    DatasetError,
-    FileError,
-    McKibbenWarning,
-    RigError,
-    ScenarioError,
-    SignalledError,
-    StoppedError,
-)
+from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
 from mckibben.identification import identify_pressure_creep
 from mckibben.rig import running
 from mckibben.rig.document import RigTest, read_test
@@ -101,30 +92,6 @@ def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
         run_test(checked(), tmp_path)
     with pytest.raises(ScenarioError, match="another test; resume it with its own"):
         run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
-
-
-@pytest.mark.slow
-def test_a_finished_test_never_moves_again_whatever_bit_of_it_is_damaged(tmp_path, monkeypatch):
-    made = run_test(checked(), tmp_path)
-    monkeypatch.setattr("mckibben.rig.simulated.SimulatedRig.open", lambda rig: pytest.fail("it is opened"))
-    (path,) = segments(tmp_path)
-    content = path.read_bytes()
-    last = np.arange(len(content) - 300, len(content), 30)  # what tells that it is finished
-    for place in [*np.random.default_rng(3).integers(0, len(content), 12).tolist(), *last.tolist()]:
-        path.write_bytes(content[:place] + bytes([content[place] ^ 2]) + content[place + 1 :])
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            try:
-                data = run_test(checked(), tmp_path, resume=True)
-            except DatasetError as refused:  # its structure or its header is damaged
-                assert refused.problems[0].remedy
-                continue
-        same = np.isin(made.table["time"], data.table["time"])
-        assert same.sum() == len(data) >= len(made) - 2 and (len(data) == len(made) or said)
-        np.testing.assert_array_equal(data.force, made.force[same])
-    path.unlink()
-    with pytest.raises(FileError):
-        run_test(checked(), tmp_path, resume=True)
 
 
 def test_a_damaged_test_that_is_not_finished_goes_on_at_its_first_lost_point(tmp_path, monkeypatch):

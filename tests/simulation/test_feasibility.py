@@ -66,14 +66,6 @@ def test_a_load_that_is_too_heavy_is_no_muscle_outside_its_domain(plant):
     assert reach.verdict().startswith("no pressures within limits hold the desired angle for 100% of the run")
 
 
-def test_a_short_stiffness_alone_names_no_angle(printed_plant):
-    reach = check_reference(printed_plant, reference(5.0, 72.5))
-    assert not np.isnan(reach.lowest).any()
-    assert 5.5 < np.max(reach.shortfall) < 6.2
-    assert "no pressures" not in reach.verdict()
-    assert "between 0.186 s and 9.84 s" in reach.verdict()
-
-
 def test_what_is_out_of_reach_for_a_part_is_so_just_there(plant):
     stepping = Reference(angle=Constant(0.0), stiffness=Step(before=15.0, after=25.0, at=3.0))
     reach = check_reference(plant, stepping, duration=4.0, control_period=4e-4)  # as many periods as in 10 s

@@ -70,15 +70,6 @@ def alone(heard):
     return heard()
 
 
-@pytest.mark.slow
-def test_a_controller_is_told_what_the_sensors_make_of_the_state(alone):
-    record, seen, _ = alone
-    counted = np.rint(np.asarray(record.state.angle) / COUNT) * COUNT
-    np.testing.assert_allclose(seen[:, 0], np.concatenate([counted[:1], counted[:-1]]), atol=1e-15)  # a period late
-    off = np.stack([seen[1:, i] - np.asarray(record.state.pressures[i - 1])[:-1] for i in (1, 2)]).ravel()
-    assert abs(off.std() / NOISE - 1) < 4 / np.sqrt(2 * off.size)
-
-
 def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plant):
     """And where neither is given nothing of them is in the program: state and reading pass as they are."""
     plain, ours = heard(PerfectSensors(), NoDisturbance()), heard(SampledSensors(), TorquePulses(0.0))

@@ -15,15 +15,7 @@ import pytest
 
 from mckibben.errors import FileError, McKibbenWarning
 from mckibben.storage import files
-from mckibben.storage.files import (
-    SIGNALS,
-    atomic_write,
-    check_free,
-    file_lock,
-    handle_signals,
-    json_ready,
-    write_json,
-)
+from mckibben.storage.files import SIGNALS, atomic_write, check_free, file_lock, handle_signals, json_ready, write_json
 
 OPEN_FILES = Path("/proc/self/fd")
 

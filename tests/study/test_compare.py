@@ -71,17 +71,6 @@ class TestRuns:
                 assert value == pytest.approx(alone[name], rel=1e-7, abs=1e-12, nan_ok=True), (run, name)
             assert scenario.control().position.kp == simulated.tuned["PID 3"][KP]
 
-    @pytest.mark.slow
-    def test_runs_of_plants_of_several_kinds_come_back_in_their_order(self):
-        """With valves that let air in, in a group of their own."""
-        runs = draw(changed(OF_AIR, ("substeps: 1", "substeps: 8")), 8, 1)
-        batch = evaluate(runs, "PID 3", {KP: 2e5})
-        assert batch.count == 8
-        for run in (runs.joint.index("nominal"), runs.joint.index("air")):
-            alone = run_scenario(runs.scenario("PID 3", run, {KP: 2e5})).metrics
-            for name in ("angle_rmse", "stiffness_rmse", "air"):
-                assert batch.metrics[name][run] == pytest.approx(alone[name], rel=1e-7), (run, name)
-
 
 def mean_cost(runs, kp):
     """Of `invented`, by hand, run by run: those that cannot begin do not count, a lost one costs 1e6."""

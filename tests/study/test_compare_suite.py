@@ -196,21 +196,6 @@ def test_joints_and_references_come_in_their_shares(suite, runs):
     assert len(set(zip(runs.joint, runs.reference_name, strict=True))) == 6, "one does not follow from the other"
 
 
-def test_conditions_fill_their_ranges(runs):
-    found = runs.conditions
-    assert list(found)[:-1] == [
-        "load.mass2",
-        "valve.time_constant",
-        "sensors.delay",
-        "disturbance.height",
-    ]
-    for name, low, high in (("load.mass2", 0.25, 0.75), ("valve.time_constant", 0.01, 0.05)):
-        cells = np.floor((found[name] - low) / (high - low) * 64)
-        assert sorted(cells) == list(range(64)), "a Sobol sequence has one point in each 64th"
-    assert counted(found["sensors.delay"].tolist()) == {0.0: 32, 1.0: 32}
-    assert counted(found["disturbance.height"].tolist()) == {0.0: 32, 0.5: 32}
-
-
 def test_fast_sines_are_made_smaller(suite, runs):
     sine = runs.reference_values["sine and step"]
     amplitude, frequency = sine["reference.angle.amplitude"], sine["reference.angle.frequency"]

@@ -1,13 +1,10 @@
 """Scenario files: reading, errors, builders; nothing but ScenarioError comes of a broken one."""
 
-import math
 import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import mckibben as mk
 from mckibben.errors import ScenarioError
@@ -286,35 +283,3 @@ def test_integration_steps_are_given_or_follow_from_an_accuracy(text, accuracy, 
     scenario = Scenario.parse(BASE.replace("accuracy: 1e-6 rad ", f"{text} "))
     assert (scenario.accuracy, scenario.substeps) == (pytest.approx(accuracy, rel=1e-15), substeps)
     assert Scenario.parse(scenario.dumps()) == scenario
-
-
-# Any numbers and texts ------------------------------------------------------------------------------------------------
-
-TEXTS = [path.read_text() for path in sorted(EXAMPLES.glob("*.yaml"))]
-quick = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-
-
-INDICATORS = ["\n  ", ": ", "- ", " #", "&a ", "!!int ", "|\n", "---\n", "...\n", "<<: ", *"\t\n:[]{},*|>%@`'\"#?-/()~"]
-STRANGE = ["\\x", "\0", "\x85", "\ufeff", "\ud7ff", "é", "𝛼", "1e999", "nan", "9" * 400, "null", "0x1F", "5 °", "m^9"]
-NASTY = st.sampled_from([*INDICATORS, *STRANGE])
-
-
-@settings(quick, max_examples=250)
-@given(st.sampled_from(TEXTS), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 12), NASTY), min_size=1, max_size=4))
-@pytest.mark.slow
-def test_a_damaged_scenario_is_a_scenario_or_an_error(text, damages):
-    for where, removed, inserted in damages:
-        at = math.floor(where * len(text))
-        text = text[:at] + inserted + text[at + removed :]
-    accepts(text)
-
-
-def accepts(text: str) -> None:
-    """Read it; only a ScenarioError that says something may come out."""
-    try:
-        scenario = Scenario.parse(text)
-    except ScenarioError as error:
-        assert error.problems
-        assert all(problem.message for problem in error.problems)
-    else:
-        assert Scenario.parse(scenario.dumps()) == scenario

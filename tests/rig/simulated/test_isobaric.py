@@ -45,19 +45,6 @@ def test_an_offset_is_seen_by_muscle_and_sensor_alike():
     assert len(np.unique(offset[data.levels == 6 * bar])) == 5  # one a repeat
 
 
-def test_the_full_protocol_gives_the_data_of_figure_3(measured):
-    rows = IsobaricProtocol().plateaus(MUSCLE)
-    assert len(measured) == len(rows.time) and measured.table.sizes["sample"] == 100
-    assert len(measured.pressures) == 13 and list(measured.repeats) == [0, 1, 2, 3, 4]
-    assert list(measured.directions) == ["loading", "unloading"]
-    np.testing.assert_array_equal(measured.table["time"], rows.time)
-    assert measured.table["force_samples"].dtype == np.float32
-    assert measured.table.attrs["specimen"] == "MAS-10-180N-AA-MC-O"
-    means = measured.plateau_means()
-    np.testing.assert_array_equal(means.force, measured.force)
-    np.testing.assert_array_equal(means.pressure, measured.pressure)
-
-
 def test_the_sensors_noise_is_as_given():
     measured = SimulatedIsobaricTest(MUSCLE).run(IsobaricProtocol(pressures=[2 * bar, 4 * bar], repeats=2), seed=3)
     for name, sigma in (("force_samples", 0.5), ("pressure_samples", 500.0)):

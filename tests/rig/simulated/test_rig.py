@@ -9,12 +9,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError, RigError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.rig.simulated import (
-    FORCE_SENSOR,
-    PRESSURE_SENSOR,
-    Regulator,
-    SimulatedRig,
-)
+from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, SimulatedRig
 from mckibben.units import bar, kPa, mm
 
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
@@ -178,11 +173,7 @@ def test_wrong_use_is_refused():
     ):
         with pytest.raises(RigError):
             what()
-    for what in (
-        lambda: rig.read(0),
-        lambda: SimulatedRig(PLAIN, rate=0.0),
-        lambda: Regulator(band=0.0),
-    ):
+    for what in (lambda: rig.read(0), lambda: SimulatedRig(PLAIN, rate=0.0), lambda: Regulator(band=0.0)):
         with pytest.raises(RangeError):
             what()
 
