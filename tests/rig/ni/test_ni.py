@@ -88,8 +88,8 @@ def test_nidaqmx_is_not_imported_until_a_rig_is_opened():
 
 def test_it_reads_the_samples_of_the_card(bench):
     """The very samples that the twin gives when nothing stands between."""
-    there = bench(seed=3)
-    rig = there.rig()
+    there = bench(seed=3, patience=100.0)  # of a host on a busy machine
+    rig = there.rig(patience=100.0)
     alone = SimulatedRig(MUSCLE, seed=3)
     alone.open()
     for one, twin in ((rig, alone), (alone, alone)):
