@@ -99,7 +99,7 @@ BUDGET = {
     "config": 550,
     "containment": 290,
     "contract": 650,
-    "control": 2510,
+    "control": 2150,
     "dataset": 3270,
     "experiment_design": 700,
     "export": 2510,

@@ -45,7 +45,7 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     estimates = estimates._replace(motion=estimates.motion._replace(velocity=jnp.asarray(2.0)))
     commands = np.array([[2e5, 4e5]] * 3 + [[3.5e5, 1e5]] * 4 + [[1e5, 5e5]] * 2)  # the last sent first
     estimates = estimates._replace(sent=tuple(map(tuple, jnp.asarray(commands))))
-    expected = prepared._predicted(knee, estimates, PERIOD)
+    expected = prepared._predicted(estimates, PERIOD)
 
     def rates(time, state, arriving):
         angle, velocity, *pressures = state
@@ -65,7 +65,7 @@ def test_over_a_long_delay_it_knows_what_fast_valves_have_done(control, knee):
     estimates = late.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
     rise = 1e3  # Pa in a period
     sent = tuple((jnp.asarray(3e5 - rise * age), jnp.asarray(2e5 + rise * age)) for age in range(31))
-    pressure1, pressure2 = late._predicted(knee, estimates._replace(sent=sent), PERIOD).pressures
+    pressure1, pressure2 = late._predicted(estimates._replace(sent=sent), PERIOD).pressures
     assert float(pressure1) == pytest.approx(3e5, abs=2 * rise)
     assert float(pressure2) == pytest.approx(2e5, abs=2 * rise)
 

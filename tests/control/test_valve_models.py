@@ -1,6 +1,7 @@
 """Controllers with a model of the valves, on valves that let air in, and with commands that arrive late."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.actuator import PressureRegulator
 from mckibben.control import ExtendedStateObserver, PressureObserver
+from mckibben.control import base as control_base
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.plant import SampledSensors
@@ -111,3 +113,11 @@ def test_a_model_of_valves_that_lacks_a_number_is_refused(make, knee):
     joint = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
     with pytest.raises(McKibbenError, match="initial_diameter"):
         mk.DecouplingControl(joint, mk.catalog.load("knee-table-2"), mk.PolePlacement(60.0), valve=VALVES[0.05])
+
+
+def test_a_valve_without_a_known_lag_is_not_inherited_as_a_model():
+    """A file has to give one; `KeyError` says that there is nothing to inherit."""
+    unknown, known = (SimpleNamespace(holds_air=False, lag=lag) for lag in (None, 0.02))
+    with pytest.raises(KeyError):
+        control_base._valve_model({"valve": unknown})
+    assert control_base._valve_model({"valve": known}) is known

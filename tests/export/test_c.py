@@ -25,13 +25,12 @@ pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is No
 REPLAYED = {
     "PID": Hardware(),
     "BP": Hardware(limits=Limits(lowest_angle=-0.7, highest_angle=0.7)),  # not tuned, it is unstable: -0.59 rad
-    "decoupling, adapted": Hardware(),
-    "decoupling, valve lag adapted": Hardware(),
+    "decoupling, friction fed forward": Hardware(),
     "predictive": Hardware(),
     "sliding mode": Hardware(single=True),
 }
-NO_FAULTS = "decoupling, valve lag adapted", "predictive"
-"""Their programs take longest to compile, and contain faults by the same functions."""
+NO_FAULTS = ("predictive",)
+"""Its program takes longest to compile, and contains faults by the same functions."""
 
 
 @pytest.fixture(scope="module")

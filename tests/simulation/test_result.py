@@ -16,7 +16,6 @@ from mckibben.control import (
     DecouplingControl,
     ExtendedStateObserver,
     InverseModelControl,
-    LawAdaptation,
     Measurement,
     PolePlacement,
     PositionStiffnessControl,
@@ -167,11 +166,10 @@ def test_every_variable_of_a_run_has_a_unit_and_a_meaning(completed):
 
 
 def test_all_that_controllers_by_a_model_report_has_units(knee, load):
-    adaptation = LawAdaptation()
     loops = PositionStiffnessControl(PID(1e5, 1e5, 0.0), PID(1e4, 1e4, 0.0), model=knee)
     for control in (
-        DecouplingControl(knee, load, PolePlacement(60.0), ExtendedStateObserver(), adaptation=adaptation),
-        PredictiveControl(knee, load, adaptation=adaptation),
+        DecouplingControl(knee, load, PolePlacement(60.0), ExtendedStateObserver()),
+        PredictiveControl(knee, load),
         InverseModelControl(loops, load),
     ):
         seen = Measurement(np.array(0.1), (np.array(4e5), np.array(4.4e5)))

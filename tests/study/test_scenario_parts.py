@@ -1,4 +1,4 @@
-"""Parts of scenario files: valves with air, friction, real sensors, adaptation, and control by inversion."""
+"""Parts of scenario files: valves with air, friction, real sensors, and control by inversion."""
 
 import re
 from pathlib import Path

@@ -15,6 +15,5 @@ from .shut_valve import identify_air as identify_air
 from .valve_experiment import ValveExperiment as ValveExperiment
 from .valve_experiment import calibrate_scenario_valves as calibrate_scenario_valves
 from .valve_experiment import scenario_with_valves as scenario_with_valves
-from .valve_experiment import valve_for as valve_for
 from .valves import ValveCalibration as ValveCalibration
 from .valves import calibrate_valves as calibrate_valves

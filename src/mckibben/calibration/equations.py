@@ -84,7 +84,7 @@ class JointPrior(Checked):
     creep
         Stiffness of creep relative to the slope of the law: total of three Maxwell arms of 1, 3 and 10 s.
     mass
-        Load mass (`Load.adapted_mass`), relative.
+        Load mass (`Load.estimated_mass`), relative.
     inertia
         Apparent inertia in excess of that of the mass, relative to that of the model: in fast motion an error of the
         friction resembles inertia, from which neither mass nor stiffness should be inferred.
@@ -340,9 +340,9 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             dataclasses.replace(muscle, law=adjusted_law(muscle.law, correction=correction), friction=friction)
         )
     mass, added, zero, arms, cell1, cell2, inertia = z[2 * OF_MUSCLE : _CREEP]
-    if load.adapted_mass:
-        more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
-        load = dataclasses.replace(load, **{load.adapted_mass: more})
+    if load.estimated_mass:
+        more = getattr(load, load.estimated_mass) * (1 + prior["mass"] * mass)
+        load = dataclasses.replace(load, **{load.estimated_mass: more})
     geometry = ScaledArms(joint.geometry, 1 + prior["arm_scale"] * arms)
     return _Corrected(
         dataclasses.replace(joint, geometry=geometry, muscle1=muscles[0], muscle2=muscles[1]),

@@ -345,8 +345,8 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
             quantities[f"{name}.presliding"] = jnp.log(friction.presliding_length)  # type: ignore[attr-defined]
             quantities[f"{name}.creep"] = creep[i]
         quantities["friction"] = jnp.log(jnp.stack(bands).sum())
-        if load.adapted_mass:
-            quantities["load.mass"] = getattr(load, load.adapted_mass)
+        if load.estimated_mass:
+            quantities["load.mass"] = getattr(load, load.estimated_mass)
         return quantities | {"added_mass": added, "zero": zero, "arm_scale": geometry.scale, "inertia": inertia}
 
     return values(z), jax.jacfwd(values)(z)

@@ -111,7 +111,7 @@ class Sweeps:
             ),
             Sine(band * (high - low) / 2, rounds * cocontractions / duration, offset=(low + high) / 2),
         )
-        control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "actuator_adaptation")))
+        control = independent(scenario.control())
         load = field_of(control, "load")
         parts = {}
         for name, mass in self.weights.items():
@@ -314,7 +314,7 @@ def calibrated_scenario(scenario: Scenario, fit: JointCalibration) -> Scenario:
     sensors = SampledSensors() if isinstance(scenario.sensors, PerfectSensors) else scenario.sensors
     if isinstance(sensors, SampledSensors):
         parts["sensors"] = replaced(sensors, {"encoder_offset": fit.quantities["zero"].value})
-    if mass := fit.load.adapted_mass:
+    if mass := fit.load.estimated_mass:
         parts["load"] = replaced(load_of(scenario), {mass: getattr(fit.load, mass)})
     return with_estimates(scenario, fit.deviations(), **parts)
 

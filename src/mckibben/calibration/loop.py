@@ -60,7 +60,7 @@ def with_estimates(scenario: Scenario, deviations: Mapping[str, str], **parts: A
     for name, deviation in deviations.items():
         valve = name.replace("valve1.", "valve.muscle1.").replace("valve2.", "valve.muscle2.")
         both = name.replace("valve1.", "valve.").replace("valve2.", "valve.")
-        load = name.replace("load.mass", f"load.{after.load.adapted_mass}")
+        load = name.replace("load.mass", f"load.{after.load.estimated_mass}")
         for parameter in (_PARAMETERS.get(name, name), load, valve, both):
             if parameter in known:
                 uncertain[parameter] = f"{parameter}=normal {deviation}"

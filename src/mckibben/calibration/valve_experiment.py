@@ -167,22 +167,12 @@ def calibrate_scenario_valves(
     delay = field_of(scenario.control(), "command_delay") or scenario.command_delay
     valve = field_of(scenario.control(), "valve") or scenario.valve
     fit = calibrate_valves(model_of(scenario), valve, recordings, prior, delay=delay)
-    write_valve = partial(write_section, valve_for(scenario, fit), _HEAD, base=Actuator)
+    write_valve = partial(write_section, fit.valve, _HEAD, base=Actuator)
     after = scenario_with_valves(scenario, fit)
     writers = {"valve.yaml": write_valve, "scenario.yaml": after.to_yaml}
     return dataclasses.replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
 
 
 def scenario_with_valves(scenario: Scenario, fit: ValveCalibration) -> Scenario:
-    """Return the scenario with the estimates as its plant's valve and delay, and as its controller's model of them.
-
-    A controller that adapts its model of first-order valves gets the mean of both valves.
-    """
-    return with_estimates(scenario, fit.deviations(), valve=valve_for(scenario, fit), command_delay=fit.delay)
-
-
-def valve_for(scenario: Scenario, fit: ValveCalibration) -> Actuator:
-    """Return the valve of the controller model: a pair if the valves differ, unless the controller adapts one lag."""
-    adapts = field_of(scenario.control(), "actuator_adaptation") is not None
-    valve = fit.valve
-    return fit.mean_valve if adapts and valve.muscle_count and not valve.holds_air else valve
+    """Return the scenario with the estimates as its plant's valve and delay, and as its controller's model of them."""
+    return with_estimates(scenario, fit.deviations(), valve=fit.valve, command_delay=fit.delay)

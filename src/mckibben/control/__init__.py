@@ -1,7 +1,5 @@
 """Controllers and references. A controller knows a model of the joint, never the plant."""
 
-from mckibben.control.actuator_adaptation import ActuatorAdaptation
-from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID
 from mckibben.control.base import Controller, JointModel, LoadModel, Loop, Measurement, Reference, Setpoint, ValveModel
 from mckibben.control.cost import AngleLimits, StageCost, StageEnd
@@ -29,7 +27,6 @@ from mckibben.control.reference import (
 
 __all__ = [
     "PID",
-    "ActuatorAdaptation",
     "AngleLimits",
     "BackpropPID",
     "Constant",
@@ -40,7 +37,6 @@ __all__ = [
     "Feedback",
     "InverseModelControl",
     "JointModel",
-    "LawAdaptation",
     "LoadModel",
     "Loop",
     "Measurement",

@@ -19,7 +19,7 @@ from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
+from mckibben.joint import TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import exp
@@ -110,13 +110,9 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
         reference. The stiffness of presliding is then not a disturbance that it has to follow. A joint that sticks
         beside its setpoint keeps a static error, which an `integral` of the feedback removes; muscles with less
         friction than the model hunt if the share is too large. Default: none, at no cost.
-    adaptation
-        On-line correction of the strength of the model's muscles. Default: none.
     command_delay
         Delay of the commands [s], over which the model predicts (`StatePrediction`); in a file, by default, that of
         the plant.
-    actuator_adaptation
-        On-line estimate of the delay and of the speed of the valves, used by the model. Default: none.
     preview
         Time [s] for which the reference is known beyond the delay, and over which it is smoothed: the joint begins to
         move before a step (`smoothing_weights`). The setpoint of a step is that `samples_ahead` control periods later.
@@ -196,10 +192,10 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
     ) -> tuple[DecouplingState, Pair]:
         lag = self.feedback.lag
         estimates, expected = self.update(state.estimates, setpoint, measurement, period)
-        setpoint, position, ahead, model, valves = expected
+        setpoint, position, ahead, valves = expected
         motion, reference = ahead.motion, ahead.reference
         angle = motion.angle + lag * motion.velocity
-        affine, lower, upper, torque_rate = self._attainable(model, angle, valves, period)
+        affine, lower, upper, torque_rate = self._attainable(angle, valves, period)
 
         error, rate = setpoint.angle - position, reference.velocity - motion.velocity
         jerk = self._jerk(torque_rate, reference, estimates.stiffness)
@@ -208,7 +204,7 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
         torque = self.load.required_torque(angle, motion.velocity, acceleration) - ahead.friction
 
         stiffness = setpoint.stiffness - ahead.added_stiffness
-        allocation = prioritise_torque(affine, torque, stiffness, lower, upper, model.springs)
+        allocation = prioritise_torque(affine, torque, stiffness, lower, upper, self.model.springs)
         commands = valves.commands_toward(allocation.pressures, lag, period)
 
         feedback = self.feedback.track(feedback, (torque - allocation.torque) / self.load.total_inertia, period)
@@ -220,10 +216,10 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
 
     @cached_trace
     def _attainable(
-        self, model: AntagonisticJoint, angle: Scalar, valves: Valves, period: ArrayLike
+        self, angle: Scalar, valves: Valves, period: ArrayLike
     ) -> tuple[TorqueStiffnessMap, Pair, Pair, Scalar]:
         """Torque and stiffness over the pressures at an angle [rad], their limits, and the torque's rate [N*m/s]."""
-        lowest, highest = pressure_range(model, angle, self.minimum_tension)
+        lowest, highest = pressure_range(self.model, angle, self.minimum_tension)
         covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)  # part of the way in a period
 
         def window(i: int, attainable: Attainable) -> tuple[Scalar, Scalar, Scalar]:
@@ -234,7 +230,7 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
 
         reach1, reach2 = valves.attainable(period)
         (lower1, upper1, swing1), (lower2, upper2, swing2) = window(0, reach1), window(1, reach2)
-        affine = linearise(model, angle, keep_taut(valves.pressures, lowest))
+        affine = linearise(self.model, angle, keep_taut(valves.pressures, lowest))
         _, t1, t2 = affine.torque
         rate = (jnp.abs(t1) * swing1 + jnp.abs(t2) * swing2) / (2 * self.feedback.lag)
         return affine, (lower1, lower2), (upper1, upper2), rate

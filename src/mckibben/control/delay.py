@@ -9,9 +9,8 @@ import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.base import Inherited
-from mckibben.control.actuator_adaptation import ActuatorAdaptationState
 from mckibben.control.base import Controller, Measurement, Setpoint, controllers_within
-from mckibben.control.model_based import Estimates, StatePrediction, valve_models
+from mckibben.control.model_based import Estimates, StatePrediction
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
 from mckibben.errors import RangeError
 from mckibben.joint.geometry import Pair
@@ -48,7 +47,7 @@ class DelayCompensation(StatePrediction[DelayState]):
         Time from a command to the valves [s]; in a file, by default, that of the plant.
     model, load, valve
         Models of the joint, its load and its valves.
-    observer, pressure_observer, actuator_adaptation
+    observer, pressure_observer
         As for `DecouplingControl`.
     """
 
@@ -68,9 +67,6 @@ class DelayCompensation(StatePrediction[DelayState]):
                     field="controller",
                     remedy="give it command_delay and leave DelayCompensation out: its observers replace both pairs",
                 )
-        if self.actuator_adaptation is not None:
-            for valve in valve_models(self):
-                self.actuator_adaptation.check_valve(valve)
 
     def init(self, measurement: Measurement) -> DelayState:
         return DelayState(self.controller.init(measurement), self.init_estimates(measurement))
@@ -79,16 +75,11 @@ class DelayCompensation(StatePrediction[DelayState]):
         self, state: DelayState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DelayState, Pair]:
         estimates, expected = self.update(state.estimates, setpoint, measurement, period)
-        controller = self._with_speed(estimates.actuation).controller
         predicted = Measurement(expected.angle, expected.estimates.pressures)
-        inner, commands = controller.step(state.inner, expected.setpoint, predicted, period)
+        inner, commands = self.controller.step(state.inner, expected.setpoint, predicted, period)
         unused = ("torque", "stiffness", "added_stiffness", "saturated")  # not computed in exported C
         estimates = estimates._replace(**{name: getattr(state.estimates, name) for name in unused})
         return DelayState(inner, estimates._replace(sent=(commands, *estimates.sent[:-1]))), commands
 
     def telemetry(self, state: DelayState) -> dict[str, Scalar]:
-        signals = self.controller.telemetry(state.inner)
-        if isinstance(state.estimates.actuation, ActuatorAdaptationState):
-            own = self.estimates_telemetry(state.estimates)
-            signals |= {name: own[name] for name in ("command_delay_estimate", "valve_speed_estimate")}
-        return signals
+        return self.controller.telemetry(state.inner)

@@ -19,8 +19,6 @@ from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
 from mckibben.actuator.base import air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
-from mckibben.control.actuator_adaptation import ActuatorAdaptation, ActuatorAdaptationState, with_speed
-from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_strengths
 from mckibben.control.allocation import command_limits
 from mckibben.control.base import (
     Controller,
@@ -31,12 +29,10 @@ from mckibben.control.base import (
     State,
     ValveModel,
     check_valve_model,
-    controllers_within,
 )
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import ParameterError, RangeError
-from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.units import AngleScale, CommandDelay, Force, ms
@@ -86,26 +82,22 @@ class Estimates(NamedTuple):
     coming: PyTree  # what is known of the reference ahead
     muscles: MuscleStates  # of the model, along the reference
     moved: MuscleStates  # of the model, along the estimated motion
-    adaptation: AdaptationState | tuple[()]
-    actuation: ActuatorAdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
     stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
     added_stiffness: Scalar  # minus the isobaric one [N*m/rad]
     friction: Scalar  # compensated torque [N*m]
     resistance: Scalar  # torque of the friction with which the motion is predicted [N*m]
     sent: tuple[Pair, ...]  # commands on their way [Pa], the last first
-    reading: Scalar  # last measured angle [rad]
     actuators: tuple[PyTree, PyTree]  # states of the model of the valves
     saturated: Array
 
 
 class Expected(NamedTuple):
-    """Predicted setpoint, angle [rad] and estimates at the arrival of the next commands, and the models there."""
+    """Predicted setpoint, angle [rad] and estimates at the arrival of the next commands, and the valves there."""
 
     setpoint: Setpoint
     angle: Scalar  # measured, or predicted over the delay
     estimates: Estimates
-    model: AntagonisticJoint
     valves: Valves
 
 
@@ -132,16 +124,11 @@ class StatePrediction(Controller[State]):
         "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
         "disturbance_estimate": Label("N*m", "controller's estimate of the disturbance torque"),
         "friction_compensation": Label("N*m", "friction torque compensated by the controller"),
-        "strength1_estimate": Label("1", "controller's estimate of the strength of muscle 1 relative to its law"),
-        "strength2_estimate": Label("1", "controller's estimate of the strength of muscle 2 relative to its law"),
-        "command_delay_estimate": Label("s", "controller's estimate of the delay of the commands"),
-        "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
     }
 
-    # Fields of controllers that compensate friction or correct their model.
+    # Fields of controllers that compensate friction.
     friction_compensation = False
     friction_in_observer = None
-    adaptation = None
 
     observer: eqx.AbstractVar[Observer]
     pressure_observer: eqx.AbstractVar[PressureObserver]
@@ -151,22 +138,16 @@ class StatePrediction(Controller[State]):
     command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
         kw_only=True, default=None
     )
-    actuator_adaptation: ActuatorAdaptation | None = eqx.field(kw_only=True, default=None)
     periods: int | None = eqx.field(kw_only=True, default=None, static=True)
     steps: int = eqx.field(kw_only=True, default=_LEAST_STEPS, static=True)
 
     def __check_init__(self) -> None:
         super().__check_init__()
         check_valve_model(type(self).__name__, self.valve, self.model)
-        if self.actuator_adaptation is not None:
-            self.actuator_adaptation.check_valve(self.valve)
 
     def with_period(self, period: float) -> Self:
         prepared = super().with_period(period)
-        adaptation, longest = self.actuator_adaptation, self._delay
-        if adaptation is not None:
-            longest = adaptation.longest_delay(longest)
-        periods = delay_periods(longest, period, "controller.command_delay")
+        periods = delay_periods(self._delay, period, "controller.command_delay")
         steps = max(math.ceil(periods * period / _LONGEST_STEP - _ROUNDING), _LEAST_STEPS)
         return dataclasses.replace(prepared, periods=periods, steps=min(steps, periods))
 
@@ -182,7 +163,7 @@ class StatePrediction(Controller[State]):
     @property
     def _periods(self) -> int:
         """Control periods that hold the commands on their way."""
-        if self.periods is None and (self.command_delay is not None or self.actuator_adaptation is not None):
+        if self.periods is None and self.command_delay is not None:
             raise ParameterError(
                 f"{type(self).__name__}: the control period is unknown, and with it the commands on their way",
                 remedy="use controller.with_period(period)",
@@ -192,9 +173,8 @@ class StatePrediction(Controller[State]):
     def init_estimates(self, measurement: Measurement) -> Estimates:
         """Estimates before the first step, at rest."""
         angle, pressures = measurement
-        torque, stiffness, added = self._torque_and_stiffness(self.model, angle, pressures)
+        torque, stiffness, added = self._torque_and_stiffness(angle, pressures)
         zero = jnp.zeros_like(angle)
-        actuation = self.actuator_adaptation
         muscles = self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES
         return Estimates(
             motion=self.observer.init(angle, self.load.acceleration(angle, zero, torque)),
@@ -203,15 +183,12 @@ class StatePrediction(Controller[State]):
             coming=self.init_coming(angle, stiffness),
             muscles=muscles,
             moved=NO_STATES if self.friction_in_observer is None else muscles,
-            adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
-            actuation=() if actuation is None else actuation.init(self.valve, self._delay, pressures),
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=zero,
             resistance=zero,
             sent=(pressures,) * (self._periods + 1),
-            reading=angle,
             actuators=tuple(self.valve.for_muscle(i).init_model(pressures[i]) for i in (0, 1)),  # type: ignore
             saturated=jnp.asarray(False),
         )
@@ -220,20 +197,13 @@ class StatePrediction(Controller[State]):
         self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[Estimates, Expected]:
         """Estimates after a further sample, and their prediction at the arrival of the next commands."""
-        actuation = self._adapt_actuator(last, measurement, period)
-        return self._with_speed(actuation)._update(last._replace(actuation=actuation), setpoint, measurement, period)
-
-    def _update(
-        self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
-    ) -> tuple[Estimates, Expected]:
         angle = measurement.angle
         delay = self._delay / jnp.asarray(period)
         arrived = mean_commands(last.sent, delay, delay + 1) if self._periods else last.sent[0]
         valves = self._valves(angle, last.motion.velocity, last.pressures, last.actuators)
         predicted, actuators = valves.predict(arrived, period)
         pressures = self.pressure_observer.step(predicted, measurement.pressures, period)
-        adaptation, model = self._adapt(last.adaptation, measurement, period)
-        torque, stiffness, added = self._torque_and_stiffness(model, angle, pressures)
+        torque, stiffness, added = self._torque_and_stiffness(angle, pressures)
         reference, coming = self._follow(last, setpoint, period)
         ahead, setpoint = self._at_arrival(reference, coming, setpoint, period)
         muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
@@ -249,22 +219,20 @@ class StatePrediction(Controller[State]):
             coming=coming,
             muscles=muscles,
             moved=moved,
-            adaptation=adaptation,
             actuators=actuators,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=friction_torque,
             resistance=resistance,
-            reading=angle,
         )
         expected = estimates
         if self._periods:
-            expected = self._predicted(model, estimates, period)
+            expected = self._predicted(estimates, period)
             angle = expected.motion.angle
         expected = expected._replace(reference=ahead)
         now = self._valves(angle, expected.motion.velocity, expected.pressures, expected.actuators)
-        return estimates, Expected(setpoint, angle, expected, model, now)
+        return estimates, Expected(setpoint, angle, expected, now)
 
     def foresee(self, state: State, setpoint: Setpoint, period: ArrayLike) -> State:
         estimates: Estimates = state.estimates  # type: ignore[attr-defined]
@@ -289,7 +257,7 @@ class StatePrediction(Controller[State]):
         ahead = reference.after(self._delay) if self._periods else reference
         return ahead, setpoint._replace(angle=ahead.angle)
 
-    def _predicted(self, model: AntagonisticJoint, estimates: Estimates, period: ArrayLike) -> Estimates:
+    def _predicted(self, estimates: Estimates, period: ArrayLike) -> Estimates:
         """Estimates when the next commands arrive."""
         steps = self.steps
         delay, step = self._delay / jnp.asarray(period), jnp.asarray(self._delay) / steps
@@ -305,14 +273,14 @@ class StatePrediction(Controller[State]):
             valves = self._valves(midway, velocity, pressures, actuators)
             following, actuators = valves.predict(commands, step)
             middle = tuple((first + second) / 2 for first, second in zip(pressures, following, strict=True))
-            torque = model.torque(midway, (middle[0], middle[1])) + estimates.resistance
+            torque = self.model.torque(midway, (middle[0], middle[1])) + estimates.resistance
             acceleration = self.load.acceleration(midway, velocity, torque) + motion.disturbance
             moved = angle + step * (velocity + step / 2 * acceleration)
             return (moved, velocity + step * acceleration, following, actuators), None
 
         start = motion.angle, motion.velocity, estimates.pressures, estimates.actuators
         (angle, velocity, pressures, actuators), _ = lax.scan(advance, start, commands)
-        torque, stiffness, added = self._torque_and_stiffness(model, angle, pressures)
+        torque, stiffness, added = self._torque_and_stiffness(angle, pressures)
         return estimates._replace(
             motion=motion._replace(angle=angle, velocity=velocity),
             pressures=pressures,
@@ -324,22 +292,13 @@ class StatePrediction(Controller[State]):
 
     def estimates_telemetry(self, estimates: Estimates) -> dict[str, Scalar]:
         """Signals to record, by name."""
-        signals = {
+        return {
             "stiffness_estimate": estimates.stiffness,
             "saturated": estimates.saturated,
             "velocity_estimate": estimates.motion.velocity,
             "disturbance_estimate": self.load.dynamic_torque(0.0, estimates.motion.disturbance),
             "friction_compensation": estimates.friction,
         }
-        if isinstance(estimates.adaptation, AdaptationState):
-            strength1, strength2 = estimates.adaptation.strengths
-            signals |= {"strength1_estimate": strength1, "strength2_estimate": strength2}
-        if isinstance(estimates.actuation, ActuatorAdaptationState):
-            signals |= {
-                "command_delay_estimate": estimates.actuation.delay,
-                "valve_speed_estimate": estimates.actuation.speed,
-            }
-        return signals
 
     def _valves(self, angle: ArrayLike, velocity: ArrayLike, pressures: Pair, states: tuple[PyTree, PyTree]) -> Valves:
         """Model of the valves at a motion of the joint."""
@@ -350,49 +309,13 @@ class StatePrediction(Controller[State]):
             air = air_volumes(self.model, angle, velocity, pressures, dead_volumes=(dead1, dead2))
         return Valves(valve, pressures, states, air, command_limits(self.model, valve))
 
-    def _torque_and_stiffness(
-        self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        """Torque [N*m] and controlled stiffness by a model, and its difference from the isobaric one [N*m/rad]."""
-        torque, isobaric = model.evaluate(angle, pressures)
+    def _torque_and_stiffness(self, angle: ArrayLike, pressures: Pair) -> tuple[Scalar, Scalar, Scalar]:
+        """Torque [N*m] and controlled stiffness of the model, and its difference from the isobaric one [N*m/rad]."""
+        torque, isobaric = self.model.evaluate(angle, pressures)
         if self.stiffness_amplitude is None:
             return torque, isobaric, jnp.zeros_like(isobaric)
-        stiffness = model.stiffness_for(angle, pressures, self.stiffness_amplitude)
+        stiffness = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
         return torque, stiffness, stiffness - isobaric
-
-    def _adapt(
-        self, state: AdaptationState | tuple[()], measurement: Measurement, period: ArrayLike
-    ) -> tuple[AdaptationState | tuple[()], AntagonisticJoint]:
-        """Adapted model, from the measured pressures: estimated ones are biased by a wrong valve model."""
-        if self.adaptation is None or not isinstance(state, AdaptationState):
-            return state, self.model
-        state = self.adaptation.step(state, self.model, self.load, *measurement, period)
-        return state, with_strengths(self.model, state.strengths)
-
-    def _adapt_actuator(
-        self, last: Estimates, measurement: Measurement, period: ArrayLike
-    ) -> ActuatorAdaptationState | tuple[()]:
-        """Estimates of delay and speed after a further measurement."""
-        if self.actuator_adaptation is None or not isinstance(last.actuation, ActuatorAdaptationState):
-            return last.actuation
-        angle, pressures = measurement
-        air: Any = (None, None)
-        if self.valve.holds_air:
-            # An observer lags; steps of the encoder cancel in the sum over several periods.
-            velocity, middle = (angle - last.reading) / period, (angle + last.reading) / 2
-            attached = tuple(self.valve.for_muscle(side).attached_volume for side in (0, 1))
-            air = air_volumes(self.model, middle, velocity, pressures, dead_volumes=attached)
-        held = last.actuation, self.valve, self._delay
-        return self.actuator_adaptation.step(*held, last.sent, pressures, air, period)
-
-    def _with_speed(self, adapted: ActuatorAdaptationState | tuple[()]) -> Self:
-        """The controller with estimates in place of delay and speed of its models."""
-        if not isinstance(adapted, ActuatorAdaptationState):
-            return self
-        valves = [with_speed(valve, adapted.speed) for valve in valve_models(self)]
-        replaced = valve_models
-
-        return dataclasses.replace(eqx.tree_at(replaced, self, valves), command_delay=adapted.delay)
 
     def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
         """Internal states of the model's muscles after a motion to an angle [rad], and their friction torque [N*m]."""
@@ -407,24 +330,15 @@ class ModelBasedControl(StatePrediction[State]):
 
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
-    adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if self.adaptation is not None:
-            self.adaptation.check_load(self.load)
         if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
                 f"{type(self).__name__}: no muscle of its model has friction to compensate",
                 remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
             )
-
-
-def valve_models(controller: Controller) -> list[Actuator]:
-    """Models of the valves of a controller, and of those that it wraps."""
-    models = (getattr(part, "valve", None) for part in controllers_within(controller))
-    return [model for model in models if isinstance(model, Actuator)]
 
 
 def mean_commands(sent: tuple[tuple[Scalar, ...], ...], newest: ArrayLike, oldest: ArrayLike) -> Any:

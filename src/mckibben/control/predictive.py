@@ -90,8 +90,8 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
 
     Parameters
     ----------
-    model, load, pressure_observer, valve, minimum_tension, friction_compensation, adaptation
-        As for `DecouplingControl`, and so are `command_delay`, `actuator_adaptation` and `stiffness_amplitude`.
+    model, load, pressure_observer, valve, minimum_tension, friction_compensation
+        As for `DecouplingControl`, and so are `command_delay` and `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth
@@ -182,7 +182,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PredictiveState, Pair]:
         estimates, expected = self.update(state.estimates, setpoint, measurement, period)
-        setpoint, angle, ahead, model, valves = expected
+        setpoint, angle, ahead, valves = expected
         reference = ahead.reference
         new = 1 - exp(-jnp.asarray(period) / _FREQUENCY_MEMORY)
         jerk_velocity, velocity_sq = state.averages
@@ -190,7 +190,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         velocity_sq = velocity_sq + new * (reference.velocity**2 - velocity_sq)
         frequency_sq = -jerk_velocity / (velocity_sq + _STILL)
 
-        local = local_model(model, angle, ahead.pressures, minimum_tension=self.minimum_tension)
+        local = local_model(self.model, angle, ahead.pressures, minimum_tension=self.minimum_tension)
         stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
         if self.preview:
             stage = (self.samples_ahead - self.lead) // self.stages * jnp.asarray(period)

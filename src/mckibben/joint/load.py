@@ -29,8 +29,8 @@ class Load(Component):
     """
 
     default_class = "knee"
-    adapted_mass: ClassVar[str] = ""
-    """Field with the mass [kg] that `LawAdaptation` estimates; empty if none."""
+    estimated_mass: ClassVar[str] = ""
+    """Field with the mass [kg] that a calibration estimates; empty if none."""
 
     if TYPE_CHECKING:  # fields of subclasses; declared here, they would precede the subclass's own
 
@@ -119,7 +119,7 @@ class KneeLoad(Load):
 
     short_name = "knee"
 
-    adapted_mass = "mass2"
+    estimated_mass = "mass2"
 
     mass1: Mass
     mass2: Mass
@@ -175,7 +175,7 @@ class PendulumLoad(Load):
 
     short_name = "pendulum"
 
-    adapted_mass = "mass"
+    estimated_mass = "mass"
 
     mass: PositiveMass
     length: Length

@@ -91,7 +91,7 @@ def is_gain(name: str) -> bool:
     (True, False, False)
     """
     *above, last = name.split(".")
-    return above[:1] == ["controller"] and "adaptation" not in above and last in _GAINS
+    return above[:1] == ["controller"] and last in _GAINS
 
 
 def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
