@@ -81,26 +81,6 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.slow
-def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
-    written((DECOUPLING, ""))
-    assert cli("compare", "suite.yaml", "--out", "kept", "--json").code == 0
-    first = (tmp_path / "kept" / "results.json").read_bytes()
-    again = cli("compare", "suite.yaml", "--out", "kept")
-    assert again.code == 2
-    assert "--resume" in again.err
-    assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
-    assert (tmp_path / "kept" / "results.json").read_bytes() == first
-    (tmp_path / "taken").mkdir()
-    (tmp_path / "taken" / "runs.nc").touch()
-    found = cli("compare", "suite.yaml", "--out", "taken")
-    assert found.code == 2
-    assert "runs.nc" in found.err and "already exist" in found.err
-    (tmp_path / "file").touch()
-    assert cli("compare", "suite.yaml", "--out", "file/kept").code == 2
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.slow
 def test_a_quick_look_as_json(cli, written, tmp_path):
     written(
         (DECOUPLING, ""), ("generations: 2", "generations: 20"), ("evaluation: {runs: 16", "evaluation: {runs: 4096")

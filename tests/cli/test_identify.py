@@ -11,8 +11,8 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.identification import Fit
-from mckibben.muscle import Muscle, forces
-from mckibben.units import bar, mm, percent
+from mckibben.muscle import Muscle
+from mckibben.units import bar, percent
 
 TABLES = Path(__file__).parents[2] / "src" / "mckibben" / "catalog" / "tables"
 FESTO = str(TABLES / "festo-tool_10mm.csv")
@@ -171,25 +171,6 @@ def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, option
     found = cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *options)
     assert (found.code, found.out) == (2, "")
     assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
-
-
-@pytest.mark.slow
-def test_specimens_of_one_make_are_pooled_and_another_length_is_predicted(cli, tmp_path):
-    files, law = [], catalog.law("lei-mas-10-180n")
-    contraction, pressure = (each.ravel() for each in np.meshgrid([0.0, 0.05, 0.1, 0.15], np.arange(1, 7) * bar))
-    for number, length in enumerate((100 * mm, 200 * mm, 300 * mm)):
-        force = np.maximum(forces(law, contraction, pressure), 0)
-        force = force + 0.3 * np.random.default_rng(number).standard_normal(len(force))
-        data = IsobaricDataset.of(
-            pressure=pressure, contraction=contraction, force=force, initial_length=length, slack_force=3.0
-        )
-        data.to_csv(tmp_path / f"{number}.csv")
-        files.append(f"{number}.csv")
-    answer = cli("identify", *files, "--pool", "--for-length", "250 mm", "--out", "fit")
-    assert answer.code == 0, answer.err
-    numbers = json.loads((tmp_path / "fit" / "results.json").read_text())
-    assert all(error < 1.0 for error in values(numbers, "left-out specimens", "rmse"))
-    assert float(read_component(Muscle, tmp_path / "fit" / "muscle.yaml").specimen.initial_length) == 250 * mm
 
 
 # Recordings over time ------------------------------------------------------------------------------------------------

@@ -3,34 +3,10 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
-import numpy as np
 import pytest
 
-from mckibben import catalog
-from mckibben.dataset import IsobaricDataset
-from mckibben.units import bar
-
 MARTENS = "dmsp-10-250-martens2017"
-EXAMPLE = str(Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml")
-
-
-@pytest.fixture
-def loading(tmp_path) -> str:
-    """Eq. 3 with noise and friction, in loading alone."""
-    contraction, pressure = (x.ravel() for x in np.meshgrid(np.arange(0, 0.13, 0.02), np.array([2, 3, 4]) * bar))
-    force = np.asarray(catalog.law("lei-mas-10-180n").force(contraction, pressure)) + 3.0
-    force = force + np.random.default_rng(0).normal(size=force.size)
-    IsobaricDataset.of(
-        pressure=pressure,
-        contraction=contraction,
-        force=force.clip(min=0),
-        direction=["loading"] * force.size,
-        specimen="MAS-10-180N-AA-MC-O",
-        slack_force=8.0,
-    ).to_csv(tmp_path / "loading.csv")
-    return "loading.csv"
 
 
 def test_the_points_and_what_they_gain(cli):
@@ -57,10 +33,3 @@ def test_what_is_kept(cli, tmp_path):
         assert 1e5 <= pressure <= 6e5 and pressure % 0.5e5 == 0
         assert contraction / 0.008 == pytest.approx(round(contraction / 0.008))
     assert (tmp_path / "next" / "planned.png").stat().st_size > 20_000
-
-
-def test_one_direction_and_a_joint_of_a_scenario(cli, loading):
-    found = cli("plan", loading, "--for", "stiffness at 10 deg, 2 bar, 4 bar", "--joint", EXAMPLE)
-    assert (found.code, found.err) == (0, "")
-    assert "standard error now not determined; after these 8 points" in " ".join(found.out.split())
-    assert "all points are loading: friction is not distinguished" in " ".join(found.out.split())

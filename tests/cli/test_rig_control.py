@@ -2,13 +2,12 @@
 
 import json
 import re
-import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mckibben.rig.record import Recorder, read_record
+from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import in_shown_units
@@ -62,24 +61,3 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
     record = read_record(tmp_path / "run")
     assert "stopped" in [event.kind for event in record.events]
     assert json.loads((tmp_path / "run" / "results.json").read_text())["ended"] == "stopped"
-
-
-@pytest.mark.slow
-def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tmp_path, monkeypatch):
-    """The signal comes with the 200th sample; unpaced, so that no deadline depends on the load."""
-    append, blocks = Recorder.append, []
-
-    def counted(recorder, rows):
-        blocks.append(append(recorder, rows))
-        if len(blocks) == 200:
-            signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(Recorder, "append", counted)
-    found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
-    assert found.code == 128 + signal.SIGINT
-    assert "stopped: interrupted by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
-    kept = read_record(tmp_path / "run")
-    assert [event.kind for event in kept.events] == ["opened", "signal", "vented"]
-    sample = kept.columns["sample"]
-    assert sample.size > 100 and sample[0] == 0 and sample[-1] >= sample.size - 1
-    assert (tmp_path / "run" / "results.json").exists()

@@ -181,13 +181,3 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
         assert new.start.stiffness == pytest.approx(11 * (20 / 11) ** best.point[1], rel=1e-5)
     assert tuned[0].signals.angle.file == tmp_path / "a" / "reference.csv"
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("name", ["s-tuned-2.yaml", "tuning.png"])
-def test_files_that_others_put_there_stay(cli, still, tmp_path, name):
-    (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
-    found = cli("tune", "s.yaml", "s.yaml", *SMALL)
-    assert (found.code, found.out) == (2, "")
-    assert f"{name}: it already exists; choose another folder, or move the existing file" in found.err
-    assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]

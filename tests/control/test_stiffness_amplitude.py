@@ -84,18 +84,6 @@ def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, 
     assert isobaric < ASKED - 15  # friction adds the rest
 
 
-@pytest.mark.slow
-def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load):
-    torque = -float(load.gravity_torque(ANGLE))
-    isobaric = np.array(knee.attainable_stiffness(ANGLE, torque, minimum_tension=30.0))
-    low, high = np.array(joint.attainable_stiffness(ANGLE, torque, minimum_tension=30.0, amplitude=SIZE)) - isobaric
-    added = float(joint.secant_stiffness(ANGLE, (4e5, 4e5), SIZE) - knee.stiffness(ANGLE, (4e5, 4e5)))
-    assert added > 20
-    assert (low, high) == pytest.approx((added, added), rel=0.02)
-    plain = np.array(joint.attainable_stiffness(ANGLE, torque, minimum_tension=30.0))
-    np.testing.assert_allclose(plain, isobaric)
-
-
 def test_a_wrapper_controls_what_the_controller_in_it_does(joint, load):
     loops = controllers(joint, load)["PID"]
     delayed = DelayCompensation(joint, load, controller=loops, command_delay=5 * ms)

@@ -1,82 +1,15 @@
-import warnings
-
-import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from mckibben.dataset import IsobaricDataset, read_dataset
-from mckibben.errors import DatasetError, McKibbenWarning
-
-TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30)
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-LARGEST = 1e28  # larger numbers mark an overload
-
-
-@st.composite
-def datasets(draw, samples: bool = True) -> IsobaricDataset:
-    n = draw(st.integers(1, 6))
-
-    def floats(low=-LARGEST, high=LARGEST, allow_nan=False):
-        return hnp.arrays(np.float64, n, elements=st.floats(low, high, allow_nan=allow_nan, width=64))
-
-    def maybe(strategy):
-        return draw(st.none() | strategy)
-
-    pressure = draw(floats(low=-101325.0))
-    assume(not 0 < pressure.max() < 8e3)  # one in bar
-    values = {
-        "pressure": pressure,
-        "contraction": draw(floats(-0.999, 0.999)),
-        "force": draw(floats()),
-        "direction": maybe(st.lists(st.sampled_from(["loading", "unloading"]), min_size=n, max_size=n)),
-        "repeat": maybe(st.lists(st.integers(0, 2**53), min_size=n, max_size=n)),
-        "time": maybe(floats()),
-        "set_pressure": maybe(hnp.arrays(np.float64, n, elements=st.floats(-101325.0, LARGEST) | st.just(np.nan))),
-        "specimen": draw(TEXT),
-        "source": draw(TEXT),
-        "slack_force": draw(st.floats(-1e300, 1e300)),
-        "initial_length": maybe(st.floats(1e-300, 1e300)),
-    }
-    if samples:
-        dtype = draw(st.sampled_from([np.float32, np.float64]))
-        elements = st.floats(0, 2.0**20, width=32)
-        values["force_samples"] = maybe(hnp.arrays(dtype, (n, 3), elements=elements))
-        values["pressure_samples"] = maybe(hnp.arrays(dtype, (n, 3), elements=elements))
-    return IsobaricDataset.of(**values)
+from mckibben.errors import DatasetError
 
 
 def assert_same(a: IsobaricDataset, b: IsobaricDataset) -> None:
     xr.testing.assert_identical(a.table, b.table)
     assert {name: a.table[name].dtype for name in a.table} == {name: b.table[name].dtype for name in b.table}
-
-
-@pytest.mark.slow
-@SETTINGS
-@given(data=datasets())
-def test_netcdf_gives_the_same_dataset_back(data, tmp_path):
-    path = tmp_path / "data.nc"
-    data.to_netcdf(path)
-    assert_same(IsobaricDataset.from_netcdf(path), data)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", McKibbenWarning)  # no points of a muscle
-        assert_same(read_dataset(path), data)
-    assert [file.name for file in tmp_path.iterdir()] == ["data.nc"]
-
-
-@SETTINGS
-@given(data=datasets(samples=False))
-@pytest.mark.slow
-def test_csv_gives_the_same_dataset_back(data, tmp_path):
-    path = tmp_path / "data.csv"
-    data.to_csv(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", McKibbenWarning)  # a pressure below 100 Pa is legal
-        assert_same(read_dataset(path), data)
 
 
 def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):

@@ -194,17 +194,6 @@ def test_gymnasium_makes_both_by_their_id():
     assert isinstance(many.unwrapped, JointVectorEnv)
 
 
-@pytest.mark.slow
-def test_flow_valves(scenario):
-    text = scenario.dumps()
-    lag = "time_constant: 20 ms"
-    assert lag in text
-    valve = mk.Scenario.parse(text.replace(lag, "from: festo-mpye-5-m5, supply: 7 bar"))
-    env = JointEnv(valve)
-    env.reset(seed=1)
-    assert np.isfinite(env.step(env.action_space.sample())[1])
-
-
 def test_mistakes_are_refused(scenario):
     with pytest.raises(ParameterError):
         JointEnv(scenario, random_plant=["load.mass3=+-50 %"])

@@ -94,15 +94,6 @@ def test_drift_of_a_load_cell_that_is_never_negative_does_not_ruin_the_law(drift
 
 
 @pytest.mark.slow
-def test_there_is_no_drift_without_one():
-    data = loops("coulomb", lowest=20.0)
-    assert not data.slack.any()
-    found = identify_hysteresis(ExponentialLaw, data)
-    assert found.drift is None
-    assert law_error(found.law) < 0.3
-
-
-@pytest.mark.slow
 def test_a_form_that_the_data_do_not_determine_is_refused():
     data = loops("coulomb")
     with pytest.raises(IdentificationError, match="three pressures"):

@@ -193,17 +193,6 @@ def test_a_turning_point_measured_in_both_directions_may_have_been_passed(oversh
 
 
 @pytest.mark.slow
-def test_noise_of_the_length_larger_than_its_steps_is_no_reversal_of_the_friction():
-    protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.1 * mm, samples=4)
-    data = SimulatedIsobaricTest(MUSCLE, regulator_offset=0.0).run(protocol, seed=3).plateau_means()
-    noise = np.random.default_rng(3).normal(0, 50e-6 / SPECIMEN.initial_length, len(data))
-    noisy = IsobaricDataset(data.table.assign(contraction=data.table["contraction"] + noise))
-    found = identify_hysteresis(ExponentialLaw, noisy)
-    assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.15)
-    assert found.friction.half_width == pytest.approx(12.0, rel=0.02)
-
-
-@pytest.mark.slow
 def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
     """A wrong length at a reversal shifts all points of the next stroke."""
     protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.4 * mm, samples=4)

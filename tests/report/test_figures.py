@@ -153,11 +153,3 @@ def test_names_are_text_and_not_mathematics(reproduction, tmp_path):
     fits = measured_muscles(dict.fromkeys(names, (data, None)))
     for drawn in (figure, titled, fits):
         assert save(drawn, tmp_path, "odd", preview=True)[0].stat().st_size > 5000
-
-
-def test_figures_replace_links_and_not_what_they_point_to(tmp_path):
-    (tmp_path / "victim").write_text("mine")
-    (tmp_path / "figure.png").symlink_to(tmp_path / "victim")
-    save(isobaric(catalog.dataset("festo-tool-10mm")), tmp_path, "figure", preview=True)
-    assert (tmp_path / "victim").read_text() == "mine"
-    assert not (tmp_path / "figure.png").is_symlink()

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mckibben.report import tuning
@@ -55,21 +54,3 @@ def test_what_was_lost_is_counted_and_not_drawn(lost):
     assert costs.get_xlabel() == (
         f"evaluated points; {lost} not drawn: invalid or unstable" if lost else "evaluated points"
     )
-
-
-def test_the_cost_before_is_drawn_if_there_was_one():
-    _, costs, _ = drawn(searched(2, before=30.0))
-    assert list(line(costs, "before").get_ydata()) == [30.0, 30.0]
-    _, costs, _ = drawn(searched(2, before=float("nan")))
-    assert "before" not in [each.get_label() for each in costs.lines]
-
-
-@pytest.mark.slow
-def test_nothing_hides_beyond_the_edge():
-    figure, _, _ = drawn(searched(5, trials=300, lost=4, named="joint.geometry.connector_length"))
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    for axes in figure.axes:
-        box = axes.get_tightbbox(canvas.get_renderer())
-        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
-        assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1

@@ -14,7 +14,7 @@ from mckibben.storage.store import STUDY
 from mckibben.study.compare import CompareResult, Suite, compare, draw, evaluate
 from mckibben.study.compare.runs import controller_of
 from mckibben.study.compare.tuning import error_at_air
-from mckibben.study.tune import SearchSpace, Trial, read_trials
+from mckibben.study.tune import Trial, read_trials
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import deg
 
@@ -191,13 +191,6 @@ class TestTuning:
         assert batch.metrics["air"][~batch.failed] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
 
     @pytest.mark.slow
-    def test_a_controller_may_have_a_budget_of_its_own(self, tmp_path):
-        for name, starts in (("all", "starts: 3"), ("own", "starts: 1, starts_of: {PID 3: 3}")):
-            compare(changed(*ALONE, ("starts: 2", starts)), out=tmp_path / name)
-        points = [[trial.point for trial in trials(tmp_path / name)] for name in ("all", "own")]
-        assert points[0] == points[1]
-
-    @pytest.mark.slow
     def test_a_search_starts_at_the_best_of_its_candidates(self, tmp_path):
         compare(changed(*ALONE, ("starts: 2", "starts: 1, candidates: 40")), out=tmp_path)
         found = trials(tmp_path)
@@ -205,26 +198,6 @@ class TestTuning:
         assert best.cost < found[0].cost, "better than the gains of the file"
         assert len({trial.point for trial in found[:40]}) == 40
         assert np.mean([trial.point for trial in found[40:44]]) == pytest.approx(best.point[0], abs=0.35)
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("candidates", [0, 6])
-    def test_a_controller_that_wraps_another_also_starts_at_the_tuned_numbers_of_that(self, candidates, tmp_path):
-        inner = TEXT[TEXT.index("    position: {kp: 1.2 bar") : TEXT.index("  decoupling:\n")]
-        wrapper = "  wrapped:\n    class: delay_compensation\n    command_delay: 1 ms\n    controller:\n"
-        wrapper += "".join(f"  {line}\n" for line in inner.splitlines())
-        gains = "controller.controller.position.kp=0.1..20 bar/rad log, controller.observer.bandwidth=9..900 rad/s log"
-        over = f"over: {{PID 3: [controller.position.kp=0.1..20 bar/rad log], wrapped: [{gains}]}}"
-        rest = ("starts: 2", f"starts: 1, candidates: {candidates}"), ("population: 4", "population: 5")
-        suite = changed((OTHERS, wrapper), ("untuned: [as it is]", over), *rest)
-        found = compare(suite, out=tmp_path)
-        space = SearchSpace(suite.tuned_over("wrapped"))
-        points = [np.array(trial.point) for trial in trials(tmp_path, "wrapped")]
-        assert points[0] == pytest.approx(space.point(space.nominal))
-        best = space.point(np.array([found.tuned["PID 3"][KP], space.nominal[1]]))
-        assert abs(best[0] - points[0][0]) > 0.05
-        assert points[1] == pytest.approx(best, abs=1e-6)
-        shared = [abs(point[0] - best[0]) < 1e-6 for point in points[: max(candidates, 2)]]
-        assert shared == [bool(i % 2) for i in range(max(candidates, 2))]
 
     def test_runs_that_cannot_begin_are_no_fault_of_anyone(self, contest):
         lags = contest.runs.conditions["valve.time_constant"]

@@ -67,35 +67,6 @@ def test_examples_come_back_from_files_and_go_to_other_processes(path, tmp_path)
     assert Scenario.read(tmp_path / "copy.yaml") == scenario == pickle.loads(pickle.dumps(scenario))
 
 
-def test_the_parts_are_those_of_the_text():
-    scenario = Scenario.parse(PLAIN)
-    plant, control, reference = scenario.plant(), scenario.control(), scenario.reference()
-    assert plant.joint.geometry == mk.KneeGeometry(0.37, 0.03, 0.208)
-    assert plant.joint.muscle1.specimen.name == "DMSP-10-250"
-    assert isinstance(plant.joint.muscle1.law, mk.ChouLaw)
-    assert isinstance(plant.joint.muscle2.law, mk.ExponentialLaw)
-    assert isinstance(plant.joint.tendon, mk.SeriesSpring)
-    spring = plant.joint.tendon
-    assert (spring.stiffness, spring.preload, spring.travel) == (20e3, 50.0, pytest.approx(0.018, rel=1e-15))
-    assert plant.load.mass2 == 0.8
-    assert plant.load.mass1 == mk.catalog.load("knee-table-2").mass1
-    assert plant.load.hanging is False
-    assert plant.valve == mk.FirstOrderValve(0.02)
-    assert control.position == mk.PID(2 * bar, 60 * bar, 0.4 * bar, derivative_on_error=True)
-    assert isinstance(control.stiffness, mk.BackpropPID)
-    assert control.stiffness.base.kp == 0.05 * bar
-    assert control.stiffness.learning_rate == mk.BackpropPID.learning_rate
-    assert (control.stiffness.momentum, control.stiffness.hidden, control.stiffness.seed) == (0.25, 5, 3)
-    assert isinstance(control.model.muscle2.law, mk.ChouLaw)
-    assert control.model.geometry.connector_length == pytest.approx(0.208, rel=1e-15)
-    assert isinstance(reference.angle, mk.Multisine)
-    np.testing.assert_allclose(reference.angle(0.0), 2 * deg)
-    np.testing.assert_allclose(reference.stiffness(1.5), 13.75)
-    assert (scenario.duration, scenario.control_period) == (2.0, 0.002)
-    assert (scenario.accuracy, scenario.substeps) == (1e-6, None)
-    assert Scenario.parse(scenario.dumps()) == scenario
-
-
 def test_short_forms():
     load = Scenario.parse(changed("load: knee-table-2  ", "load: {from: knee-table-2}  "))
     assert load == Scenario.parse(BASE)

@@ -168,18 +168,6 @@ def test_without_dask_it_says_what_to_install(scenario, monkeypatch):
         sweep(scenario, OVER, dask="tcp://127.0.0.1:1")
 
 
-def test_a_cluster_that_does_not_answer(scenario, monkeypatch, tmp_path):
-    distributed = pytest.importorskip("distributed")
-
-    def failing(*_, **__):
-        raise OSError("Timed out trying to connect")
-
-    monkeypatch.setattr(distributed, "Client", failing)
-    with pytest.raises(SimulationError, match=r"no answer of the cluster tcp://.* \(Timed out") as caught:
-        sweep(scenario, OVER, dask="tcp://127.0.0.1:1", out=tmp_path)
-    assert "--resume" in caught.value.remedy
-
-
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path):
     killed = []
