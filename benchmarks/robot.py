@@ -195,16 +195,14 @@ class _Mujoco:
     def __init__(self, plant: RobotPlant, start: RobotStart, folder: Path, name: str) -> None:
         import mujoco
 
+        from mckibben.export.mjcf import mujoco_model
         from mckibben.export.mujoco import load_mujoco
-        from mckibben.export.robot_mjcf import robot_files
+        from mckibben.export.muscle_plugin import plugin_files
 
         self._engine = mujoco
         begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
-        here = folder / name
-        here.mkdir()
-        for file, content in robot_files(plant, name, start=begun).contents.items():
-            (here / file).write_text(content)
-        self._model = load_mujoco(here, name)
+        plugin_files(mujoco_model(plant, name, start=begun), name).save(folder / name)
+        self._model = load_mujoco(folder / name)
         self._data = mujoco.MjData(self._model)
 
     def _begin(self, integrator: str, count: int) -> None:

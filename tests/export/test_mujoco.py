@@ -15,7 +15,7 @@ import mckibben as mk
 from mckibben.codegen.c import write_c
 from mckibben.errors import ExportError
 from mckibben.export import export
-from mckibben.export.mjcf import joint_model
+from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import build_plugin, import_mujoco, load_mujoco
 from mckibben.export.muscle_plugin import plugin_source
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
@@ -34,7 +34,7 @@ def build(folder, plants):
     """Models of plants by name, with all their plugins in one library."""
     made, sources = {}, []
     for name, plant in plants.items():
-        model = joint_model(plant, name)
+        model = mujoco_model(plant, name)
         written = write_c(model.module)
         here = folder / name
         here.mkdir()
@@ -89,7 +89,7 @@ def test_every_law_and_geometry_gives_the_torque_and_none_pushes(request, known,
 @pytest.mark.slow
 def test_loads_accelerate_as_they_should(load, models, joints):
     name, joint = names(joints)["knee"], joints["knee"]()
-    made = joint_model(mk.JointPlant(joint, load, mk.IdealValve()), name)
+    made = mujoco_model(mk.JointPlant(joint, load, mk.IdealValve()), name)
     assert bool(made.left_out) == isinstance(load, mk.GeneralLoad)
     model = mujoco.MjModel.from_xml_string(made.xml)
     data = mujoco.MjData(model)
@@ -235,11 +235,11 @@ def test_what_mujoco_cannot_hold_is_refused(knee):
         (mk.JointPlant(knee, Sprung(mass=0.3, length=0.25), LAGS), "load"),
     ):
         with pytest.raises(ExportError) as caught:
-            joint_model(plant)
+            mujoco_model(plant)
         assert caught.value.remedy
         assert caught.value.field == field
     with pytest.raises(ExportError) as caught:
-        joint_model(mk.JointPlant(knee, Sprung(mass=0.3, length=0.25), switching))
+        mujoco_model(mk.JointPlant(knee, Sprung(mass=0.3, length=0.25), switching))
     assert caught.value.message.count("MuJoCo does not support") == caught.value.remedy.count("give") == 2
 
 

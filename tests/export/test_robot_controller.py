@@ -3,15 +3,17 @@
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
 from mckibben.containment.limits import Limits
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
-from mckibben.export.robot_controller import c_files
+from mckibben.export.controller_files import c_files
 from mckibben.firmware import Hardware
 from mckibben.robot import RobotScenario
+from tests.codegen.test_javascript import NODE, run
 from tests.robot.test_control import DECOUPLING, ONE
 
 FILE = "examples/robot/lei-leg-control.yaml"
@@ -31,6 +33,20 @@ def test_it_repeats_the_recorded_run(scenario, single, tmp_path):
     done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.startswith("200 steps")
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if single else 1e-11)
+    if scenario == "joint" and NODE:
+        export(read, "js", tmp_path, name="robot", overwrite=True)
+        commands, expected = run((tmp_path / "robot.js").read_text(), REPLAY, (tmp_path / "replay.csv").read_text())
+        np.testing.assert_allclose(commands, expected, rtol=1e-9)
+
+
+REPLAY = """const rows = given.trim().split("\\n").map(row => row.split(",")), names = rows.shift();
+            const part = (row, owner) => Object.fromEntries(names.map((name, k) => [name.split("."), +row[k]])
+                .filter(([name]) => name[0] === owner).map(([name, value]) => [name[1], value]));
+            const self = robot.defaults(), first = rows.shift();
+            robot.init(self, 0.002, part(first, "measurement"));
+            const step = row => robot.step(self, part(row, "setpoint"), part(row, "measurement")).commands;
+            const values = of => rows.map(row => Object.values(of(row)));
+            return [values(step), values(row => part(row, "commands"))];"""
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path):
@@ -39,8 +55,8 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
         export(landing, "c", tmp_path / "out")
     assert caught.value.field == "controller" and caught.value.remedy
     with pytest.raises(ParameterError) as other:
-        export(landing, "js", tmp_path / "out")
-    assert other.value.value == "js" and "c or" in other.value.remedy
+        export(landing, "osim", tmp_path / "out")
+    assert other.value.value == "osim" and "c or" in other.value.remedy
     assert not (tmp_path / "out").exists()
 
 

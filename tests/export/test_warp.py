@@ -20,7 +20,7 @@ import pytest
 import mckibben as mk
 from mckibben.actuator import SecondOrderValve
 from mckibben.export import export
-from mckibben.export.warp import warp_joint
+from mckibben.export.warp import warp_plant
 from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip, NoCreep, NoFriction
 from mckibben.numerics.compiled import numeric
 
@@ -54,7 +54,7 @@ def made(plant, name, folder):
     muscles = (dataclasses.replace(one, strength=1.0) for one in (plant.joint.muscle1, plant.joint.muscle2))
     parts = (plant.joint.geometry, *muscles, plant.joint.tendon)
     plant = dataclasses.replace(plant, joint=mk.AntagonisticJoint(*parts))
-    files = warp_joint(plant, name, STEP, plant.init_state(0.0, (0.0, 0.0))).contents
+    files = warp_plant(plant, name, STEP, plant.init_state(0.0, (0.0, 0.0))).contents
     path = folder / f"{name}_warp.py"
     path.write_text(files[path.name])
     return Made(files[f"{name}.xml"], loaded(path), plant)

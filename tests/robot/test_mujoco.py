@@ -10,9 +10,10 @@ import pytest
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
+from mckibben.export.compliance import compliance
+from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import load_mujoco
-from mckibben.export.robot_compliance import compliance
-from mckibben.export.robot_mjcf import robot_files, robot_model
+from mckibben.export.muscle_plugin import plugin_files
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.robot import (
     Body,
@@ -100,8 +101,7 @@ def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
     for side in (False, True):
         plant = plant_of("vertical", side=side)
-        for name, content in robot_files(plant, name_of(plant)).contents.items():
-            (folder / name).write_text(content)
+        plugin_files(mujoco_model(plant, name_of(plant)), "a robot").save(folder, force=True)
         load_mujoco(folder, name_of(plant))
     return folder
 
@@ -110,7 +110,7 @@ def model_of(plant, start, commands, library):
     """Model and data at a start, under the commands."""
     assert library.exists()
     state = plant.begin(start)
-    model = mujoco.MjModel.from_xml_string(robot_model(plant, name_of(plant), PERIOD / SUBSTEPS, state).xml)
+    model = mujoco.MjModel.from_xml_string(mujoco_model(plant, name_of(plant), PERIOD / SUBSTEPS, state).xml)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.ctrl[:] = commands
@@ -248,11 +248,10 @@ def test_cams_pulleys_locked_joints_and_air(tmp_path):
     muscles = pair_over("hip", pair(cams)), *plant.robot.muscles[1:3], OTHER
     plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=joints, muscles=muscles))
     start = plant.init_state(ANGLES, PRESSURES)
-    made = robot_files(plant, "other", start=start)
+    made = plugin_files(mujoco_model(plant, "other", start=start), "another")
     assert sum("hip1" in one for one in made.left_out) == 1
     assert sum("ankle" in one for one in made.left_out) == 2
-    for name, content in made.contents.items():
-        (tmp_path / name).write_text(content)
+    made.save(tmp_path)
     model = load_mujoco(tmp_path)  # the only model of the folder
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -275,7 +274,7 @@ def test_what_mujoco_cannot_hold_is_refused():
         (plant.robot, mk.SwitchingValves(conductance=1e-9, supply=7e5, period=0.01), "valve"),
     ):
         with pytest.raises(ExportError) as caught:
-            robot_model(RobotPlant(robot, valve))
+            mujoco_model(RobotPlant(robot, valve))
         assert caught.value.field == field
         assert caught.value.remedy
 

@@ -9,8 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.component.schema import read_component
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.export import robot_mjcf
-from mckibben.export.mjcf import mjcf
+from mckibben.export.mjcf import assembled
 from mckibben.muscle import Muscle
 from mckibben.numerics.spatial import ZERO
 from mckibben.robot import RobotPlant, RobotScenario, read_robot
@@ -29,11 +28,9 @@ def arm():
 def model_of(robot):
     """The robot in MuJoCo by our export, and what each path is longer than its tendon."""
     plant = RobotPlant(robot, mk.FirstOrderValve(0.02))
-    start = plant.init_state(robot.posture_angles({}), [0.0] * len(robot.all_muscles))
-    rigging = robot_mjcf._Rigging(plant)
-    scene = robot_mjcf._scene(plant, rigging.bodies, start)
-    model = mujoco.MjModel.from_xml_string(mjcf(plant, "robot", 1e-3, rigging.drives, [], scene))
-    return model, [float(drive.path(plant, jnp.zeros(()))) for drive in rigging.drives]
+    made = assembled(plant)
+    model = mujoco.MjModel.from_xml_string(made.mjcf("robot", 1e-3))
+    return model, [float(drive.path(plant, jnp.zeros(()))) for drive in made.drives]
 
 
 def check(robot, model, offsets):
@@ -88,11 +85,7 @@ def test_an_arm_is_read_as_mujoco_reads_it(tmp_path):
 
 def test_what_we_write_reads_back(tmp_path):
     leg = read_robot("lei-leg")
-    plant = RobotPlant(leg, mk.FirstOrderValve(0.02))
-    rigging = robot_mjcf._Rigging(plant)
-    start = plant.init_state((0.0, 0.0, 0.0), [0.0] * 6)
-    text = mjcf(plant, "robot", 1e-3, rigging.drives, [], robot_mjcf._scene(plant, rigging.bodies, start))
-    (tmp_path / "leg.xml").write_text(text)
+    (tmp_path / "leg.xml").write_text(assembled(RobotPlant(leg, mk.FirstOrderValve(0.02))).mjcf("robot", 1e-3))
     read = read_mjcf(tmp_path / "leg.xml").robot
     assert (read.base, read.is_planar, read.foot.radius) == ("vertical", False, 0.02)
     for angles in ((0.1, 0.05, -0.3), (-0.1, -0.05, 0.2)):

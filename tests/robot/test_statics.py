@@ -229,8 +229,9 @@ def test_the_direction_is_that_in_the_plane_where_the_foot_is_softest_to_the_sid
 def test_a_pushed_foot_in_mujoco_yields_as_computed(name, tmp_path):
     import mujoco
 
+    from mckibben.export.mjcf import mujoco_model
     from mckibben.export.mujoco import load_mujoco
-    from mckibben.export.robot_mjcf import robot_files
+    from mckibben.export.muscle_plugin import plugin_files
 
     robot, angles = with_rectus(name), POSTURES[name]
     wanted = stiffness_matrix((30.0, 700.0), -0.25, None if robot.is_planar else 30.0)
@@ -238,10 +239,8 @@ def test_a_pushed_foot_in_mujoco_yields_as_computed(name, tmp_path):
     joints = tuple(dataclasses.replace(one, damping=2.0) for one in robot.joints)
     plant = RobotPlant(dataclasses.replace(robot, base="fixed", joints=joints), mk.FirstOrderValve(0.02), gravity=0.0)
     start = plant.init_state(angles, found.pressures, clearance=0.5)
-    made = robot_files(plant, name.replace("-", "_"), start=start)
-    for file, content in made.contents.items():
-        (tmp_path / file).write_text(content)
-    model = load_mujoco(tmp_path, name.replace("-", "_"))
+    plugin_files(mujoco_model(plant, name.replace("-", "_"), start=start), name).save(tmp_path)
+    model = load_mujoco(tmp_path)
     rows = [0, 2] if robot.is_planar else [0, 1, 2]
 
     def place(push):

@@ -16,7 +16,7 @@ import pytest
 import mckibben as mk
 from mckibben.cli.export import export
 from mckibben.errors import ParameterError
-from mckibben.export.warp import warp_robot
+from mckibben.export.warp import warp_plant
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.robot import RobotScenario, RobotStart
 from mckibben.units import bar, deg
@@ -59,7 +59,7 @@ def test_three_joints_and_a_muscle_over_two_agree(tmp_path):
     importlib.import_module("warp").config.optimization_level = 0  # compiling takes longer than running
     plant = arm(REGULATOR, friction=MaxwellSlip(12.0, 5e-4, viscous=30.0, elements=2), creep=MaxwellCreep(900.0, 0.5))
     state = plant.begin(START)
-    made = warp_robot(plant, "arm", timestep=STEP, start=state)
+    made = warp_plant(plant, "arm", STEP, state)
     model = mujoco.MjModel.from_xml_string(made.contents["arm.xml"])
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -85,7 +85,7 @@ def test_three_joints_and_a_muscle_over_two_agree(tmp_path):
 def test_the_command_writes_model_and_module_of_a_robot(tmp_path, capsys):
     plant = RobotScenario.read(ROBOT).plant()
     export(scenario=ROBOT, to="warp", out=tmp_path, name="knee")
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["knee.xml", "knee_warp.py"]
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["knee.xml", "knee_warp.py", "scenario.yaml"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "knee.xml"))
     assert [model.actuator(one).name for one in range(4)] == list(plant.robot.muscle_names)
     assert (model.nu, model.na) == (8, 8)  # of each muscle the pressure, and the regulator's own

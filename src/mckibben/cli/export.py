@@ -29,7 +29,7 @@ def export(
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
         for pages. fmu, fmu-controller, fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle.
-        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a robot: mjcf or warp.
+        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a robot: c, js, mjcf or warp.
     out : DIR
         Output folder.
     name : NAME

@@ -74,7 +74,7 @@ def functions_of(
     period: float,
     setpoint: PyTree,
     limits: Containment,
-    applied: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]] = lambda controller, setpoint: (controller, setpoint),
+    stepped: Callable[..., PyTree] = lambda controller, *sample: controller.step(*sample),
 ) -> ControllerFunctions:
     """Functions of a controller of a joint or a robot, all of whose real numbers but the period are parameters.
 
@@ -88,8 +88,8 @@ def functions_of(
         Example of a setpoint.
     limits
         Limits of samples and commands.
-    applied
-        ``applied(controller, setpoint)`` returns the controller and the second argument of its `step`.
+    stepped
+        ``stepped(controller, state, setpoint, measurement, period)`` returns the next state and the commands.
     """
     numbers, fixed = eqx.partition(controller, eqx.is_inexact_array_like)
     parameters = {"controller": numbers, "limits": numeric(limits)}
@@ -116,8 +116,7 @@ def functions_of(
         return {"state": state, "action": action}
 
     def step(parameters: PyTree, state: ContainedState, setpoint: PyTree, measurement: PyTree) -> dict[str, PyTree]:
-        controller, second = applied(of(parameters), setpoint)
-        following, commands = controller.step(state.controller, second, measurement, np.asarray(exported))
+        following, commands = stepped(of(parameters), state.controller, setpoint, measurement, np.asarray(exported))
         return answer(parameters, containment.send(parameters["limits"], state, following, commands, exported))
 
     def hold(parameters: PyTree, state: ContainedState) -> dict[str, PyTree]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from mckibben.config.model import ConfigModel
 from mckibben.containment import Containment, ControlSample
@@ -14,12 +14,14 @@ from mckibben.control import Setpoint
 from mckibben.errors import ExportError, SimulationError
 from mckibben.joint import Measurement
 from mckibben.numerics.compiled import jit, numeric
+from mckibben.robot import RobotMeasurement
+from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.units import Angle, PositiveTime, Pressure, Share, Stiffness, deg, ms
 
 if TYPE_CHECKING:
     from mckibben.plant import Plant
-    from mckibben.scenario import Scenario
+    from mckibben.robot import RobotPlant, RobotScenario
 
 _BEYOND = 10 * deg  # of the angles beyond those of the reference, of the start, and of the vented joint
 _ABOVE = 0.05  # of measured pressures outside the rated ones, relative to the highest
@@ -71,11 +73,34 @@ class Limits(ConfigModel):
         return Containment(lowest, highest, least, most, vent, tuple(moved), self.frozen, self.tolerated, self.ramp)
 
 
-def joint_containment(scenario: Scenario, limits: Limits) -> Containment:
-    """Containment of a joint.
+def containment_of(scenario: Scenario | RobotScenario, limits: Limits) -> Containment:
+    """Containment of a joint, or of the joints of a robot.
+
+    Those of a robot have as default limits of their angles 10 deg beyond their ranges, and any stiffness above 0.
 
     Raises `ExportError` if the angle of the vented joint is unknown, and its limits are not given.
     """
+    if isinstance(scenario, Scenario):
+        return limits.containment(scenario.plant(), *_joint_bounds(scenario, limits))
+    plant = scenario.plant()
+    pressures = _measured_pressures(plant, limits)
+    return limits.containment(plant, *(_robot_bounds(plant, limits, side, pressures[side]) for side in (0, 1)))
+
+
+def _measured_pressures(plant: Plant, limits: Limits) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Lowest and highest measured pressures [Pa] of all muscles."""
+    rated = [muscle.specimen.domain for muscle in plant.muscles]
+    lowest = [domain.pressure_min - _ABOVE * domain.pressure_max for domain in rated]
+    highest = [domain.pressure_max * (1 + _ABOVE) for domain in rated]
+    if limits.lowest_pressure is not None:
+        lowest = [limits.lowest_pressure] * len(rated)
+    if limits.highest_pressure is not None:
+        highest = [limits.highest_pressure] * len(rated)
+    return tuple(map(jnp.asarray, lowest)), tuple(map(jnp.asarray, highest))
+
+
+def _joint_bounds(scenario: Scenario, limits: Limits) -> tuple[ControlSample, ControlSample]:
+    """Lowest and highest sample of a joint."""
     plant = scenario.plant()
     reference = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
     low, high = limits.lowest_angle, limits.highest_angle
@@ -83,33 +108,31 @@ def joint_containment(scenario: Scenario, limits: Limits) -> Containment:
         angles = np.append(np.asarray(reference.angle), [scenario.start.angle, _vented(scenario)])
         low = angles.min() - _BEYOND if low is None else low
         high = angles.max() + _BEYOND if high is None else high
-    rated = [muscle.specimen.domain for muscle in plant.muscles]
-    least, most = limits.lowest_pressure, limits.highest_pressure
-    margins = [_ABOVE * domain.pressure_max for domain in rated]
-    lowest = [float(domain.pressure_min - margin) for domain, margin in zip(rated, margins, strict=True)]
-    highest = [float(domain.pressure_max + margin) for domain, margin in zip(rated, margins, strict=True)]
-    lowest = lowest if least is None else [least] * len(rated)
-    highest = highest if most is None else [most] * len(rated)
     stiffest = limits.highest_stiffness
     if stiffest is None:
         joint, angles = numeric(plant.joint), np.linspace(low, high, _ANGLES)
-        of_joint = np.asarray(jit(type(joint).stiffness)(joint, angles, tuple(domain.pressure_max for domain in rated)))
+        rated = tuple(muscle.specimen.domain.pressure_max for muscle in plant.muscles)
+        of_joint = np.asarray(jit(type(joint).stiffness)(joint, angles, rated))
         stiffest = np.nanmax([np.nanmax(of_joint), np.max(np.asarray(reference.stiffness))])
     softest = min(0.0, float(np.min(np.asarray(reference.stiffness))))
-    return limits.containment(
-        plant,
-        _sample(low, softest, lowest),
-        _sample(high, float(stiffest), highest),
+    ends = zip((low, high), (softest, float(stiffest)), _measured_pressures(plant, limits), strict=True)
+    lowest, highest = (
+        ControlSample(Setpoint(angle, jnp.asarray(stiffness)), Measurement(angle, measured))  # type: ignore[arg-type]
+        for end, stiffness, measured in ends
+        for angle in [jnp.asarray(end)]
     )
+    return lowest, highest
 
 
-def _sample(angle: float, stiffness: float, pressures: Sequence[float]) -> ControlSample:
-    """Bounds of a sample of a joint."""
-    pressure1, pressure2 = map(jnp.asarray, pressures)
-    angle_bound = jnp.asarray(angle)
-    return ControlSample(
-        Setpoint(angle_bound, jnp.asarray(stiffness)), Measurement(angle_bound, (pressure1, pressure2))
-    )
+def _robot_bounds(plant: RobotPlant, limits: Limits, side: int, pressures: tuple[Array, ...]) -> ControlSample:
+    """Lowest (side 0) or highest sample of a robot."""
+    given = (limits.lowest_angle, limits.highest_angle)[side]
+    ends = [joint.upper + _BEYOND if side else joint.lower - _BEYOND for joint in plant.robot.joints]
+    angles = tuple(jnp.asarray(end if given is None else given) for end in ends)
+    stiffest = FINITE if limits.highest_stiffness is None else limits.highest_stiffness
+    stiffness = (jnp.asarray(stiffest if side else 0.0),) * len(angles)
+    force = jnp.asarray(FINITE if side else -FINITE)
+    return ControlSample({"angles": angles, "stiffness": stiffness}, RobotMeasurement(angles, pressures, force))
 
 
 def _vented(scenario: Scenario) -> float:

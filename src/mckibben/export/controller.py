@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
 from mckibben.containment.functions import ControllerFunctions, functions_of
-from mckibben.containment.limits import Limits, joint_containment
+from mckibben.containment.limits import Limits, containment_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
 from mckibben.joint import AntagonisticJoint
@@ -29,8 +29,9 @@ from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import Plant
+from mckibben.robot import RobotScenario, TimedReference, TrackingControl
 from mckibben.scenario import Scenario
-from mckibben.simulation.problem import sampled
+from mckibben.simulation.problem import sampled, sampling_times
 from mckibben.units import SYMBOLS
 
 _MOST_PERIODS = 10_000  # of a recording
@@ -66,17 +67,43 @@ class ControllerModule(NamedTuple):
     left_out: tuple[str, ...]
 
 
-def controller_functions(scenario: Scenario, limits: Limits | None = None) -> ControllerFunctions:
-    """Contained steps of a scenario's controller; all its real numbers, and the limits, are parameters."""
+def controller_functions(scenario: Scenario | RobotScenario, limits: Limits | None = None) -> ControllerFunctions:
+    """Contained steps of a scenario's controller; all its real numbers, and the limits, are parameters.
+
+    Setpoints of a robot are ``angles`` and ``stiffness`` of all joints. Raises `ExportError` for a robot without a
+    controller.
+    """
+    plant, controller, initial = _parts(scenario)
+    bounds, period = containment_of(scenario, limits or Limits()), scenario.control_period
+    zero = jnp.zeros(())
+    if isinstance(scenario, Scenario):
+        return functions_of(plant, controller, initial, period, Setpoint(zero, zero), bounds)
+
+    def stepped(controller: TrackingControl, state: PyTree, setpoint: PyTree, *sample: PyTree) -> PyTree:
+        return controller.step_toward(state, tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"])), *sample)
+
+    setpoint = dict.fromkeys(("angles", "stiffness"), (zero,) * len(scenario.robot.joints))
+    controller = dataclasses.replace(controller, reference=TimedReference(()))  # setpoints are arguments
+    return functions_of(plant, controller, initial, period, setpoint, bounds, stepped)
+
+
+def _parts(scenario: Scenario | RobotScenario) -> tuple[PyTree, PyTree, PyTree]:
+    """Plant, controller, and state of the plant at the start."""
+    if scenario.duration is None:
+        remedy = "give it `controller` or `controllers`, `reference` and `duration`"
+        raise ExportError("the robot has no controller", field="controller", remedy=remedy)
     period = scenario.control_period
-    plant, controller = scenario.plant().with_period(period), scenario.control().with_period(period)
-    bounds = joint_containment(scenario, limits or Limits())
-    plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
-    setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
-    return functions_of(plant, controller, plant.complete_state(initial), period, setpoint, bounds)
+    plant: PyTree = scenario.plant().with_period(period)
+    controller = scenario.control().with_period(period)
+    if isinstance(scenario, Scenario):
+        plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
+        return plant, controller, plant.complete_state(initial)
+    return numeric((plant, controller, plant.begin(scenario.initial())))
 
 
-def controller_module(scenario: Scenario, name: str = "controller", limits: Limits | None = None) -> ControllerModule:
+def controller_module(
+    scenario: Scenario | RobotScenario, name: str = "controller", limits: Limits | None = None
+) -> ControllerModule:
     """Source module of a scenario's controller: first step, subsequent steps, and the laws and limits of its model.
 
     All its real numbers are adjustable parameters; numbers of hidden neurons, seeds and other integers are fixed.
@@ -84,15 +111,26 @@ def controller_module(scenario: Scenario, name: str = "controller", limits: Limi
     """
     source = controller_functions(scenario, limits)
     module, left_out = controller_program(source, name)
-    _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
-    setpoints = jax.tree.map(lambda x: x[:_MOST_PERIODS], setpoints)
-    made = recorded(source, module, source.of(source.parameters), setpoints, scenario.needed_substeps(), _setpoint_of)
-    return made._replace(left_out=left_out)
+    if isinstance(scenario, Scenario):
+        _, rows = sampled(scenario.reference(), scenario.duration, source.period)
+        controller, substeps, wanted = source.of(source.parameters), scenario.needed_substeps(), _setpoint_of
+    else:
+        assert scenario.duration is not None  # else `controller_functions` raises
+        rows, controller, wanted = sampling_times(scenario.duration, source.period), _parts(scenario)[1], _setpoints_of
+        substeps = scenario.substeps or source.plant.needed_substeps(source.initial.posture.angles, None, source.period)
+    rows = jax.tree.map(lambda x: x[:_MOST_PERIODS], rows)
+    return recorded(source, module, controller, rows, substeps, wanted)._replace(left_out=left_out)
 
 
 def _setpoint_of(controller: PyTree, state: PyTree, setpoint: Setpoint, *_: object) -> Setpoint:
     """Setpoint of a joint, which is the row itself."""
     return setpoint
+
+
+def _setpoints_of(controller: TrackingControl, state: PyTree, *sample: PyTree) -> tuple[ArrayLike, ...]:
+    """Angles and stiffness of all joints of a robot at a time [s]."""
+    angles, stiffness = zip(*controller.reference.step(state.reference, *sample)[1], strict=True)
+    return *angles, *stiffness
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:

@@ -11,21 +11,23 @@ from pathlib import Path
 import mckibben
 from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js
-from mckibben.config.model import DocumentModel
+from mckibben.codegen.source_module import element_names
 from mckibben.containment.limits import Limits
 from mckibben.export.controller import ControllerModule, controller_functions, controller_module, controller_program
+from mckibben.export.evaluation import find_function
 from mckibben.export.targets import Exported, filled
+from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
 
 _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 
 
 def c_files(
-    scenario: Scenario, name: str, folder: Path, *, single: bool = False, limits: Limits | None = None
+    scenario: Scenario | RobotScenario, name: str, folder: Path, *, single: bool = False, limits: Limits | None = None
 ) -> Exported:
     """The controller of a scenario as C99, with a program that checks it.
 
-    Raises `ExportError` for an operation that C cannot express.
+    Raises `ExportError` for an operation that C cannot express, and for a robot without a controller.
 
     Parameters
     ----------
@@ -38,20 +40,14 @@ def c_files(
     limits
         Limits of its samples.
     """
-    return described_files(controller_module(scenario, name, limits), scenario, "scenario", name, folder, single=single)
-
-
-def described_files(
-    made: ControllerModule, scenario: DocumentModel, noun: str, name: str, folder: Path, *, single: bool
-) -> Exported:
-    """A controller as C99 with its scenario, which the comment of the sources calls by a noun."""
-    text, title = scenario.dumps(folder=folder), str(getattr(scenario, "name", ""))
+    made, text = controller_module(scenario, name, limits), scenario.dumps(folder=folder)
     comment = (
-        f"Controller of the {noun} {title!r}, written by mckibben {mckibben.__version__}.\n"
+        f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    period = scenario.control_period  # type: ignore[attr-defined]
-    files = program_files(made, name, f'the {noun} "{title}"', comment, period, single=single)
+    files = program_files(
+        made, name, f'the scenario "{scenario.name}"', comment, scenario.control_period, single=single
+    )
     return Exported({**files, "scenario.yaml": text}, made.left_out, made.module.worst_case("step"))
 
 
@@ -94,19 +90,24 @@ def program_files(
     }
 
 
-def js_files(scenario: Scenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:
+def js_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:
     """The controller of a scenario as a script for pages and Node.
 
     Raises `ExportError` for operations that need 64-bit integers, such as random numbers.
     """
     module, left_out = controller_program(controller_functions(scenario, limits), name)
     period = scenario.control_period
+    step = find_function(module.functions, "step")
+
+    def members(argument: str) -> str:
+        return ", ".join(name.partition(".")[2] for name in element_names(argument, step.arguments[argument]))
+
     comment = (
         f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
         f"  const self = {name}.defaults();\n"
         f"  {name}.init(self, {period!r}, measurement); // once: period [s], first measurement\n"
         f"  const {{commands, telemetry}} = {name}.step(self, setpoint, measurement); // in each period\n"
-        "measurement: {angle, pressures_0, pressures_1}, setpoint: {angle, stiffness}; rad, Pa (gauge), N*m/rad.\n"
+        f"measurement: {{{members('measurement')}}}, setpoint: {{{members('setpoint')}}}; rad, Pa (gauge), N*m/rad.\n"
         f"After changing self.parameters call {name}.prepare(self)."
     )
     files: dict[str, str | bytes] = {f"{name}.js": write_js(module, comment)}

@@ -1,271 +1,290 @@
-"""MuJoCo models of joints: MJCF with tendons, and an engine plugin or callbacks for the forces of their muscles."""
+"""MuJoCo models of joints and robots: MJCF with tendons, and an engine plugin or callbacks for their muscles' forces.
+
+x is forwards, y to the left, and z up; the joint of a scenario turns in the plane of x and z.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, SupportsFloat
-from xml.sax.saxutils import quoteattr
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, ArrayLike, PyTree
+from jaxtyping import ArrayLike, PyTree
 
 from mckibben.actuator import Actuator
-from mckibben.actuator.base import state_of_muscle
-from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
-from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
+from mckibben.export.compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
+from mckibben.export.drives import Drive, Transmission, muscle_drive, muscle_functions, path_transmission, transmissions
+from mckibben.export.muscle_plugin import MuscleFunctions, MuscleModel, plugin_files
 from mckibben.export.targets import Exported, filled
-from mckibben.joint import (
-    Geometry,
-    KneeGeometry,
-    Load,
-    PairedPaths,
-    Pulley,
-    Tendon,
-    TwoBonePath,
-)
-from mckibben.muscle import Muscle
-from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, Plant, PlantState
+from mckibben.joint import Load
+from mckibben.numerics.spatial import Vector, X, Z
+from mckibben.plant import JointPlant
+from mckibben.robot import Body, Joint, MusclePair, PathMuscle, RobotPlant, RobotScenario
+from mckibben.robot.dynamics import SLIDES, TURNS, Posture, Velocity
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
+_LIGHT = 1e-12  # mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass
 COMMAND_DELAY = "delay of the commands"
 """Entry of the omitted parts for a plant with such a delay."""
 
-Place = tuple[SupportsFloat, SupportsFloat]
-"""Point in the plane of a joint [m]."""
+UnitOf = Callable[[PyTree], PyTree]
+"""Selection of a muscle or a pair from a plant."""
+Attributes = dict[str, str]
+"""Attributes of an element of MJCF."""
 
 
-class Transmission(NamedTuple):
-    """Transmission of a muscle; without a tendon it drives the joint: its length is the angle, its force a torque.
-
-    Attributes
-    ----------
-    tendon
-        In MJCF, of a joint alone.
-    offset
-        Path length in excess of the tendon [m].
-    points
-        Points connected by the tendon, on the fixed and on the moving body [m].
-    coefficient
-        Length per angle [m/rad], in place of points.
-    """
-
-    tendon: str = ""  # in MJCF, of a joint alone
-    offset: float = 0.0  # path length in excess of the tendon [m]
-    points: tuple[tuple[float, float], ...] = ()  # connected by the tendon: on the fixed body, on the moving one [m]
-    coefficient: float = 0.0  # of the angle, in place of points [m/rad]
-
-
-def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
-    """Transmissions of both muscles of a geometry."""
-    if isinstance(geometry, KneeGeometry):
-        height, radius = geometry.joint_length, geometry.joint_radius
-        first, second = (
-            _two_sites(i, (side * radius, height), (side * radius, 0.0), geometry.connector_length)
-            for i, side in ((1, -1), (2, 1))
-        )
-        return first, second
-    if isinstance(geometry, PairedPaths):
-        return path_transmission(1, geometry.path1, 1), path_transmission(2, geometry.path2, -1)
-    return Transmission(), Transmission()
-
-
-def path_transmission(number: int, path: object, side: int) -> Transmission:
-    """Transmission of muscle `number` over a path; `side` is the sign of its moment arm."""
-    if isinstance(path, TwoBonePath):
-        ends = (path.proximal_x, path.proximal_y), (path.distal_x, path.distal_y)
-        return _two_sites(number, *ends, path.connector_length)
-    if isinstance(path, Pulley):
-        coefficient = float(side * path.radius)
-        tendon = f'<fixed name="muscle{number}"><joint joint="joint" coef="{coefficient!r}"/></fixed>'
-        return Transmission(tendon, float(path.rest_length), coefficient=coefficient)
-    return Transmission()
-
-
-def _two_sites(number: int, fixed: Place, moving: Place, connector: SupportsFloat) -> Transmission:
-    """Transmission of a straight tendon between two points, with a connector [m] that is no part of the muscle."""
-    ends = f'<site site="fixed{number}"/><site site="moving{number}"/>'
-    tendon = f'<spatial name="muscle{number}" width="0.008" rgba="0.8 0.2 0.15 1">{ends}</spatial>'
-    points = tuple((float(x), float(y)) for x, y in (fixed, moving))
-    return Transmission(tendon, -float(connector), points)
-
-
-class Drive(NamedTuple):
-    """A muscle in MJCF: its tendon or the joint that it drives, and its selection from a plant."""
-
-    name: str
-    tendon: str  # in MJCF; empty if it drives the joint
-    joint: str
-    index: int  # among the muscles of the plant
-    muscle: Callable[[PyTree], tuple[Muscle, Tendon]]  # of a plant
-    path: Callable[[PyTree, Array], Array]  # length [m] of the path, of a plant at MuJoCo's length
-
-    @property
-    def target(self) -> str:
-        """Attribute of an actuator for what it drives."""
-        return f"tendon={quoteattr(self.name)}" if self.tendon else f"joint={quoteattr(self.joint)}"
-
-
-class MuscleModel(NamedTuple):
-    """MJCF, the module of the forces of its muscles, their kinds and names, and the omitted parts."""
-
-    xml: str
-    module: SourceModule
-    muscles: tuple[PluginMuscle, ...]
-    names: tuple[str, ...]
-    left_out: tuple[str, ...]
-
-
-class Scene(NamedTuple):
-    """Parts of a model in MJCF other than its actuators, and the coordinates at the start."""
-
-    text: str
-    gravity: float  # m/s^2
-    sensors: str
-    position: Sequence[ArrayLike]
-    velocity: Sequence[ArrayLike]
-
-
-def muscle_functions(
-    plant: Plant, name: str, drives: Sequence[Drive], start: PyTree, *, filters: bool = True
-) -> tuple[SourceModule, list[MuscleFunctions]]:
-    """The functions of all muscles of a plant in a module.
-
-    Parameters
-    ----------
-    drives
-        Muscles, by what they drive.
-    start
-        State of the plant at the start.
-    filters
-        Whether MuJoCo's own filter models first-order valves.
-    """
-    numbers, fixed = eqx.partition(numeric(plant), eqx.is_inexact_array_like)
-    module, functions = SourceModule(name, {"plant": numbers}, "plant."), []
-    for number, drive in enumerate(drives, 1):
-        state = start.muscles[drive.index], start.pressures[drive.index], state_of_muscle(start.air, drive.index)
-        filtered = filters and is_filter(plant.valve.for_muscle(drive.index))  # type: ignore[attr-defined]
-        functions.append(MuscleFunctions(fixed, number, drive.muscle, drive.path, state, filtered))
-        functions[-1].add_to(module)
-    return module, functions
-
-
-def muscle_model(
-    plant: PyTree,
-    name: str,
-    timestep: float,
-    drives: Sequence[Drive],
-    scene: Scene,
-    start: PyTree,
-    left_out: Sequence[str],
-    *,
-    plugin: bool,
-) -> MuscleModel:
-    """MJCF of a scene with the muscles of a plant as actuators, and their functions.
-
-    Parameters
-    ----------
-    timestep
-        Time step of MuJoCo [s].
-    drives, scene
-        Muscles, and everything else of the model.
-    start
-        State at the start.
-    left_out
-        Parts that are omitted so far; sensors, disturbances and the delay of the commands are added.
-    plugin
-        Whether the actuators are those of the plugin; otherwise callbacks set their forces.
-    """
-    left_out = [*left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
-    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
-    plant = dataclasses.replace(plant, command_delay=None)
-    module, functions = muscle_functions(plant, name, drives, start, filters=plugin)
-    xml = mjcf(plant, name, timestep, drives, functions, scene, plugin=plugin)
-    kinds = tuple(function.summary for function in functions)
-    return MuscleModel(xml, module, kinds, tuple(drive.name for drive in drives), tuple(left_out))
-
-
-def mjcf(
-    plant: PyTree,
-    name: str,
-    timestep: float,
-    drives: Sequence[Drive],
-    functions: Sequence[MuscleFunctions],
-    scene: Scene,
+def mujoco_model(
+    plant: JointPlant | RobotPlant,
+    name: str = "model",
+    timestep: float = 2.5e-4,
+    start: PyTree = None,
     *,
     plugin: bool = True,
-) -> str:
-    """MJCF of a scene with the tendons of its muscles and, if there are `functions`, their actuators."""
-    moved = list(zip(drives, functions, strict=True)) if functions else []
-    write = _plugin_actuators if plugin else _callback_actuators
-    actuators, activations = write(plant, name, moved)
-    commands = [0.0 if plant.valve.direct else function.pressure for _, function in moved]
-    commands += [0.0] * (len(actuators) - len(commands))
-    start = {"qpos": scene.position, "qvel": scene.velocity, "act": activations, "ctrl": commands}
-    keys = " ".join(f'{key}="{numbers_text(numbers)}"' for key, numbers in start.items() if len(numbers))
-    separator = "\n    "
-    return filled(
-        "model.xml",
-        {
-            "name": name,
-            "extension": f'<plugin plugin="mckibben.{name}"/>' if moved and plugin else "",
-            "timestep": repr(timestep),
-            "gravity": repr(-scene.gravity),
-            "scene": scene.text,
-            "tendons": separator.join(drive.tendon for drive in drives if drive.tendon),
-            "actuators": separator.join(actuators),
-            "sensors": scene.sensors,
-            "start": f'<key name="start" {keys}/>',
-        },
-    )
+) -> MuscleModel:
+    """MJCF of a joint or a robot with its valves and muscles, and the functions of the muscles.
+
+    Raises `ExportError`, which lists all parts that MuJoCo cannot represent: valves that switch between steps, a supply
+    that drops, loads with a torque other than gravity, and muscles over joints in ways that no tendon has.
+
+    Parameters
+    ----------
+    name
+        Name of the model and of the plugin, an identifier of C.
+    timestep
+        Time step [s], of the classical Runge-Kutta method.
+    start
+        State of the keyframe "start". Default: all angles as close to 0 as possible, without pressure, a foot on the
+        ground.
+    plugin
+        Whether the actuators are those of the plugin; otherwise, callbacks set their forces, as in MuJoCo Warp.
+    """
+    made = assembled(plant, start)
+    left_out = [*made.left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
+    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
+    plant = dataclasses.replace(plant, command_delay=None)
+    module, functions = muscle_functions(plant, name, made.drives, made.start, filters=plugin)
+    xml = made.mjcf(name, timestep, functions, plugin=plugin)
+    kinds, names = (function.summary for function in functions), (drive.name for drive in made.drives)
+    return MuscleModel(xml, module, tuple(kinds), tuple(names), tuple(left_out))
+
+
+def assembled(plant: JointPlant | RobotPlant, start: PyTree = None) -> Assembly:
+    """Bodies, tendons and contacts of a plant, whose muscles are not yet actuators; parameters as of `mujoco_model`."""
+    return _joint(plant, start) if isinstance(plant, JointPlant) else _robot(plant, start)
+
+
+@dataclass
+class _Body:
+    """Body of a joint, or the base, with the places of its sites, and the bodies on it."""
+
+    attributes: Attributes
+    inertial: Attributes
+    joints: list[Attributes] = field(default_factory=list)
+    shapes: list[Attributes] = field(default_factory=list)
+    sites: dict[str, Vector] = field(default_factory=dict)
+    below: list[_Body] = field(default_factory=list)
+
+    def bone(self, end: Vector) -> None:
+        """Draw a bone from the hinge to a point."""
+        if any(end):
+            self.shapes.append({"class": "bone", "fromto": f"0 0 0 {numbers_text(end)}"})
+
+
+class _Tendon(NamedTuple):
+    """A tendon: its element, attributes, and the elements in it."""
+
+    tag: str
+    attributes: Attributes
+    parts: Sequence[tuple[str, Attributes]]
+
+
+class Assembly:
+    """Bodies of a plant with the sites of its muscles, the muscles that MuJoCo can move, and the omitted parts.
+
+    Parameters
+    ----------
+    plant, start
+        The plant and its state at the start.
+    bodies, joints, parents
+        The base and the body on each joint; the joints, and the number of the body that carries each.
+    """
+
+    def __init__(
+        self, plant: PyTree, start: PyTree, bodies: list[_Body], joints: Sequence[Joint], parents: Sequence[int]
+    ) -> None:
+        check_valve(plant.valve)
+        self.plant, self.start = plant, start
+        self.bodies, self.joints, self.parents = bodies, joints, parents
+        self.drives: list[Drive] = []
+        self.left_out: list[str] = []
+        self.gravity = _GRAVITY
+        self.position: list[ArrayLike] = []
+        self.velocity: list[ArrayLike] = []
+        self.contacts: list[Attributes] = []
+        self.floor: Attributes = {}
+        self._tendons: list[_Tendon] = []
+        for joint, parent, body in zip(joints, parents, bodies[1:], strict=True):
+            bodies[parent].below.append(body)
+            bodies[parent].bone(joint.place.vector)
+
+    def add_pair(self, unit_of: UnitOf, names: Sequence[str], number: int, first: int) -> None:
+        """Add the muscles of a pair over a joint.
+
+        Parameters
+        ----------
+        unit_of
+            Selection of the pair, or of an `AntagonisticJoint`, from a plant.
+        names
+            Names of its muscles.
+        number, first
+            Number of the joint, and of muscle 1 among all.
+        """
+        joint = self.joints[number]
+        for place, (name, moved) in enumerate(zip(names, transmissions(unit_of(self.plant).geometry), strict=True)):
+            if joint.locked is not None and not moved.points:
+                self.left_out.append(f"muscle {name}: its joint is locked, and it has no tendon between points")
+                continue
+            if moved.points:
+                self._spatial(name, [self._across(name, number, moved)])
+            elif moved.coefficient:
+                self._fixed(name, [moved], [joint])
+            else:
+                self.left_out.append(f"tendon of {name}: path not supported by MuJoCo; its torque acts on the joint")
+            driven = "" if moved.has_tendon else joint.name
+            self.drives.append(muscle_drive(name, first + place, unit_of, place, moved.offset, driven))
+
+    def add_path(self, unit_of: UnitOf, muscle: PathMuscle, first: int) -> None:
+        """Add a muscle over joints and through points; parameters as of `add_pair`."""
+        names = [joint.name for joint in self.joints]
+        numbers, name = [names.index(part.joint) for part in muscle.over], muscle.name
+        moved = [path_transmission(part.path, part.side) for part in muscle.over]
+        offset = sum(transmission.offset for transmission in moved) - float(muscle.connector_length)
+        if all(transmission.points for transmission in moved):
+            pairs = enumerate(zip(numbers, moved, strict=True), 1)
+            parts = [self._across(f"{name} {part}", *pair) for part, pair in pairs]
+            through = [
+                self._site(self.plant.robot.frame_names.index(point.body), f"{name} point {number}", point.place.vector)
+                for number, point in enumerate(muscle.through, 1)
+            ]
+            self._spatial(name, [*parts, *([through] if through else [])])
+        elif all(transmission.coefficient for transmission in moved) and not muscle.through:
+            offset += self._fixed(name, moved, [self.joints[number] for number in numbers])
+        else:
+            raise _cannot(
+                "over", f"the paths of {name}", "give it points, or a TwoBonePath or a Pulley over each joint"
+            )
+        self.drives.append(muscle_drive(name, first, unit_of, 0, offset))
+
+    def _spatial(self, name: str, parts: Sequence[Sequence[str]]) -> None:
+        """Add a tendon of straight parts between sites; its length is their sum."""
+        elements: list[tuple[str, Attributes]] = []
+        for part in parts:
+            elements += [("pulley", {"divisor": "1"})] * bool(elements) + [("site", {"site": site}) for site in part]
+        self._tendons.append(_Tendon("spatial", {"name": name, "class": "muscle"}, elements))
+
+    def _fixed(self, name: str, moved: Sequence[Transmission], joints: Sequence[Joint]) -> float:
+        """Add a tendon over pulleys; return its length [m] at locked joints."""
+        pairs = list(zip(moved, joints, strict=True))
+        parts = [
+            ("joint", {"joint": joint.name, "coef": repr(transmission.coefficient)})
+            for transmission, joint in pairs
+            if joint.locked is None
+        ]
+        self._tendons.append(_Tendon("fixed", {"name": name}, parts))
+        return sum(one.coefficient * float(joint.locked) for one, joint in pairs if joint.locked is not None)
+
+    def _across(self, path: str, number: int, moved: Transmission) -> list[str]:
+        """Add the sites of a straight path over a joint to its bodies; return their names."""
+        joint = self.joints[number]
+        fixed, moving = anchors(joint, moved)
+        first = self._site(self.parents[number], f"{path} fixed", fixed + joint.place.vector)
+        return [first, self._site(number + 1, f"{path} moving", moving)]
+
+    def _site(self, body: int, name: str, place: Vector) -> str:
+        self.bodies[body].sites[name] = place
+        return name
+
+    def mjcf(
+        self, name: str, timestep: float, functions: Sequence[MuscleFunctions] = (), *, plugin: bool = True
+    ) -> str:
+        """MJCF with the tendons of the muscles and, if there are `functions`, their actuators."""
+        muscles = list(zip(self.drives, functions, strict=True)) if functions else []
+        plugin = plugin and bool(muscles)
+        actuators, activations = (self._plugin if plugin else self._callbacks)(muscles)
+        commands = [0.0 if self.plant.valve.direct else function.pressure for _, function in muscles]
+        commands += [0.0] * (len(actuators) - len(commands))
+        start = {"qpos": self.position, "qvel": self.velocity, "act": activations, "ctrl": commands}
+        return filled(
+            "model.xml",
+            {
+                "name": name,
+                "plugin": plugin,
+                "timestep": repr(timestep),
+                "gravity": repr(-self.gravity),
+                "friction_ratio": repr(FRICTION_RATIO),
+                "base": self.bodies[0],
+                "floor": self.floor,
+                "contacts": self.contacts,
+                "tendons": self._tendons,
+                "actuators": actuators,
+                "sensed": [joint.name for joint in self.joints if joint.locked is None],
+                "start": {key: numbers_text(numbers) for key, numbers in start.items() if len(numbers)},
+                "text": numbers_text,
+            },
+        )
+
+    def _plugin(self, muscles: Driven) -> tuple[list[Attributes], list[float]]:
+        """Actuators of the plugin, and their activations at the start."""
+        actuators = [
+            self._actuated(drive)
+            | function.summary.dynamics(self.plant.valve.for_muscle(drive.index))
+            | self._limits(drive)
+            for drive, function in muscles
+        ]
+        return actuators, [number for _, function in muscles for number in function.activations]
+
+    def _callbacks(self, muscles: Driven) -> tuple[list[Attributes], list[float]]:
+        """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
+        # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
+        integrates = {"dyntype": "integrator"}
+        actuators = [
+            self._actuated(drive)
+            | (integrates if len(function.activations) else {})
+            | {"gaintype": "user", "biastype": "user"}
+            | self._limits(drive)
+            for drive, function in muscles
+        ]
+        actuators += [
+            self._actuated(drive) | {"name": f"{drive.name}_state{place}"} | integrates | {"gainprm": "0"}
+            for drive, function in muscles
+            for place in range(1, len(function.activations))
+        ]
+        first = [function.activations[:1] for _, function in muscles]
+        rest = [function.activations[1:] for _, function in muscles]
+        return actuators, [number for activations in (*first, *rest) for number in activations]
+
+    @staticmethod
+    def _actuated(drive: Drive) -> Attributes:
+        return {"name": drive.name} | ({"joint": drive.joint} if drive.joint else {"tendon": drive.name})
+
+    def _limits(self, drive: Drive) -> Attributes:
+        """Range of commands, gauge pressures [Pa] or openings; a return spring has no limits."""
+        muscle, _ = drive.muscle(self.plant)
+        valve = self.plant.valve.for_muscle(drive.index)
+        low, high = (float(np.asarray(limit)) for limit in valve.command_range(muscle.specimen.domain))
+        if low < high:
+            return {"ctrllimited": "true", "ctrlrange": numbers_text((low, high))}
+        return {"ctrllimited": "false"}
 
 
 Driven = Sequence[tuple[Drive, MuscleFunctions]]
 """Muscles with their functions."""
-
-
-def _plugin_actuators(plant: PyTree, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
-    """Actuators of the plugin, and their activations at the start."""
-    actuators = [
-        f'<plugin name={quoteattr(drive.name)} {drive.target} plugin="mckibben.{name}" '
-        f"{function.summary.dynamics(plant.valve.for_muscle(drive.index))} {_limits(plant, drive)}>"
-        f'<config key="muscle" value="{number}"/></plugin>'
-        for number, (drive, function) in enumerate(muscles, 1)
-    ]
-    return actuators, [number for _, function in muscles for number in function.activations]
-
-
-def _callback_actuators(plant: PyTree, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
-    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
-    # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
-    actuators = [
-        f"<general name={quoteattr(drive.name)} {drive.target} "
-        + 'dyntype="integrator" ' * (len(function.activations) > 0)
-        + f'gaintype="user" biastype="user" {_limits(plant, drive)}/>'
-        for drive, function in muscles
-    ]
-    actuators += [
-        f'<general name={quoteattr(f"{drive.name}_state{place}")} {drive.target} dyntype="integrator" gainprm="0"/>'
-        for drive, function in muscles
-        for place in range(1, len(function.activations))
-    ]
-    first = [function.activations[:1] for _, function in muscles]
-    rest = [function.activations[1:] for _, function in muscles]
-    return actuators, [number for activations in (*first, *rest) for number in activations]
-
-
-def _limits(plant: PyTree, drive: Drive) -> str:
-    """Attributes for the range of commands, gauge pressures [Pa] or openings; a return spring has no limits."""
-    muscle, _ = drive.muscle(plant)
-    valve = plant.valve.for_muscle(drive.index)
-    low, high = (float(np.asarray(limit)) for limit in valve.command_range(muscle.specimen.domain))
-    return f'ctrllimited="true" ctrlrange="{numbers_text((low, high))}"' if low < high else 'ctrllimited="false"'
 
 
 def numbers_text(numbers: Iterable[ArrayLike | SupportsFloat]) -> str:
@@ -279,94 +298,149 @@ def numbers_text(numbers: Iterable[ArrayLike | SupportsFloat]) -> str:
     return " ".join(repr(float(np.asarray(number)) + 0.0) for number in numbers)
 
 
-def beyond(offset: float) -> Callable[[PyTree, Array], Array]:
-    """Length of a path that exceeds its tendon by an offset [m]."""
-    return lambda plant, length: length + offset
+def anchors(joint: Joint, moved: Transmission) -> tuple[Vector, Vector]:
+    """Points [m] of a path in the plane across a joint, from its hinge, in the axes of its parent and of its body."""
+    axis = joint.direction
+    across = Z.cross(axis) if axis.x or axis.y else X  # to where a hanging body swings
+    across = across.scaled(1 / math.sqrt(across.dot(across)))
+    up = axis.cross(across)
+    (x, z), (along, beyond) = moved.points
+    sine, cosine = math.sin(float(joint.offset)), math.cos(float(joint.offset))
+    moving = along * cosine + beyond * sine, beyond * cosine - along * sine
+    return across.scaled(x) + up.scaled(z), across.scaled(moving[0]) + up.scaled(moving[1])
 
 
-def joint_drives(geometry: Geometry, moved: Sequence[Transmission] | None = None) -> list[Drive]:
-    """Both muscles of a joint; `moved` are their transmissions (default: those of MuJoCo)."""
-
-    def muscle(index: int) -> Callable[[JointPlant], tuple[Muscle, Tendon]]:
-        return lambda plant: ((plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon)
-
-    def path(index: int) -> Callable[[JointPlant, Array], Array]:
-        return lambda plant, angle: plant.joint.geometry.path_lengths(angle)[index]
-
-    return [
-        Drive(
-            name=f"muscle{index + 1}",
-            tendon=transmission.tendon,
-            joint="joint",
-            index=index,
-            muscle=muscle(index),
-            path=beyond(transmission.offset) if transmission.tendon else path(index),
-        )
-        for index, transmission in enumerate(moved or transmissions(geometry))
-    ]
+def _hung(name: str, inertial: Attributes, joint: Joint, limit: Compliance | None) -> _Body:
+    """A body on its hinge, which is none if locked; `limit` is the compliance of its stops."""
+    rest = float(joint.offset) + float(joint.locked or 0.0)
+    axis = numbers_text(joint.direction)
+    placed = {"name": name, "pos": numbers_text(joint.place.vector), "axisangle": f"{axis} {rest!r}"}
+    axle = joint.direction.scaled(0.016)
+    body = _Body(placed, inertial, shapes=[{"class": "axle", "fromto": numbers_text((*-axle, *axle))}])
+    if joint.locked is None:
+        hinge = {"name": joint.name, "type": "hinge", "axis": axis, "damping": repr(float(joint.damping))}
+        hinge["armature"] = repr(float(joint.rotor_inertia or 0.0))
+        if joint.friction is not None:
+            hinge["frictionloss"] = repr(float(joint.friction.torque))
+        if limit is not None:
+            hinge |= {"range": numbers_text((joint.lower, joint.upper))}
+            hinge |= {"solreflimit": limit.reference, "solimplimit": limit.impedance}
+        body.joints.append(hinge)
+    return body
 
 
-def joint_model(
-    plant: JointPlant,
-    name: str = "joint",
-    timestep: float = 2.5e-4,
-    start: PlantState | None = None,
-    *,
-    plugin: bool = True,
-) -> MuscleModel:
-    """MJCF of a joint with its load, valves and muscles, and the functions of the muscles.
+def _inertial(mass: float, centre: Iterable[ArrayLike], *moments: float) -> Attributes:
+    """Mass [kg], its centre [m], and moments of inertia [kg*m^2]: three, or six with the products xy, xz and yz."""
+    kind = "diaginertia" if len(moments) == 3 else "fullinertia"
+    return {"pos": numbers_text(centre), "mass": repr(mass), kind: numbers_text(moments)}
 
-    Raises `ExportError`, which lists all parts that MuJoCo cannot represent: valves that switch between steps, a supply
-    that drops, and loads with a torque other than gravity.
 
-    Parameters
-    ----------
-    name
-        Name of the model and of the plugin, an identifier of C.
-    timestep
-        Time step [s], of the classical Runge-Kutta method.
-    start
-        State of the keyframe "start". Default: at 0 rad without pressure.
-    plugin
-        Whether the actuators are those of the plugin; otherwise, callbacks set their forces, as in MuJoCo Warp.
-    """
+def _inertial_of(body: Body | None) -> Attributes:
+    if body is None:
+        return _inertial(_LIGHT, (0, 0, 0), _LIGHT, _LIGHT, _LIGHT)
+    xx, xy, xz, yy, yz, zz = map(float, body.tensor)
+    principal, products = (max(moment, _LIGHT) for moment in (xx, yy, zz)), (xy, xz, yz)
+    return _inertial(
+        max(float(body.mass), _LIGHT), body.centre.vector, *principal, *(products if any(products) else ())
+    )
+
+
+def _joint(plant: JointPlant, start: PyTree) -> Assembly:
+    """The joint of a scenario: its base is turned so that gravity points to the hanging angle."""
     check_parts(plant)
+    point, tilt = mass_point(plant.load), -float(plant.load.hanging_angle)
+    damping, axis = float(plant.load.damping), (0.0, -1.0, 0.0)
+    hinge = Joint("joint", axis, -math.pi, math.pi, "limb", damping=damping, friction=plant.friction)
+    base = _Body({"name": "base", "axisangle": f"{numbers_text(axis)} {tilt!r}"}, _inertial_of(None))
+    inertial = _inertial(point.mass, (0, 0, -point.distance), point.inertia, point.inertia, point.inertia)
+    limb = _hung("limb", inertial, hinge, None)
+    limb.bone(Vector(0.0, 0.0, -point.distance or -0.1))
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
-    drives, point = joint_drives(plant.joint.geometry), mass_point(plant.load)
-    left_out = [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
-    left_out += [
-        f"tendon of muscle {drive.index + 1}: path not supported by MuJoCo; its torque acts on the joint"
-        for drive in drives
-        if not drive.tendon
-    ]
-    left_out += point.assumed
-    scene = _joint_scene(plant, point, start)
-    return muscle_model(plant, name, timestep, drives, scene, start, left_out, plugin=plugin)
+    made = Assembly(plant, start, [base, limb], [hinge], [0])
+    made.add_pair(lambda plant: plant.joint, ("muscle1", "muscle2"), 0, 0)
+    made.left_out += [*_presliding([hinge]), *point.assumed]
+    made.gravity, made.position, made.velocity = gravity_of(plant.load), [start.angle], [start.velocity]
+    return made
 
 
-def _joint_scene(plant: JointPlant, point: MassPoint, start: PlantState) -> Scene:
-    """The joint in a vertical plane: its x and y are turned so that gravity points to the hanging angle."""
-    sine, cosine = math.sin(float(plant.load.hanging_angle)), math.cos(float(plant.load.hanging_angle))
-    sites: dict[str, list[str]] = {"fixed": [], "moving": []}
-    for number, transmission in enumerate(transmissions(plant.joint.geometry), 1):
-        for body, (x, y) in zip(sites, transmission.points, strict=False):
-            sites[body].append(f'<site name="{body}{number}" pos="{x!r} {y!r} 0"/>')
-    friction = "" if plant.friction is None else f' frictionloss="{float(plant.friction.torque)!r}"'
-    values = {
-        "sine": repr(sine),
-        "cosine": repr(cosine),
-        "minus_sine": repr(-sine),
-        "damping": repr(float(plant.load.damping)),
-        "friction": friction,
-        "centre": repr(-point.distance),
-        "mass": repr(point.mass),
-        "inertia": repr(point.inertia),
-        "end": repr(-point.distance or -0.1),
-        **{f"{body}_sites": "\n    ".join(texts) for body, texts in sites.items()},
-    }
-    sensors = '<jointpos name="angle" joint="joint"/><jointvel name="velocity" joint="joint"/>'
-    text = filled("joint-scene.xml", values)
-    return Scene(text, gravity_of(plant.load), sensors, [start.angle], [start.velocity])
+def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
+    """Ground, bodies and muscles of a robot."""
+    robot = plant.robot
+    if start is None:
+        start = plant.init_state(robot.posture_angles({}), [0.0] * len(robot.all_muscles))
+    softness = compliance(plant, start)
+    frames = zip(robot.frame_names[1:], robot.frame_bodies[1:], robot.joints, strict=True)
+    height = float(start.posture.z) if robot.base == "fixed" else 0.0
+    base = _Body({"name": robot.frame_names[0], "pos": numbers_text((0, 0, height))}, _inertial_of(robot.bodies[0]))
+    kinds = {name: ("slide", axis) for name, axis in SLIDES.items()}
+    kinds |= {name: ("hinge", axis) for name, axis in TURNS.items()}
+    for name in robot.motions:
+        kind, axis = kinds[name]
+        base.joints.append({"name": name, "type": kind, "axis": numbers_text(axis)})
+    bodies = [base, *(_hung(name, _inertial_of(body), joint, softness.get(joint.name)) for name, body, joint in frames)]
+    made = Assembly(plant, start, bodies, robot.joints, robot.parents)
+    first = 0
+    for number, unit in enumerate(robot.muscles):
+
+        def unit_of(plant: RobotPlant, number: int = number) -> PyTree:
+            return plant.robot.muscles[number]
+
+        if isinstance(unit, MusclePair):
+            made.add_pair(unit_of, unit.names, robot.index(unit.over), first)
+        elif isinstance(unit, PathMuscle):
+            made.add_path(unit_of, unit, first)
+        else:
+            raise _cannot("muscles", f"a {type(unit).__name__}", "give it a path through points")
+        first += len(unit.names)
+    made.left_out.append(f"stops of the joints: MuJoCo's, with our restitution at {LIMIT_SPEED:g} rad/s")
+    if robot.foot is not None:
+        _add_contact(made, plant, softness)
+    made.left_out += _presliding(robot.joints)
+    top = max([0.1, *(float(place.z) for place in base.sites.values())])
+    base.bone(Vector(0.0, 0.0, top))
+    base.shapes.append({"class": "trunk", "pos": numbers_text((0, 0, top + 0.03))})
+    made.gravity = float(plant.gravity)
+    made.position, made.velocity = (coordinates(plant, of) for of in (start.posture, start.velocity))
+    return made
+
+
+def _add_contact(made: Assembly, plant: RobotPlant, softness: dict[str, Compliance]) -> None:
+    """Add the ground, and the sphere that touches it."""
+    foot, ground, contact = plant.robot.foot, plant.ground, softness["ground"]
+    assert foot is not None
+    body, place = made.bodies[plant.robot.frame_names.index(foot.body)], foot.place.vector
+    body.bone(place)
+    size = repr(float(foot.radius) or 1e-4)
+    body.shapes.append({"name": "foot", "class": "foot", "pos": numbers_text(place), "size": size})
+    made.floor = {"name": "floor", "type": "plane", "size": "4 4 0.1", "zaxis": numbers_text(ground.normal)}
+    made.floor["material"] = "floor"
+    friction = {"friction": f"{numbers_text([ground.friction] * 2)} 0 0 0", "solref": contact.reference}
+    friction |= {"solreffriction": softness["friction"].reference, "solimp": contact.impedance}
+    made.contacts.append({"geom2": "foot"} | friction)
+    made.left_out.append(
+        f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; "
+        "its damper acts from the first touch"
+    )
+
+
+def _presliding(joints: Sequence[Joint]) -> list[str]:
+    """Omitted part of the joints' friction."""
+    if all(joint.friction is None for joint in joints):
+        return []
+    return ["presliding of the joint's friction: MuJoCo has its own model"]
+
+
+def coordinates(plant: RobotPlant, of: Posture | Velocity) -> list[ArrayLike]:
+    """Posture or velocity of a robot, numbers or arrays of them, in the order of MuJoCo's joints."""
+    robot = plant.robot
+    moving = [of.angles[number] for number in _depth_first(robot.parents) if robot.joints[number].locked is None]
+    return [*(getattr(of, name) for name in robot.motions), *moving]
+
+
+def _depth_first(parents: Sequence[int], above: int = 0) -> list[int]:
+    """Numbers of the joints in MuJoCo's order."""
+    below = (number for number, parent in enumerate(parents) if parent == above)
+    return [place for number in below for place in (number, *_depth_first(parents, number + 1))]
 
 
 def check_parts(plant: JointPlant) -> None:
@@ -387,18 +461,18 @@ def check_parts(plant: JointPlant) -> None:
 def check_valve(valve: Actuator) -> None:
     """Raise an error for a valve that MuJoCo does not support."""
     if valve.switches:
-        raise cannot("valve", "valves that switch between steps", "give it a FlowValve")
+        raise _cannot("valve", "valves that switch between steps", "give it a FlowValve")
     if valve.reservoir is not None:
-        raise cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
+        raise _cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
 
 
-def cannot(field: str, part: str, remedy: str) -> ExportError:
+def _cannot(field: str, part: str, remedy: str) -> ExportError:
     """Error for a part that MuJoCo does not support."""
     return ExportError(f"MuJoCo does not support {part}", field=field, remedy=remedy)
 
 
 class MassPoint(NamedTuple):
-    """Mass [kg] hanging along -y at angle 0, its distance [m], its own inertia [kg*m^2], and a note on assumptions."""
+    """Mass [kg] hanging below the hinge at angle 0, its distance [m], own inertia [kg*m^2], and what is assumed."""
 
     mass: float
     distance: float
@@ -423,7 +497,7 @@ def mass_point(load: Load) -> MassPoint:
     angles = np.linspace(-1, 1, 5)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)
     if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
-        raise cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
+        raise _cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
     mass, assumed = _known_mass(load), ()
     if mass is None:
         mass = 2 * moment**2 / (inertia * gravity**2) or 1.0
@@ -444,15 +518,27 @@ def _known_mass(load: Load) -> float | None:
     return float(load.mass) if hasattr(load, "mass") else None
 
 
-def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The plant of a scenario as MJCF, and the plugin for its muscles.
-
-    Raises `ExportError`, which lists all parts that MuJoCo cannot represent.
+def plant_and_start(scenario: Scenario | RobotScenario) -> tuple[JointPlant | RobotPlant, PyTree, float]:
+    """Plant of a scenario, its state at the start of the run, or of a robot without one in the posture of its study,
+    and a time step [s].
     """
+    period = scenario.control_period
+    if isinstance(scenario, Scenario):
+        joint = scenario.plant()
+        return joint, joint.complete_state(scenario.initial(joint)), period / scenario.needed_substeps()
     plant = scenario.plant()
-    timestep = scenario.control_period / scenario.needed_substeps()
-    model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
-    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *model.left_out)
-    title = f"the joint of the scenario {scenario.name!r}"
-    files = plugin_files(model.module, model.muscles, model.xml, title, left_out)
-    return Exported(files | {"scenario.yaml": scenario.dumps(folder=folder)}, left_out)
+    if scenario.duration is not None:
+        start = plant.begin(scenario.initial())
+        return plant, start, period / (scenario.substeps or plant.needed_substeps(start.posture.angles, None, period))
+    angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
+    if scenario.landing is not None:
+        angles = scenario.landing.touchdown
+    pressures = [0.0] * len(plant.robot.all_muscles)
+    return plant, plant.init_state(plant.robot.posture_angles(angles), pressures), period
+
+
+def mjcf_files(scenario: Scenario | RobotScenario, name: str, folder: Path) -> Exported:
+    """The plant of a scenario as MJCF, and the plugin for its muscles; `ExportError` as by `mujoco_model`."""
+    plant, start, timestep = plant_and_start(scenario)
+    made = plugin_files(mujoco_model(plant, name, timestep, start), f"the plant of {scenario.name!r}")
+    return Exported({**made.contents, "scenario.yaml": scenario.dumps(folder=folder)}, made.left_out)

@@ -15,11 +15,14 @@ import mckibben
 from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
 from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
-from mckibben.export.targets import filled
+from mckibben.export.targets import Exported, filled
 from mckibben.joint import RigidTendon, Tendon
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.rig.compiled import FlatTree
+
+NO_CONTROLLER = "controller and reference: set data.ctrl yourself"
+"""Entry of the omitted parts of a model for MuJoCo."""
 
 
 class Activations(NamedTuple):
@@ -51,12 +54,24 @@ class PluginMuscle(NamedTuple):
     filtered: bool
     pressurized: bool = True
 
-    def dynamics(self, valve: PyTree) -> str:
+    def dynamics(self, valve: PyTree) -> dict[str, str]:
         """Attributes of the actuator in MJCF."""
         if not self.activations:
-            return ""
-        lag = f'dynprm="{float(valve.time_constant)!r}"' if self.filtered else ""
-        return f'actdim="{self.activations}" dyntype="{"filter" if lag else "none"}" {lag}'
+            return {}
+        size = {"actdim": str(self.activations)}
+        if self.filtered:
+            return size | {"dyntype": "filter", "dynprm": repr(float(valve.time_constant))}
+        return size | {"dyntype": "none"}
+
+
+class MuscleModel(NamedTuple):
+    """MJCF, the module of the forces of its muscles, their kinds and names, and the omitted parts."""
+
+    xml: str
+    module: SourceModule
+    muscles: tuple[PluginMuscle, ...]
+    names: tuple[str, ...]
+    left_out: tuple[str, ...]
 
 
 def is_filter(valve: PyTree) -> bool:
@@ -199,18 +214,17 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
     return filled("plugin.c", {"name": name, "muscles": muscles})
 
 
-def plugin_files(
-    module: SourceModule, muscles: Sequence[PluginMuscle], xml: str, title: str, left_out: Sequence[str]
-) -> dict[str, str]:
-    """Contents of the files of a model: MJCF, the plugin, and instructions."""
-    name = module.name
-    comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
-    sources = write_c(module, comment, single=False)
-    return {
-        f"{name}.xml": xml,
+def plugin_files(model: MuscleModel, title: str) -> Exported:
+    """MJCF of a model, the plugin, and instructions, in which it has a title."""
+    name = model.module.name
+    left_out = (NO_CONTROLLER, *model.left_out)
+    sources = write_c(model.module, f"Muscles of {title}, written by mckibben {mckibben.__version__}.")
+    contents = {
+        f"{name}.xml": model.xml,
         f"{name}.h": sources.header,
         f"{name}.c": sources.source,
-        "plugin.c": plugin_source(muscles, name),
+        "plugin.c": plugin_source(model.muscles, name),
         "Makefile": filled("plugin.mk", {"name": name}),
         "README.md": filled("mujoco.md", {"name": name, "title": title, "left_out": left_out}),
     }
+    return Exported(contents, left_out)

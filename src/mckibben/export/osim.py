@@ -19,15 +19,9 @@ from jaxtyping import PyTree
 from mckibben.actuator import IdealValve
 from mckibben.codegen.graph import FOLDED as NUMERIC
 from mckibben.errors import ExportError
+from mckibben.export.drives import Transmission, muscle_drive, muscle_functions, transmissions
 from mckibben.export.evaluation import evaluate, find_function
-from mckibben.export.mjcf import (
-    Transmission,
-    gravity_of,
-    joint_drives,
-    mass_point,
-    muscle_functions,
-    transmissions,
-)
+from mckibben.export.mjcf import gravity_of, mass_point
 from mckibben.export.targets import Exported, filled
 from mckibben.muscle.creep import NoCreep
 from mckibben.muscle.friction import NoFriction
@@ -65,14 +59,18 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
     plant_without = JointPlant(static, plant.load, IdealValve())
     moved = [path if path.points else Transmission() for path in transmissions(joint.geometry)]
     start = plant_without.init_state(0.0, (0.0, 0.0))
-    module, _ = muscle_functions(plant_without, name, joint_drives(joint.geometry, moved), start)
+    drives = [
+        muscle_drive(f"muscle{i + 1}", i, lambda plant: plant.joint, i, path.offset, "" if path.points else "joint")
+        for i, path in enumerate(moved)
+    ]
+    module, _ = muscle_functions(plant_without, name, drives, start)
     left_out = ["valves: the pressures are constant"]
     left_out += [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += ["friction and creep of the muscles"] if joint.has_friction or joint.has_creep else []
     left_out += [] if plant.friction is None else ["friction of the joint"]
     expressions, rests, drawn = [], [], []
     for number, (path, muscle, pressure) in enumerate(zip(moved, muscles, pressures, strict=True), 1):
-        rest = float(muscle.specimen.initial_length - path.offset) if path.tendon else None
+        rest = float(muscle.specimen.initial_length - path.offset) if path.points else None
         lines = _Expression()
         arguments = {"length": "q" if rest is None else f"(s+{rest!r})", "velocity": 0.0, "command": float(pressure)}
         inputs = {f"input{number}.{key}": value for key, value in arguments.items()}

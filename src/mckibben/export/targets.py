@@ -76,24 +76,20 @@ class Exported(Result):
 
 
 TARGETS = {
-    "c": ("mckibben.export.controller_files:c_files", "controller", "controller as C99, for microcontrollers"),
-    "firmware": ("mckibben.firmware:firmware_files", "controller", "controller, drivers and protocol, for a board"),
-    "js": ("mckibben.export.controller_files:js_files", "controller", "controller as JavaScript, for pages"),
-    "fmu": ("mckibben.export.fmu:plant_fmu", "plant", "joint with load and valves as an FMU (FMI 2.0)"),
-    "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller", "controller as an FMU, for co-simulation"),
-    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "muscle", "force of a muscle as an FMU"),
-    "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint", "joint and muscles for MuJoCo, with the C of a plugin"),
-    "warp": ("mckibben.export.warp:warp_files", "joint", "joint and muscles for MuJoCo Warp, in Python"),
-    "osim": ("mckibben.export.osim:osim_files", "joint", "joint and muscles for OpenSim, at constant pressures"),
+    "c": ("mckibben.export.controller_files:c_files", "controller"),
+    "firmware": ("mckibben.firmware:firmware_files", "controller"),
+    "js": ("mckibben.export.controller_files:js_files", "controller"),
+    "fmu": ("mckibben.export.fmu:plant_fmu", "plant"),
+    "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller"),
+    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "muscle"),
+    "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint"),
+    "warp": ("mckibben.export.warp:warp_files", "joint"),
+    "osim": ("mckibben.export.osim:osim_files", "joint"),
 }
-"""Function of each format, ``(scenario, name, folder) -> Exported``, the default name, and a description."""
+"""Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = {
-    "c": ("mckibben.export.robot_controller:c_files", "controller", "controller of all joints as C99"),
-    "mjcf": ("mckibben.export.robot_mjcf:mjcf_files", "robot", "bodies and muscles for MuJoCo, with the C of a plugin"),
-    "warp": ("mckibben.export.warp:robot_files", "robot", "bodies and muscles for MuJoCo Warp, in Python"),
-}
+ROBOT_TARGETS = "c", "js", "mjcf", "warp"
 """Formats of a robot."""
 
 
@@ -122,12 +118,12 @@ def export(
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """
-    targets, owner = (TARGETS, "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
+    targets, owner = (tuple(TARGETS), "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
     if target not in targets:
         message = f"{quoted(target)} is not a format of a {owner}"
         raise ParameterError(message, field="to", value=target, remedy=f"give {' or '.join(targets)}")
-    place, default, _ = targets[target]
-    name = check_name(name or default)
+    place, default = TARGETS[target]
+    name = check_name(name or (owner if default == "joint" else default))
     module, function = place.split(":")
     options = _options(hardware, target)
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)

@@ -12,51 +12,30 @@ from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
-from mckibben.export.mjcf import COMMAND_DELAY, MuscleModel, joint_model
-from mckibben.export.muscle_plugin import PluginMuscle
-from mckibben.export.robot_mjcf import plant_and_start, robot_model
+from mckibben.export.mjcf import COMMAND_DELAY, mujoco_model, plant_and_start
+from mckibben.export.muscle_plugin import NO_CONTROLLER, PluginMuscle
 from mckibben.export.targets import Exported, filled
 from mckibben.muscle import Muscle
-from mckibben.plant import JointPlant, Plant, PlantState
-from mckibben.robot import RobotPlant, RobotScenario, RobotState
+from mckibben.plant import JointPlant
+from mckibben.robot import RobotPlant, RobotScenario
 from mckibben.scenario import Scenario
 
 
-def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
+def warp_files(scenario: Scenario | RobotScenario, name: str, folder: Path) -> Exported:
     """The plant of a scenario as MJCF, and its muscles for MuJoCo Warp.
 
     Raises `ExportError` for parts that MuJoCo cannot represent.
     """
-    plant = scenario.plant()
-    timestep = scenario.control_period / scenario.needed_substeps()
-    start = plant.complete_state(scenario.initial(plant))
-    exported = warp_joint(plant, name, timestep, start, scenario.name)
-    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *exported.left_out)
-    return Exported({**exported.contents, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
-
-
-def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState, title: str = "") -> Exported:
-    """MJCF and module of a plant, which starts in a state, for time steps [s]."""
-    return _files(joint_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
-
-
-def robot_files(scenario: RobotScenario, name: str, folder: Path) -> Exported:
-    """The robot of a scenario in its touchdown or squat posture as MJCF, and its muscles for MuJoCo Warp."""
     plant, start, timestep = plant_and_start(scenario)
-    return warp_robot(plant, name, scenario.name, timestep=timestep, start=start)
+    made = warp_plant(plant, name, timestep, start, scenario.name)
+    return Exported({**made.contents, "scenario.yaml": scenario.dumps(folder=folder)}, made.left_out)
 
 
-def warp_robot(plant: RobotPlant, name: str, title: str = "", *, timestep: float, start: RobotState) -> Exported:
-    """MJCF and module of a robot, which starts in a state, for time steps [s]."""
-    exported = _files(robot_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
-    return replace(exported, left_out=("controller: set data.ctrl yourself", *exported.left_out))
-
-
-def _files(model: MuscleModel, plant: Plant, title: str) -> Exported:
-    """MJCF and module of a model, whose commands may be delayed."""
-    name, delay = model.module.name, float(plant.command_delay or 0.0)
-    left_out = tuple(part for part in model.left_out if part != COMMAND_DELAY)
-    text = warp_muscles(model.module, model.muscles, model.names, title or name, delay, left_out)
+def warp_plant(plant: JointPlant | RobotPlant, name: str, timestep: float, start: PyTree, title: str = "") -> Exported:
+    """MJCF and module of a plant, which starts in a state, for time steps [s]; its commands may be delayed."""
+    model, delay = mujoco_model(_with_strengths(plant), name, timestep, start, plugin=False), plant.command_delay
+    left_out = (NO_CONTROLLER, *(part for part in model.left_out if part != COMMAND_DELAY))
+    text = warp_muscles(model.module, model.muscles, model.names, title or name, float(delay or 0.0), left_out)
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
