@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mckibben.component.schema import replaced
 from mckibben.errors import ParameterError
 from mckibben.scenario import (
     Scenario,
@@ -184,12 +183,7 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
 
 
 KNEE = Suite.read(EXAMPLES / "comparison" / "knee.yaml")
-LEARNING = KNEE.controllers["PID and learned inverse"]
-
-
-CONTROLLERS = KNEE.controllers | {
-    "inverse learned without a model": replaced(LEARNING, {"load": None}),
-}
+CONTROLLERS = KNEE.controllers
 OTHER_NUMBERS = {"PID, ten times the budget", "PID, derivative of the measurement"}  # of the class and parts of "PID"
 OF_THE_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 
