@@ -1,11 +1,11 @@
 """A page of docs/results: the tables of a comparison as Markdown.
 
-    python benchmarks/results.py SUITE.yaml --out PAGE.md [--setup NAME] [--study DIR]
+    python benchmarks/results.py SUITE.yaml --out PAGE.md [--study DIR]
         [--runs N] [--generations N] [--starts N] [--finalists N]
 
-With --study, the folder of `mckibben compare SUITE.yaml --out DIR` (without setups), whose searches are continued: a
-finished one takes the evaluation runs only. --setup names one of a suite with several. The other options make it
-small: fewer unseen runs, shorter searches, fewer starts of the controllers that have more than one.
+With --study, the folder of `mckibben compare SUITE.yaml --out DIR`, whose searches are continued: a finished one takes
+the evaluation runs only. The other options make it small: fewer unseen runs, shorter searches, fewer starts of the
+controllers that have more than one. Of a suite with setups, the page has the tables of all runs and of each setup.
 """
 
 import argparse
@@ -15,6 +15,8 @@ from pathlib import Path
 
 from mckibben.storage.store import STUDY
 from mckibben.study.compare import Suite, compare
+from mckibben.study.compare.checks import filename
+from mckibben.study.compare.result import PooledResult
 
 
 def markdown(listing):
@@ -41,20 +43,23 @@ def main(arguments=None):
     parser.add_argument("suite", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--study", type=Path)
-    parser.add_argument("--setup")
     for name in ("runs", "generations", "starts", "finalists"):
         parser.add_argument(f"--{name}", type=int)
     options = parser.parse_args(arguments)
     suite = Suite.read(options.suite)
-    suite = suite.of_setup(options.setup) if options.setup else suite
     searches = {"generations": options.generations, "finalists": options.finalists}
     suite = smaller(suite, options.runs, options.starts, **searches)
-    resume = options.study is not None and (options.study / STUDY).exists()
-    result = compare(suite, out=options.study, resume=resume)
+    setups = {name: suite.of_setup(name) for name in suite.setups} or {"": suite}
+    results = {}
+    for name, setup in setups.items():
+        folder = options.study / filename(name) if options.study and name else options.study
+        resume = folder is not None and (folder / STUDY).exists()
+        results[name] = compare(setup, out=folder, resume=resume)
+    pages = [PooledResult(suite.name, results)] * bool(suite.setups) + [*results.values()]
     command = shlex.join(["python", "benchmarks/results.py", *(arguments or sys.argv[1:])])
-    remarks = [f"- {remark}" for remark in result.remarks()]
-    parts = [f"# {suite.name}", f"Made by\n\n```sh\n{command}\n```", f"{result.verdict()}.", "\n".join(remarks)]
-    parts += [markdown(listing) for listing in result.listings() if not listing.detail]
+    remarks = [f"- {name}: {r}" if name else f"- {r}" for name, part in results.items() for r in part.remarks()]
+    parts = [f"# {suite.name}", f"Made by\n\n```sh\n{command}\n```", f"{pages[0].verdict()}.", "\n".join(remarks)]
+    parts += [markdown(listing) for page in pages for listing in page.listings() if not listing.detail]
     options.out.write_text("\n\n".join(filter(None, parts)) + "\n", encoding="utf-8")
 
 

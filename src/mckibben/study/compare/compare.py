@@ -23,7 +23,7 @@ def runs_of(suite: Suite, name: str) -> int:
 
     >>> suite = Suite.read("examples/comparison/valves.yaml").of_setup("Festo VPPE-6")
     >>> [runs_of(suite, name) for name in ("PID", "decoupling")]
-    [42100, 11860]
+    [13050, 7290]
     """
     tuning, own = suite.tuning, suite.evaluation.runs
     if not suite.tuned_over(name):
