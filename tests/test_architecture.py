@@ -99,7 +99,7 @@ BUDGET = {
     "config": 550,
     "containment": 300,
     "contract": 650,
-    "control": 2150,
+    "control": 2030,
     "dataset": 3270,
     "experiment_design": 700,
     "export": 2370,

@@ -15,9 +15,8 @@ from mckibben.muscle import ExponentialLaw
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
-def prediction_and_learning(tool, folder):
+def overshoot(tool, folder):
     tool.looking_ahead([(20, 100)])
-    tool.learning(2)
 
 
 def foreign_files(tool, folder):
@@ -51,7 +50,7 @@ def known_reference(tool, folder):
 @pytest.mark.parametrize(
     ("name", "run", "rows"),
     [
-        ("decoupling", prediction_and_learning, 9),
+        ("decoupling", overshoot, 3),
         ("foreign_lab", foreign_files, 0),
         ("real_time", real_time, 5),
         ("preview", known_reference, 7),

@@ -174,7 +174,7 @@ def test_all_that_controllers_by_a_model_report_has_units(knee, load):
     ):
         seen = Measurement(np.array(0.1), (np.array(4e5), np.array(4.4e5)))
         told = eqx.filter_eval_shape(lambda control, seen: control.telemetry(control.init(seen)), control, seen)
-        assert len(told) > 4
+        assert len(told) > 3
         assert all(attributes(name).get("units") for name in told)
 
 
