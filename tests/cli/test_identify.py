@@ -57,6 +57,21 @@ def test_a_table_as_it_stands(cli):
     assert re.search(r"^decay +0\.3398\d+ +0\.0067 .*1/percent", found.out, re.MULTILINE)
 
 
+def test_points_of_a_recording_are_drawn_in_the_terminal_and_their_figure_is_named_last(cli, tmp_path):
+    steps = {"time_s": np.arange(90) * 0.1, "pressure_bar": np.full(90, 3.0)}
+    steps |= {"contraction_percent": np.repeat([0.0, 5.0, 10.0], 30), "force_N": np.repeat([300.0, 100.0, 200.0], 30)}
+    np.savetxt("steps.csv", np.transpose([*steps.values()]), delimiter=",", header=",".join(steps), comments="")
+    found = cli("points", "steps.csv", "--dwell", "2 s", "--plot", "--out", "kept")
+    assert found.code == 0
+    assert found.out.splitlines()[-1].endswith("; figure: kept/points.png") and (tmp_path / "kept/points.png").exists()
+    drawn = [line for line in found.out.splitlines() if re.search("[\u2800-\u28ff]", line)]
+    dots = {(row, place) for row, line in enumerate(drawn) for place, sign in enumerate(line) if sign > "\u2800"}
+    (highest, first), (middle, third), (lowest, second) = sorted(dots)
+    assert (highest, lowest) == (0, len(drawn) - 1) and abs(2 * middle - lowest) <= 1
+    assert first < second < third and abs(first + third - 2 * second) <= 1
+    assert drawn[0].startswith("300 N ") and drawn[-1].startswith("100 N ")
+
+
 @pytest.mark.slow
 def test_out_keeps_everything(cli, tmp_path):
     found = cli("identify", FESTO, "--out", "deep/kept", "--json")

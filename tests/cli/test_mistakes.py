@@ -55,7 +55,6 @@ def files(tmp_path, shortened):
         (("plan", MARTENS, "--for", "happiness"), "is not a quantity of interest; give stiffness, force"),
         (("plan", MARTENS, "--points", "0"), "0 points are not within 1..200"),
         (("plan", MARTENS, "--step", "1 bar, 0.5 bar"), "--step: unit 'bar'"),
-        (("plan", MARTENS, "--noise", "3"), "--noise: '3' has no unit"),
         (("size", "no-angles.yaml"), "angles"),
         (("size", "no-muscle.yaml"), "missing.yaml"),
         (("stiffness", "s.yaml", "--motion", "1 deg, 10 deg"), "--motion"),

@@ -72,9 +72,17 @@ class IdealValve(Valve):
 class FirstOrderValve(Valve):
     """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
-    T [s] is 20 to 100 ms for fast proportional valves on a small muscle. Commands and initial pressures are limited to
-    the gauge pressure of the supply [Pa], and changes of the pressure to the rate [Pa/s], if these are given.
+    Parameters
+    ----------
+    time_constant
+        T [s], 20 to 100 ms for fast proportional valves on a small muscle.
+    supply
+        Gauge pressure [Pa] to which commands and initial pressures are limited. Default: not limited.
+    rate
+        Highest rate [Pa/s] of the pressure. Default: not limited.
 
+    Examples
+    --------
     >>> from mckibben.units import bar
     >>> valve = FirstOrderValve(0.1, rate=10 * bar)
     >>> [round(float(valve.pressure_after(0.0, 3 * bar, at)) / bar, 3) for at in (0.1, 0.2, 0.3)]

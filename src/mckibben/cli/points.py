@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import on_command_line, parse_limits, parse_optional, parse_pair, parse_quantity
+from mckibben.cli.options import echo, on_command_line, parse_limits, parse_pair, parse_quantity, text_width
 from mckibben.cli.reading import Data, Reading
 from mckibben.errors import ParameterError, UnitError
-from mckibben.units import quantity
+from mckibben.units import percent, quantity
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints
@@ -19,7 +20,14 @@ if TYPE_CHECKING:
 
 @command
 def points(
-    recording: list[Path], dwell: str = "1 s", settle: str = "0 s", tolerance: str = "0.1 %, 2 kPa", *, reading: Reading
+    recording: list[Path],
+    dwell: str = "1 s",
+    settle: str = "0 s",
+    tolerance: str = "0.1 %, 2 kPa",
+    plot: bool = False,
+    *,
+    json: bool,
+    reading: Reading,
 ) -> ExtractedPoints:
     """Extract points from a raw recording: means over the plateaus, where pressure and length are steady.
 
@@ -35,6 +43,8 @@ def points(
         Excluded start of a plateau.
     tolerance : RATIO, PRESSURE
         Tolerances of contraction and pressure within a plateau.
+    plot
+        Draw the points in the terminal, force over contraction.
     """
     contraction, pressure = parse_pair("--tolerance", tolerance, "0.1 %, 2 kPa")
     limits = {
@@ -47,7 +57,30 @@ def points(
     plateaus = samples.plateaus(**limits)
     repairs = samples.table.attrs.get("repairs", "").splitlines()
     notes = [*plateaus.notes, *(f"left out: {repair}" for repair in repairs)]
+    if plot and not json:
+        echo(_drawn(plateaus, min(text_width(), 76)))
     return replace(plateaus, notes=tuple(map(on_command_line, notes)), recipe=reading.recipe)
+
+
+def _drawn(points: ExtractedPoints, width: int, rows: int = 14) -> str:
+    """Force over contraction in dots of Braille, two by four of them in a character."""
+    import numpy as np
+
+    if "utf" not in sys.stdout.encoding.lower():
+        remedy = "set the locale to UTF-8, or give --out DIR, which has the figure"
+        raise ParameterError(f"--plot draws characters that {sys.stdout.encoding} has not", remedy=remedy)
+    low, high = float(points.force.min()), float(points.force.max())
+    first, last = (f"{end / percent:.3g} %" for end in (points.contraction.min(), points.contraction.max()))
+    labels = dict.fromkeys(range(rows), "") | {0: f"{high:.4g} N", rows - 1: f"{low:.4g} N"}
+    margin = max(map(len, labels.values())) + 1
+    size, cells = np.array([4 * rows, 2 * (width - margin)]), np.zeros((rows, width - margin), int)
+    place = np.array([high - points.force, points.contraction - points.contraction.min()])
+    y, x = np.rint(place / np.maximum(np.ptp(place, axis=1), 1e-12)[:, None] * (size - 1)[:, None]).astype(int)
+    dots = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+    np.bitwise_or.at(cells, (y // 4, x // 2), dots[y % 4, x % 2])
+    lines = [f"{labels[row]:>{margin - 1}} {''.join(chr(0x2800 + dot) for dot in cells[row])}" for row in range(rows)]
+    below = "contraction".center(width - margin - len(first) - len(last))
+    return "\n".join([*lines, f"{'':{margin}}{first}{below}{last}"])
 
 
 @command
@@ -59,7 +92,6 @@ def plan(
     joint: str = "knee-table-2",
     limits: str = "",
     step: str = "",
-    noise: str = "",
     *,
     reading: Reading,
 ) -> ExperimentPlan:
@@ -80,8 +112,6 @@ def plan(
         Contraction and pressure, '0..20 %, 1..6 bar' (default: the specimen's).
     step : STEPS
         Resolution of the rig, '0.5 %, 0.25 bar'; or a length, '1 mm' (default).
-    noise : FORCE
-        Error of a point (default: from the residuals).
     """
     from mckibben import catalog
     from mckibben.experiment_design import parse_quantity_of_interest
@@ -108,7 +138,6 @@ def plan(
         limits=box,
         contraction_step=_contraction_step(steps[0], length),
         pressure_step=parse_quantity("--step", steps[1] or "0.25 bar", "Pa"),
-        noise=parse_optional("--noise", noise, "N"),
     )
 
 

@@ -80,6 +80,15 @@ class PolePlacement(Feedback[Scalar]):
     removes the static error of a wrong model; with a disturbance observer it is redundant. With a lag g times that of
     the model the loop is stable up to g = d^2 (2d - 1 with the integral).
 
+    Parameters
+    ----------
+    bandwidth
+        omega_c [rad/s]: higher is faster, and passes more noise to the pressures.
+    integral
+        Whether there is an integral of the error.
+    damping
+        d, from 2 (Butterworth poles: fast, with some overshoot) to 3 (all poles at one place).
+
     References
     ----------
     One bandwidth for all gains: Z. Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003.

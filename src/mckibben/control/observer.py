@@ -102,6 +102,13 @@ class ExtendedStateObserver(Observer):
     bandwidth. A damping d of 3 gives a triple pole; 2 gives Butterworth poles, those of the steady-state Kalman filter
     for white noise of the angle and a disturbance of independent increments: less noise at the same error.
 
+    Parameters
+    ----------
+    bandwidth
+        omega_o [rad/s], up to which disturbances are observed; noise and steps of the encoder limit it.
+    damping
+        d, from 2 (Butterworth poles) to 3 (a triple pole).
+
     References
     ----------
     J. Han, From PID to active disturbance rejection control, IEEE Trans. Industrial Electronics 56, 2009; one
@@ -141,6 +148,11 @@ class PressureObserver(Component):
 
     White noise is attenuated by :math:`\sqrt{\omega_p h / 2}`; the error of a wrong model decays with the bandwidth
     omega_p [rad/s], infinite for no filter.
+
+    Parameters
+    ----------
+    bandwidth
+        omega_p [rad/s], up to which the estimates follow the measured pressures.
     """
 
     bandwidth: SensorBandwidth = 200.0

@@ -91,7 +91,9 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
     Parameters
     ----------
     model, load, pressure_observer, valve, minimum_tension, friction_compensation
-        As for `DecouplingControl`, and so are `command_delay` and `stiffness_amplitude`.
+        As for `DecouplingControl`, and so is `stiffness_amplitude`.
+    command_delay
+        Delay of the commands [s] that the prediction assumes, as for `DecouplingControl`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth

@@ -43,7 +43,13 @@ class Signal(Component):
 
 
 class Constant(Signal):
-    """Constant value."""
+    """Constant value.
+
+    Parameters
+    ----------
+    value
+        Its value at all times.
+    """
 
     short_name = "constant"
 
@@ -54,7 +60,15 @@ class Constant(Signal):
 
 
 class Step(Signal):
-    """Step from one value to another at a time [s]."""
+    """Step from one value to another.
+
+    Parameters
+    ----------
+    before, after
+        Value before the step, and from it on.
+    at
+        Time [s] of the step.
+    """
 
     short_name = "step"
 
@@ -67,8 +81,17 @@ class Step(Signal):
 
 
 class Ramp(Signal):
-    """Constant rate from one value to another, from a start [s] on and over a duration [s]; then held.
+    """Constant rate from one value to another; then held.
 
+    Parameters
+    ----------
+    before, after
+        Value before and after the ramp.
+    start, duration
+        Time [s] at which the ramp begins, and how long [s] it takes.
+
+    Examples
+    --------
     >>> Ramp(0.0, 10.0, start=1.0, duration=2.0)(jnp.array([0.0, 1.5, 3.0, 4.0])).tolist()
     [0.0, 2.5, 10.0, 10.0]
     """
@@ -133,7 +156,15 @@ class RandomSteps(Signal):
 
 
 class Sine(Signal):
-    """offset + amplitude sin(2 pi frequency t + phase); frequency in Hz, phase in rad."""
+    """offset + amplitude sin(2 pi frequency t + phase).
+
+    Parameters
+    ----------
+    amplitude, offset
+        Half of the range from the lowest to the highest value, and the middle.
+    frequency, phase
+        Frequency [Hz], and phase [rad] at time 0.
+    """
 
     short_name = "sine"
 

@@ -99,6 +99,7 @@ class ExtractedPoints(Result):
         How the recording was read, written to recipe.yaml.
     """
 
+    figures: ClassVar = ("points",)
     files: ClassVar = ("points.csv", "points.nc", "recipe.yaml")
 
     time: NDArray[np.float64] = column("s", "time", digits=5)

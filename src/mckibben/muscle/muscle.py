@@ -48,6 +48,17 @@ class Muscle(Component):
     added to them. The law's domain replaces infinite bounds of the specimen's domain; the lowest pressure becomes 0
     where the law's is higher. `extrapolate` applies the law at all pressures of the specimen, not only at those
     of its data. Raises `RangeError` if the domains of specimen and law do not overlap.
+
+    Parameters
+    ----------
+    specimen, law, friction, creep
+        Parts of the muscle.
+    strength
+        Factor of all forces of the law. Default: 1.
+    correction
+        Force [N] that is added to those of the law. Default: none.
+    extrapolate
+        Whether the law is applied at all pressures of the specimen.
     """
 
     specimen: Specimen

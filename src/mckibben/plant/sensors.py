@@ -128,8 +128,15 @@ class NoDisturbance(Disturbance):
 class TorquePulses(Disturbance):
     """Torque pulses of alternating sign, the first one positive.
 
-    Each has a height [N*m] and a width [s]; successive ones start an interval [s] apart, the first at `start` [s].
+    Parameters
+    ----------
+    height, width
+        Torque [N*m] and duration [s] of a pulse.
+    interval, start
+        Time [s] from one pulse to the next, and that of the first.
 
+    Examples
+    --------
     >>> pulses = TorquePulses(height=0.5, width=0.1, interval=1.0, start=0.25)
     >>> pulses.torque(jnp.array([0.2, 0.3, 0.4, 1.3, 2.3])).tolist()
     [0.0, 0.5, 0.0, -0.5, 0.5]

@@ -20,6 +20,7 @@ from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves
 from .muscle import law_comparison as law_comparison
 from .muscle import measured_muscles as measured_muscles
+from .muscle import points as points
 from .muscle import recording as recording
 from .page import write_report as write_report
 from .robot import jump_traces as jump_traces

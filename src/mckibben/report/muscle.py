@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.muscle import ForceLaw, forces
+from mckibben.report.palette import CONTRACTION, FORCE, PRESSURE
 from mckibben.report.style import (
     DIRECTIONS,
     DOUBLE,
@@ -32,7 +33,7 @@ from mckibben.report.style import (
 from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
-    from mckibben.dataset import IsobaricDataset, Recording
+    from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
     from mckibben.identification import Fit, FitWithFriction, Validation
 
 _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
@@ -137,6 +138,11 @@ def fit(result: FitWithFriction) -> Figure:
     return isobaric(result.points, result)
 
 
+def points(extracted: ExtractedPoints) -> Figure:
+    """Points that were extracted from a recording."""
+    return isobaric(extracted.dataset)
+
+
 @styled
 def recording(recording: Recording) -> Figure:
     """Pressure [bar], force [N] and, where it was recorded, contraction [%] over time [s]; the set pressure in grey.
@@ -146,15 +152,15 @@ def recording(recording: Recording) -> Figure:
     recording
         Samples over time, such as those of `mckibben.dataset.read_recording`.
     """
-    rows = [("pressure", recording.pressure / bar, "pressure [bar]"), ("force", recording.force, _FORCE)]
+    rows = [("pressure [bar]", recording.pressure / bar, PRESSURE), (_FORCE, recording.force, FORCE)]
     if recording.contraction is not None:
-        rows.append(("contraction", recording.contraction / percent, _CONTRACTION))
+        rows.append((_CONTRACTION, recording.contraction / percent, CONTRACTION))
     figure = blank(DOUBLE, 1.4 * len(rows) + 0.6)
     grid = figure.subplots(len(rows), sharex=True)
-    for axes, (name, values, label) in zip(grid, rows, strict=True):
-        if name == "pressure" and "set_pressure" in recording.table:
-            axes.plot(recording.time, recording.table["set_pressure"] / bar, color="#999999", linewidth=0.7)
-        axes.plot(recording.time, values, linewidth=0.8)
+    if "set_pressure" in recording.table:
+        grid[0].plot(recording.time, recording.table["set_pressure"] / bar, color="#999999", linewidth=0.7)
+    for axes, (label, values, color) in zip(grid, rows, strict=True):
+        axes.plot(recording.time, values, color=color, linewidth=0.8)
         axes.set_ylabel(label)
     grid[-1].set_xlabel("time [s]")
     return figure

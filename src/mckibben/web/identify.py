@@ -27,11 +27,13 @@ from mckibben.identification import FitWithFriction, identify_with_friction, ran
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume
+from mckibben.report.palette import CONTRACTION, FORCE, PRESSURE
 from mckibben.result import Remark
 from mckibben.scenario import write_muscle
 from mckibben.units import bar, percent, quantity
-from mckibben.web.charts import chart, cloud, draw
+from mckibben.web.charts import chart, cloud, draw, line
 from mckibben.web.layout import (
+    MEANINGS,
     JobPage,
     actions,
     button,
@@ -191,8 +193,9 @@ def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path
 def page() -> None:
     """The page."""
     visitor = session()
-    with frame("/identify"):
-        _Page(visitor.state(IdentificationState), visitor.folder)
+    state = visitor.state(IdentificationState)
+    with frame("/identify", state, "law", "friction", "keep_outliers", "diameter", "reading"):
+        _Page(state, visitor.folder)
 
 
 class _Page(JobPage[IdentificationState]):
@@ -207,22 +210,22 @@ class _Page(JobPage[IdentificationState]):
                     lambda: ui.notify(f"more than {_MOST_FILES} files or {LARGEST // 2**20} MiB", type="negative")
                 ).tooltip("several files are those of one test; a recipe.yaml sets how they are read")
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
-                self.examples = select(examples, "or an example", value="", on_change=self.example)
+                self.examples = select(examples, "or an example", "dataset", value="", on_change=self.example)
                 for name, (label, example) in _FIELDS.items():
                     made = ui.input(label, placeholder=example, validation=partial(refusal, name))
                     made.on_value_change(partial(self.reread, name)).props("dense hide-bottom-space stack-label")
                     made.props("debounce=700").classes("w-full").mark(name).bind_value(state.reading, name)
+                    made.tooltip(MEANINGS[name])
                 with ui.expansion("further settings of a recipe").props("dense").classes("w-full") as self.options:
                     label = "such as displacement: lengthening"
-                    ui.textarea(label).props("dense autogrow").classes("w-full mono").mark("further").bind_value(
-                        state.reading, "further"
-                    )
+                    further = ui.textarea(label).props("dense autogrow").classes("w-full mono").mark("further")
+                    further.bind_value(state.reading, "further").tooltip(MEANINGS["further"])
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
                 ui.input("inner diameter or fill", placeholder="such as 14 mm or 30 mL").props(
                     "dense stack-label"
-                ).classes("w-full").bind_value(state, "diameter")
+                ).classes("w-full").bind_value(state, "diameter").tooltip(MEANINGS["diameter"])
                 select(list(_FRICTION), FRICTION, "with-friction").bind_value(state, "friction")
                 ui.checkbox(KEEP).props("dense").mark("keep").bind_value(state, "keep_outliers").tooltip(
                     "fit all points, those off the surface through the others, too"
@@ -237,9 +240,12 @@ class _Page(JobPage[IdentificationState]):
         ui.timer(0.15, self.refresh)
 
     def begin(self) -> None:
-        """Show the dataset that another page asks for."""
-        if self.state.wanted:
-            self.examples.value, self.state.wanted = self.state.wanted, ""
+        """Show the dataset that another page asks for; read files again by fields to which the user went back."""
+        state = self.state
+        if state.wanted:
+            self.examples.value, state.wanted = state.wanted, ""
+        elif state.read_by not in (None, state.reading) and not state.jobs.busy:
+            self.read()
 
     def refresh(self) -> None:
         """Show progress, and new results as they appear."""
@@ -412,6 +418,16 @@ class _Page(JobPage[IdentificationState]):
             draw(points, [cloud("points", data.contraction / percent, data.force, pressure)])
             for text in self.named(data.table.attrs.get("preprocessing", "")).splitlines():
                 quiet(printable(text, 500))
+        if "time" in data.table:
+            with panel("Over time"):
+                quantities = {
+                    "pressure [bar]": (pressure, PRESSURE),
+                    "force [N]": (data.force, FORCE),
+                    "contraction [%]": (data.contraction / percent, CONTRACTION),
+                }
+                for label, (values, color) in quantities.items():
+                    over = chart("time [s]", label, height=190)
+                    draw(over, [line(label.partition(" ")[0], data.table["time"], values, color, width=1)], legend=())
 
     def show_uses(self) -> None:
         """What can be done with the muscle."""

@@ -68,7 +68,7 @@ def page() -> None:
     design, known = visitor.state(JointDesign), muscles(visitor.state(IdentificationState).muscle)
     if design.muscle not in known:
         design.muscle = next(iter(known))
-    with frame("/joint"):
+    with frame("/joint", design, *vars(design)):
         _Page(design, known)
 
 

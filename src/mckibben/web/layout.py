@@ -6,6 +6,7 @@ Text goes through labels and tables, which show it verbatim: file content never 
 from __future__ import annotations
 
 import asyncio
+import copy
 import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
@@ -15,6 +16,7 @@ from typing import Any, Generic, TypeVar
 
 from nicegui import events, ui
 
+from mckibben.config.document import plain, read_document
 from mckibben.errors import DatasetError, FileError, McKibbenError, printable
 from mckibben.report.palette import BLUE, GREEN, GREY, VERMILLION
 from mckibben.result import Remark, Severity
@@ -39,16 +41,20 @@ PAGES = {
     "/robot": ("Robot", "Arms, necks and legs: posture, and the torque and stiffness that their muscles attain."),
 }
 """Title and purpose of each page, in the order of work."""
+MEANINGS: dict[str, str] = plain(read_document(resource("starts/meanings.yaml")).data)
+"""What fields mean, by their name or label."""
 
 
 @contextmanager
-def frame(here: str) -> Iterator[None]:
+def frame(here: str, form: object = None, *names: str) -> Iterator[None]:
     """Header with links to the pages, title, the columns of a page, and a link to the next page.
 
     Parameters
     ----------
     here
         Path of the page, a key of `PAGES`.
+    form, names
+        Object that holds the inputs of the page, and its attributes to which "undo" goes back.
     """
     ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative=_RED, positive=GREEN)
     ui.add_css(resource("style.css"))
@@ -63,6 +69,8 @@ def frame(here: str) -> Iterator[None]:
                 current = "page" if path == here else "false"
                 ui.link(name, path).classes("tab").props(f'aria-current="{current}"')
         ui.space()
+        if names:
+            _undo(here, form, names)
         button("", dark.toggle, icon="contrast").props('round dense aria-label="dark theme"')
     with ui.column().classes("w-full").style("gap: 0"):
         heading(title, "h1")
@@ -71,6 +79,33 @@ def frame(here: str) -> Iterator[None]:
         yield
     if following := [*PAGES][[*PAGES].index(here) + 1 :]:
         ui.link(f"Next: {PAGES[following[0]][0]}", following[0]).classes("next").mark("next")
+
+
+def _undo(here: str, form: object, names: Sequence[str]) -> None:
+    """A button that goes back to the inputs before the last change, by opening the page with them."""
+    past: list[dict[str, object]] = session().state(dict).setdefault(here, [])
+    latest: list[dict[str, object]] = [{}]
+
+    def now() -> dict[str, object]:
+        return copy.deepcopy({name: getattr(form, name) for name in names})
+
+    def watch() -> None:
+        """Keep inputs that have not changed since the last call; those of a job that runs are None."""
+        before, latest[0] = latest[0], now()
+        if before == latest[0] != (past[-1] if past else {}) and None not in before.values():
+            past.append(before)
+            del past[:-50]
+
+    def undo() -> None:
+        if past and past[-1] == now():
+            past.pop()
+        if past and None not in now().values():
+            for name, value in copy.deepcopy(past[-1]).items():
+                setattr(form, name, value)
+            ui.navigate.to(here)
+
+    ui.timer(0.3, watch)
+    button("", undo, "undo", icon="undo").props('round dense aria-label="undo the last change"')
 
 
 def heading(text: str, tag: str = "h2") -> ui.label:
@@ -124,20 +159,20 @@ def button(
     return made.mark(mark) if mark else made
 
 
-def select(options: list[str] | dict[Any, str], label: str, mark: str = "", **others: Any) -> ui.select:
-    """A select as wide as its panel.
+def select(options: list[str] | dict[Any, str], label: str, mark: str, **others: Any) -> ui.select:
+    """A select as wide as its panel, with its meaning.
 
     Parameters
     ----------
     options, label
         Values, or texts by value; and the text above.
     mark
-        Name by which tests find it.
+        Name by which tests find it, and `MEANINGS` has its meaning.
     others
         Options of `ui.select`.
     """
-    made = ui.select(options, label=label, **others).props("dense").classes("w-full")
-    return made.mark(mark) if mark else made
+    meaning = MEANINGS.get(mark) or MEANINGS[mark.partition("-")[0]]
+    return ui.select(options, label=label, **others).props("dense").classes("w-full").mark(mark).tooltip(meaning)
 
 
 def fold(title: str, *, opened: bool = False) -> ui.expansion:
@@ -351,14 +386,14 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
     Parameters
     ----------
     label
-        Name for screen readers.
+        Name for screen readers, and for tests.
     longest, height
         Most characters, and height in pixels.
     options
         Options of `ui.textarea`.
     """
     look = f"outlined aria-label='{label}' maxlength={longest} spellcheck=false input-style='height: {height}px'"
-    return ui.textarea(**options).props(look).classes("w-full mono")
+    return ui.textarea(**options).props(look).classes("w-full mono").mark(label).tooltip(MEANINGS[label])
 
 
 _UPLOAD_HEADER = """
@@ -474,14 +509,15 @@ class NumberSlider:
         with ui.column().classes("w-full").style("gap: 0"):
             with ui.row().classes("w-full items-center justify-between no-wrap"):
                 ui.label(label).classes("quiet")
-                self.field = NumberField(
-                    None, value, lambda number: low <= number <= high, f"{low:g} to {high:g}", self._field, step=step
-                )
+                held, allowed = (lambda number: low <= number <= high), f"{low:g} to {high:g} {unit}"
+                words = MEANINGS.get(label, f"{label}.")
+                self.field = NumberField(None, value, held, allowed, self._field, step=step, words=words)
                 self.field.props(f'dense borderless suffix="{unit}" aria-label="{label}" debounce=300')
                 self.field.classes("number").style("width: 120px; margin: -10px 0")
                 self.field.mark(f"{label.replace(' ', '-')}-field")
             self.slider = PageSlider(min=low, max=high, step=step, value=value, on_change=self._slide)
             self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
+            self.slider.tooltip(words)
 
     async def _slide(self) -> None:
         value = self.slider.value

@@ -104,8 +104,8 @@ def _valves() -> dict[str, str]:
 _PID = START[START.index("  position") : START.index("reference")]
 CHOICES: Mapping[str, Choice] = {
     "controller": _section("controller", {"two PID loops": _PID, **OFFERED["controllers"]}),
-    "angle": _signal("angle", "deg"),
-    "stiffness": _signal("stiffness", "N*m/rad"),
+    "angle reference": _signal("angle", "deg"),
+    "stiffness reference": _signal("stiffness", "N*m/rad"),
     "friction of the muscles": _friction(),
     "load": _section("load", OFFERED["load"]),
     "friction of the joint": _section("friction", OFFERED["friction"]),

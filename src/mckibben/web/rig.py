@@ -18,7 +18,7 @@ from mckibben.config.document import LONGEST_TEXT, plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import McKibbenError, ParameterError, RigError
-from mckibben.report.palette import GREY, MEASURED
+from mckibben.report.palette import FORCE, PRESSURE
 from mckibben.result import Result, column
 from mckibben.rig.bench import RigLimits
 from mckibben.rig.document import RigTest
@@ -152,8 +152,9 @@ def measure(
 def page() -> None:
     """The page."""
     visitor = session()
-    with frame("/rig"):
-        _Page(visitor.state(RigState), visitor.folder)
+    state = visitor.state(RigState)
+    with frame("/rig", state, "text", "pace"):
+        _Page(state, visitor.folder)
 
 
 class _Page(JobPage[RigState]):
@@ -165,10 +166,10 @@ class _Page(JobPage[RigState]):
         with side(), panel("Test on the simulated rig"):
             self.form = ui.column().classes("w-full").style("gap: 8px")
             with fold("Advanced: the protocol as YAML"):
-                text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
+                text_area("protocol", LONGEST_TEXT, 330).bind_value(state, "text")
                 button("Show in the fields", self.fields)
             self.fields()
-            select(_PACES, "time of the rig").bind_value(state, "pace")
+            select(_PACES, "time of the rig", "pace").bind_value(state, "pace")
             with actions():
                 button("Start", self.start, "start", main=True)
                 button("Vent", self.vent, "vent", main=True, color="negative")
@@ -176,7 +177,7 @@ class _Page(JobPage[RigState]):
             self.status = ui.label().classes("quiet number")
         with side():
             self.results = ui.column().classes("w-full")
-            with panel("Force over contraction", stays=True):
+            with panel("Force over contraction"):
                 self.loop = chart("contraction [%]", "force [N]", height=300)
             with panel("Pressure"):
                 self.pressure = chart("time [s]", "pressure [bar]", height=190)
@@ -213,9 +214,9 @@ class _Page(JobPage[RigState]):
         if len(rows) != self.drawn:
             self.drawn = len(rows)
             times, pressure, force, contraction = np.array(rows or [(np.nan,) * 4]).T
-            draw(self.pressure, [line("pressure", times, pressure, GREY, width=1.5)])
-            draw(self.force, [line("force", times, force, MEASURED, width=1.5)])
-            draw(self.loop, [line("measured", contraction, force, MEASURED, width=1)])
+            draw(self.pressure, [line("pressure", times, pressure, PRESSURE, width=1.5)])
+            draw(self.force, [line("force", times, force, FORCE, width=1.5)])
+            draw(self.loop, [line("measured", contraction, force, FORCE, width=1)])
         if self.news():
             self.show_results(self.results, self.show)
 

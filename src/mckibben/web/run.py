@@ -61,8 +61,9 @@ _PARTS = ("controller", "reference", "joint", "load", "friction", "valve", "sens
 def page() -> None:
     """The page."""
     visitor = session()
-    with frame("/run"):
-        _Page(visitor.state(Workbench), visitor.folder)
+    state = visitor.state(Workbench)
+    with frame("/run", state, "ran"):
+        _Page(state, visitor.folder)
 
 
 _HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
@@ -89,7 +90,7 @@ class _Page(JobPage[Workbench]):
                     self.select(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel(), fold("Advanced: the scenario as YAML"):
-                self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
+                self.yaml = text_area("scenario", LONGEST_TEXT, 260)
                 with ui.row().style("gap: 8px"):
                     button("Run", self.apply, "run", main=True)
                 upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
@@ -97,7 +98,6 @@ class _Page(JobPage[Workbench]):
             with ui.row().classes("w-full items-center").style("gap: 12px"):
                 button("Keep this run", self.keep, "keep", main=True)
                 button("Remove kept runs", self.clear)
-                button("Undo", self.undo, "undo")
                 button("Margins", partial(self.study, "margins"), "margins")
                 button("Limits", partial(self.study, "envelope"), "limits")
                 with ui.row().classes("items-center no-wrap") as self.busy:
@@ -182,7 +182,6 @@ class _Page(JobPage[Workbench]):
         form: bool = True,
         note: str = "",
         scroll: bool = False,
-        undone: bool = False,
     ) -> None:
         """Change the scenario and run it.
 
@@ -194,8 +193,8 @@ class _Page(JobPage[Workbench]):
             Whether the structure changes, so that the fields are rebuilt.
         note
             Remark on the change.
-        scroll, undone
-            Whether the page scrolls to the results, and whether the change cannot be undone.
+        scroll
+            Whether the page scrolls to the results.
         """
         state, folder = self.state, self.folder
 
@@ -206,8 +205,6 @@ class _Page(JobPage[Workbench]):
             return scenario, options, *compute(scenario, folder)
 
         def done(ran: tuple[Scenario, dict[str, str | None], Curves, Presented], heard: list[str]) -> None:
-            if state.current is not None and not undone:
-                state.past = [*state.past[-50:], state.current.text]
             state.scenario, state.options, state.current, state.presented = ran
             state.studies = {}
             state.text, state.error = state.current.text, None
@@ -259,13 +256,6 @@ class _Page(JobPage[Workbench]):
 
         label, words = name.replace(".", " ").replace("_", " "), meaning(scenario, parameter)
         number(label, parameter.mark, float(parameter.nominal or 0.0), changed, words).mark(parameter.name)
-
-    def undo(self) -> None:
-        """Run the scenario before the last change."""
-        state = self.state
-        if state.past:
-            text = state.past.pop()
-            self.change(lambda: parse(text, self.folder), undone=True)
 
     def study(self, name: str) -> None:
         """Compute stability margins, or the attainable set, of the scenario that ran last."""

@@ -126,8 +126,9 @@ class StudyState(JobState):
 def page() -> None:
     """The page."""
     visitor = session()
-    with frame("/tune"):
-        _Page(visitor.state(StudyState), visitor.state(Workbench), visitor.folder)
+    state = visitor.state(StudyState)
+    with frame("/tune", state.request, *vars(state.request)):
+        _Page(state, visitor.state(Workbench), visitor.folder)
 
 
 class _Page(JobPage[StudyState]):
@@ -198,7 +199,7 @@ class _Page(JobPage[StudyState]):
             new_value_mode="add-unique",
             on_change=lambda event: setattr(request, "over", tuple(event.value or ())),
         )
-        made.props("use-chips").tooltip("Choose parameters, or write one with its range: load.mass2=0.2 kg..1 kg")
+        made.props("use-chips")
 
     def text(self) -> str:
         """The scenario of the page Run, as it last ran."""

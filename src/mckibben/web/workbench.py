@@ -66,8 +66,8 @@ class Workbench(JobState):
         Option of each select by its label; None if the scenario has a part that the page does not offer.
     text
         Text of the scenario on the page, which may be invalid.
-    overlays, past
-        Kept runs, and the texts of earlier scenarios, to which the page goes back.
+    overlays
+        Kept runs.
     studies
         Margins and attainable set of the current scenario, the newest first.
     joint, waiting
@@ -82,11 +82,19 @@ class Workbench(JobState):
     current: Curves | None = None
     presented: Presented | None = None
     overlays: list[Curves] = field(default_factory=list)
-    past: list[str] = field(default_factory=list)
     studies: dict[str, Presented] = field(default_factory=dict)
     joint: str = ""
     waiting: str = ""
     form: int = 0
+
+    @property
+    def ran(self) -> str | None:
+        """Text of the scenario that ran last; None while another one runs. Another text is run when the page opens."""
+        return None if self.jobs.busy or self.waiting or self.current is None else self.current.text
+
+    @ran.setter
+    def ran(self, text: str) -> None:
+        self.waiting = text
 
 
 def parse(text: str, folder: Path) -> Scenario:
