@@ -325,7 +325,8 @@ def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, Controlle
 def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Figure:
     """Gains of BP over time, relative to its base gains.
 
-    Upper panels: position loop; lower panels: stiffness loop. A gain that is zero has no curve.
+    Upper panels: position loop; lower panels: stiffness loop. A gain that is zero has no curve. A curve is the mean over
+    a two-hundredth of the run, in a band from the lowest to the highest value, as gains may switch at each sample.
 
     Parameters
     ----------
@@ -340,7 +341,11 @@ def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Fig
             for gain, look in _GAINS.items():
                 values = result[f"{loop}_{gain}"]
                 if values[0] != 0:  # a loop without this part
-                    axes.plot(result.times, values / values[0], label=gain, **look)
+                    parts = np.array_split(values / values[0], min(200, len(values)))
+                    times = [float(part.mean()) for part in np.array_split(result.times, len(parts))]
+                    low, mean, high = np.transpose([(part.min(), part.mean(), part.max()) for part in parts])
+                    axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
+                    axes.plot(times, mean, label=gain, **look)
             for bound in (ratio, 1 / ratio):
                 axes.axhline(bound, color="#888888", linewidth=0.8, linestyle="--", label="bound on the gains")
             letter(axes, len(results) * row + i, f"{title}\n{loop} loop" if row == 0 else f"{loop} loop")
