@@ -135,21 +135,19 @@ def test_every_field_tells_its_meaning_and_a_change_is_undone():
                 silent[path] = [field.props for field, text in told.items() if not text or text.startswith("Allowed")]
             await user.open("/tune")
             request = state(tune.StudyState).request
-            for number in (20, 30):
-                await asyncio.sleep(1.0)  # in which the page sees that nobody changes it any more
+            numbers = []
+            for number in (10, 20, 30):
                 the(user, ui.number, "iterations").set_value(number)
-            await asyncio.sleep(1.0)
-            numbers = [request.iterations]
+                await until(lambda now=number: [form["iterations"] for form in state(dict)["/tune"]][-1:] == [now])
             for _ in range(3):
                 user.find(marker="undo").click()
                 await until(lambda: the(user, ui.number, "iterations").value == request.iterations)
                 numbers.append(request.iterations)
-                await asyncio.sleep(0.5)
             return silent, numbers
 
     silent, numbers = asyncio.run(visit())
     assert not any(silent.values()), silent
-    assert numbers == [30, 20, 10, 10]
+    assert numbers == [20, 10, 10]
 
 
 FIELDS = (ui.select, ui.number, ui.input, ui.textarea, ui.slider, ui.checkbox)
@@ -349,16 +347,16 @@ def test_a_search_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(
 @pytest.mark.slow
 def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
     """Also if it is cancelled after its last evaluation; while a file has open questions nothing is fitted."""
-    written = identify.keep_muscle
+    written = identify.write_identified
 
-    def keep_muscle(*given):
-        made = written(*given)
-        laws.append(type(given[0].law))
+    def write_identified(folder, fit, *given, **named):
+        made = written(folder, fit, *given, **named)
+        laws.append(type(fit.law))
         if cancel:
             state(identify.IdentificationState).jobs.cancel()
         return made
 
-    monkeypatch.setattr(identify, "keep_muscle", keep_muscle)
+    monkeypatch.setattr(identify, "write_identified", write_identified)
     cancel, laws = [], []
 
     async def visit():
@@ -447,14 +445,14 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
             first = bench.current
             user.find(marker="keep").click()
             await until(lambda: there(user, "controller.position.ki"))
-            await asyncio.sleep(1.0)  # in which the page sees that nobody changes it any more
+            await until(lambda: state(dict)["/run"])
             the(user, ui.number, "controller.position.ki").set_value(90)
             await until(lambda: bench.current is not first, 60)
             await until(lambda: "run 1" in [one["name"] for one in charts(user)[0].options["series"]])
             changed = bench.current
             user.find(marker="margins").click()
             await until(lambda: bench.studies, 100)
-            await asyncio.sleep(1.0)
+            await until(lambda: len(state(dict)["/run"]) == 2)
             user.find(marker="undo").click()
             await until(lambda: bench.current is not changed and bench.ran, 60)
             return first, changed, bench

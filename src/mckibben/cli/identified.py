@@ -19,7 +19,7 @@ from mckibben.units import show
 if TYPE_CHECKING:
     from mckibben.cli.reading import Reading
     from mckibben.dataset import IsobaricDataset, Recipe
-    from mckibben.identification import Fit, FitWithFriction, HysteresisFit, PooledFit, Ranking
+    from mckibben.identification import Fit, FitWithFriction, PooledFit, Ranking
 
 
 class Source(NamedTuple):
@@ -30,25 +30,15 @@ class Source(NamedTuple):
     recipe: Recipe
     volume: float | None
 
-    def write(self, folder: Path, fit: Fit, loops: HysteresisFit | None = None) -> None:
+    def write(self, folder: Path, fit: Fit) -> None:
         """Write fit, recipe and points, and the muscle if its initial length is known."""
-        from mckibben.scenario import write_muscle  # 0.3 s to import
+        from mckibben.scenario import write_identified  # 0.3 s to import
 
-        fit.to_yaml(folder / "fit.yaml")
         self.recipe.to_yaml(folder / "recipe.yaml")
         self.points.to_netcdf(folder / "data.nc")
-        attrs = self.points.table.attrs
         common = os.path.commonprefix([Path(file).stem for file in self.files_read])  # noqa: RUF071, of characters
         common = common if len(self.files_read) == 1 else common.rstrip("0123456789.,+_- ")  # the numbers differ
-        write_muscle(
-            folder / "muscle.yaml",
-            fit.law,
-            specimen=attrs["specimen"] or common,
-            initial_length=attrs.get("initial_length"),
-            volume=self.volume,
-            friction=loops.friction if loops else None,
-            undetermined=loops.undetermined if loops else (),
-        )
+        write_identified(folder, fit, self.points.table.attrs, name=common, volume=self.volume)
 
     def remarks(self) -> Iterator[Remark]:
         """Remarks on the data, and on a muscle that cannot be used in scenarios."""
@@ -64,7 +54,7 @@ def identified(fitted: FitWithFriction, source: Source) -> Report:
     loops = fitted.hysteresis
 
     def write(folder: Path) -> None:
-        source.write(folder, fitted, loops)
+        source.write(folder, fitted)
         report.save(report.isobaric(fitted.points, fitted), folder, "fit")
         report.save(report.force_bands(fitted.points, fitted), folder, "bands")
         if loops:

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, check_unused, parse_optional, parse_quantity
+from mckibben.cli.options import Progress, check_unused, of_option, parse_optional, parse_quantity
 from mckibben.cli.reading import Data, Reading
-from mckibben.errors import ParameterError, UnitError
-from mckibben.units import quantity
+from mckibben.errors import ParameterError
 
 if TYPE_CHECKING:
     from mckibben.muscle import ForceLaw
@@ -80,6 +79,7 @@ def identify(
         return _of_recordings(of, data, dead_volume, reading)
     from mckibben.cli.identified import Source, identified, pooled, ranked
     from mckibben.identification import identify_pooled, rank
+    from mckibben.scenario import air_volume
     from mckibben.study import inputs
 
     law_type, robust = inputs.law_type_named(law) if law != _ALL else None, not keep_outliers
@@ -92,7 +92,9 @@ def identify(
         length = parse_optional("--for-length", for_length, "m", positive=True)
         return pooled(identify_pooled(law_type, [reading.data([file]) for file in data], robust=robust), length)
     points = reading.data(data)
-    source = Source(data, points, reading.recipe, _air_volume(inner, points.table.attrs.get("initial_length")))
+    with of_option("--inner"):
+        volume = air_volume(inner, points.table.attrs.get("initial_length"))
+    source = Source(data, points, reading.recipe, volume)
     if law_type is None:
         return ranked(rank(points, robust=robust, progress=progress), source)
     fitted = inputs.identify(points, law_type, friction=_CHOICES.get(friction, friction), robust=robust)
@@ -115,20 +117,6 @@ def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading
         remedy = "name it, or its file, whose braid gives the volume: --read specimen=NAME"
         raise ParameterError("the specimen is not known", field="specimen", remedy=remedy)
     return identify_air(recordings, specimen_named(name), dead_volume=dead)
-
-
-def _air_volume(text: str, length: float | None) -> float | None:
-    """Volume of air at contraction 0 [m^3], from itself or an inner diameter; None without it or an initial length."""
-    if not text:
-        return None
-    try:
-        quantity(text, "m^3")
-    except UnitError:
-        from mckibben.muscle.air import inner_volume
-
-        diameter = parse_quantity("--inner", text, "m", positive=True)
-        return inner_volume(length, diameter) if length else None
-    return parse_quantity("--inner", text, "m^3", positive=True)
 
 
 @command

@@ -62,7 +62,7 @@ def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False)
     >>> parse_quantity("--dwell", "200 ms", "s")
     0.2
     """
-    with _of_option(option):
+    with of_option(option):
         value = quantity(text, unit)
     if positive and not 0 < value < math.inf:
         message = f"{option} {quoted(text)} is not above 0"
@@ -81,12 +81,12 @@ def parse_limits(option: str, text: str, unit: str) -> tuple[float, float]:
     >>> parse_limits("--limits", "1..6 bar", "Pa")
     (100000.0, 600000.0)
     """
-    with _of_option(option):
+    with of_option(option):
         return parse_range(text, unit)
 
 
 @contextmanager
-def _of_option(option: str) -> Iterator[None]:
+def of_option(option: str) -> Iterator[None]:
     """Name the option in an error of its unit."""
     try:
         yield

@@ -7,4 +7,5 @@ GREY, BAND = "#5F6B76", "#DBE2E9"
 """Colours of texts and lines in the background, and of ranges."""
 MUSCLES, DESIRED, MEASURED = (BLUE, VERMILLION), BLACK, GREEN
 PRESSURE, FORCE, CONTRACTION = PURPLE, GREEN, ORANGE
-"""Colours of muscles 1 (antagonist) and 2 (agonist), of what is desired, and of what is measured or simulated; and of quantities over time."""
+"""Colours of muscles 1 (antagonist) and 2 (agonist), of what is desired, and of what is measured or simulated;
+those of quantities over time."""

@@ -325,8 +325,8 @@ def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, Controlle
 def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Figure:
     """Gains of BP over time, relative to its base gains.
 
-    Upper panels: position loop; lower panels: stiffness loop. A gain that is zero has no curve. A curve is the mean over
-    a two-hundredth of the run, in a band from the lowest to the highest value, as gains may switch at each sample.
+    Upper panels: position loop; lower panels: stiffness loop. A gain that is zero has no curve. A curve is the mean
+    over a two-hundredth of the run, in a band from the lowest to the highest value, as gains may switch at each sample.
 
     Parameters
     ----------

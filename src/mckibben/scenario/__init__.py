@@ -1,6 +1,6 @@
 """Scenario files: one run of a controller on a joint; parameters of scenarios by name."""
 
-from mckibben.scenario.muscle import read_specimen, write_muscle
+from mckibben.scenario.muscle import air_volume, read_specimen, write_identified, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
 from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, read_scenario, run_scenario
 from mckibben.scenario.start import UNKNOWN, starting_scenario, starting_stiffness, starting_text
@@ -21,6 +21,7 @@ __all__ = [
     "Scenario",
     "ScenarioParameter",
     "Start",
+    "air_volume",
     "batched",
     "edit_scenario",
     "find_parameter",
@@ -37,5 +38,6 @@ __all__ = [
     "starting_text",
     "valid_rows",
     "with_values",
+    "write_identified",
     "write_muscle",
 ]

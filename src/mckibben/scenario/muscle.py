@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mckibben import catalog
+from mckibben.component.checks import check_positive
 from mckibben.component.schema import read_component, write
 from mckibben.config.document import to_text
+from mckibben.errors import UnitError
 from mckibben.muscle import ForceLaw, MaxwellSlip, Specimen
-from mckibben.muscle.air import volume_terms
+from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.storage.files import atomic_write
+from mckibben.units import quantity
+
+if TYPE_CHECKING:
+    from mckibben.identification import Fit, FitWithFriction
 
 _HEAD = """\
 # A muscle identified by mckibben, for scenarios and protocols: `muscle: muscle.yaml`, or with changes
@@ -88,3 +94,51 @@ def write_muscle(
     with atomic_write(path, overwrite=True) as part:
         part.write_text(head + to_text(data), encoding="utf-8")
     return True
+
+
+def air_volume(text: str, length: float | None) -> float | None:
+    """Return the volume [m^3] of the air at contraction 0, as a text or by an inner diameter; None if it is not known.
+
+    A diameter needs the initial length [m] of the muscle. Raises `UnitError` if the text is neither, and `RangeError`
+    for one that is not possible.
+
+    >>> round(1e6 * air_volume("10 mm", 0.3), 2), air_volume("30 mL", None), air_volume("", 0.3)
+    (23.56, 3e-05, None)
+    """
+    if not text.strip():
+        return None
+    try:
+        volume = quantity(text, "m^3")
+    except UnitError:
+        diameter = quantity(text, "m")
+        return inner_volume(length, diameter) if length else None
+    check_positive("muscle", "m^3", fill=volume)
+    return volume
+
+
+def write_identified(
+    folder: Path, fit: Fit | FitWithFriction, attributes: Mapping[str, Any], *, name: str = "", volume: float | None
+) -> Path | None:
+    """Write fit.yaml and, with an initial length, muscle.yaml to a folder, replacing files; return that of the muscle.
+
+    Parameters
+    ----------
+    folder, fit
+        Folder, and law, with friction where it was identified.
+    attributes
+        Those of the points of the fit, with name and initial length [m] of the specimen.
+    name, volume
+        Name of a specimen that has none, and volume of the air at contraction 0 [m^3] if it is known.
+    """
+    loops, path = getattr(fit, "hysteresis", None), folder / "muscle.yaml"
+    fit.to_yaml(folder / "fit.yaml")
+    written = write_muscle(
+        path,
+        fit.law,
+        specimen=attributes["specimen"] or name,
+        initial_length=attributes.get("initial_length"),
+        volume=volume,
+        friction=loops.friction if loops else None,
+        undetermined=loops.undetermined if loops else (),
+    )
+    return path if written else None

@@ -22,15 +22,14 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Question, Recipe, Table
 from mckibben.dataset.formats import ENDINGS
-from mckibben.errors import ScenarioError, UnitError, printable
-from mckibben.identification import FitWithFriction, identify_with_friction, rank
+from mckibben.errors import ScenarioError, printable
+from mckibben.identification import identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
-from mckibben.muscle.air import inner_volume
 from mckibben.report.palette import CONTRACTION, FORCE, PRESSURE
 from mckibben.result import Remark
-from mckibben.scenario import write_muscle
-from mckibben.units import bar, percent, quantity
+from mckibben.scenario import air_volume, write_identified
+from mckibben.units import bar, percent
 from mckibben.web.charts import chart, cloud, draw, line
 from mckibben.web.layout import (
     MEANINGS,
@@ -142,52 +141,6 @@ class IdentificationState(JobState):
         """Replace a result, which is then the newest."""
         self.results = {name: result} | {other: old for other, old in self.results.items() if other != name}
         self.notes, self.error = heard, None
-
-
-def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path, inner: str = "") -> Muscle | None:
-    """Write fit.yaml and, if the initial length is known, muscle.yaml.
-
-    Parameters
-    ----------
-    identified
-        Law, with friction where it was identified.
-    data
-        Points of the fit, with name and initial length of the specimen.
-    folder
-        Folder of the files, which are replaced.
-    inner
-        Inner diameter, or measured volume of air at contraction 0, with its unit: it gives the muscle a volume, as
-        `mckibben identify --inner` does.
-
-    Returns
-    -------
-    Muscle or None
-        Muscle for joints; None without an initial length.
-
-    Raises
-    ------
-    UnitError, RangeError
-        If `inner` is neither a length nor a volume, or is not possible.
-    """
-    identified.to_yaml(folder / "fit.yaml")
-    attrs, loops = data.table.attrs, identified.hysteresis
-    length, volume = attrs.get("initial_length"), None
-    if length and inner.strip():
-        try:
-            volume = quantity(inner, "m^3")
-        except UnitError:
-            volume = inner_volume(length, quantity(inner, "m"))
-    path = folder / "muscle.yaml"
-    written = write_muscle(
-        path,
-        identified.law,
-        specimen=attrs["specimen"],
-        initial_length=length,
-        volume=volume,
-        friction=loops.friction if loops else None,
-        undetermined=loops.undetermined if loops else (),
-    )
-    return read_component(Muscle, path) if written else None
 
 
 def page() -> None:
@@ -338,14 +291,16 @@ class _Page(JobPage[IdentificationState]):
         state, folder = self.state, self.folder
         if (data := self.points()) is None:
             return
-        law, diameter, keep = law_types()[state.law], state.diameter, state.keep_outliers
+        law, inner, keep = law_types()[state.law], state.diameter, state.keep_outliers
         friction = _FRICTION[state.friction]
 
         def compute(_: Callable[[str, float], None]) -> tuple[Presented, Muscle | None, Path]:
+            volume = air_volume(inner, data.table.attrs.get("initial_length"))
             fit = identify_with_friction(law, data, friction=friction, robust=not keep)
             written = Path(tempfile.mkdtemp(dir=folder))
-            muscle = keep_muscle(fit, data, written, diameter)
-            steps = state.steps(law.__name__, friction=friction, robust=not keep, inner=diameter)
+            path = write_identified(written, fit, data.table.attrs, volume=volume)
+            muscle = None if path is None else read_component(Muscle, path)
+            steps = state.steps(law.__name__, friction=friction, robust=not keep, inner=inner)
             steps.files.update({path.name: path.read_bytes() for path in written.iterdir()})
             return Presented.of(fit, steps), muscle, written
 
