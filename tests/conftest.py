@@ -28,6 +28,10 @@ from mckibben.control import Controller
 from mckibben.errors import DeviceError, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import numeric
+from mckibben.paper.claims import evaluate_claims
+from mckibben.paper.identification import run_identification, run_joint
+from mckibben.paper.reproduction import Reproduction
+from mckibben.paper.tracking import run_tracking
 from mckibben.plant import JointPlant
 from mckibben.robot import simulate as robot_runs
 from mckibben.simulation import Batch, Metrics, Outcome, batch
@@ -107,16 +111,14 @@ def optimized():
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """A file for a worker, but all of the paper, or of its report, whose files share a reproduction, for one."""
+    """A file for a worker, but all of the paper and of its report, whose files share a reproduction, for one."""
     from xdist.scheduler import LoadFileScheduling
 
-    report = tuple(f"tests/report/test_{name}.py" for name in ("figures", "html"))
+    shared = "tests/paper/", "tests/report/test_figures.py", "tests/report/test_html.py"
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            if nodeid.startswith(report):
-                return "tests/report"
-            return "tests/paper" if nodeid.startswith("tests/paper/") else super()._split_scope(nodeid)
+            return "tests/paper" if nodeid.startswith(shared) else super()._split_scope(nodeid)
 
     return Scheduling(config, log)
 
@@ -390,3 +392,33 @@ def simulating_nothing():
         patch.setattr("mckibben.study.compare.runs.simulate_group", invented)
         patch.setattr("mckibben.scenario.Scenario.margins", without_margins)
         yield
+
+
+# One reduced reproduction of the paper for all tests of a worker ------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def identification():
+    return run_identification(repeats=2)
+
+
+@pytest.fixture(scope="session")
+def joint_maps():
+    return run_joint(resolution=121)
+
+
+@pytest.fixture(scope="session")
+def reported():
+    """Progress reported by `tracking`."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def tracking(reported):
+    return run_tracking(seeds=2, generations=2, population=8, progress=reported.append)
+
+
+@pytest.fixture(scope="session")
+def reproduction(identification, joint_maps, tracking):
+    claims = evaluate_claims(identification, joint_maps, tracking)
+    return Reproduction(identification, joint_maps, tracking, claims, quick=True, seconds=1.0)

@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.usefixtures("simulating_nothing")
+@pytest.mark.slow
 def test_a_page_of_results_has_its_command_and_tables(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     page, study = tmp_path / "page.md", tmp_path / "study"

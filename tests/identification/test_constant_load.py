@@ -46,6 +46,7 @@ def hanging_weights(friction, *, loads=(30, 60, 90, 120), noise=5e-4, seed=0):
 
 
 @pytest.mark.parametrize("friction", [3.0, 8.0])
+@pytest.mark.slow
 def test_law_and_friction_of_a_test_with_weights(friction):
     data = hanging_weights(friction)
     found = identify_with_friction(ExponentialLaw, data)
@@ -58,6 +59,7 @@ def test_law_and_friction_of_a_test_with_weights(friction):
     ]
 
 
+@pytest.mark.slow
 def test_measured_loads_are_recognised_by_their_levels_or_by_the_set_ones(tmp_path):
     """A load cell in series with the weights is noisy."""
     typed = hanging_weights(6.0)

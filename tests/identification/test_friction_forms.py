@@ -102,6 +102,7 @@ def test_a_form_that_the_data_do_not_determine_is_refused():
         identify_hysteresis(ExponentialLaw, data, form=FrictionForm.VISCOUS)
 
 
+@pytest.mark.slow
 def test_a_stop_and_go_recording_whose_samples_mostly_rest_has_rates():
     """Steps of 2 mm in 1 s, then 4 s of rest: most rates are 0."""
     rows, rng = [], np.random.default_rng(0)

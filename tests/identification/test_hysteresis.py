@@ -73,6 +73,7 @@ def test_the_parts_add_up_to_what_was_measured(drifting):
     assert found.used.all() and found.points_slack == np.count_nonzero(data.slack)
 
 
+@pytest.mark.slow
 def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
     data, found = drifting
     assert off(fit_law(ExponentialLaw, data).law) > 0.5  # as they are, it is out by far

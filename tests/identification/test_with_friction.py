@@ -76,6 +76,7 @@ def test_reversed_directions_are_named(rig):
     assert found.hysteresis is None and "below" in found.note
 
 
+@pytest.mark.slow
 def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     found = identify_with_friction(ExponentialLaw, rig)
     muscle = found.muscle(mk.Specimen("mine", 0.2))

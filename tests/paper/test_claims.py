@@ -25,6 +25,8 @@ from mckibben.paper.tracking import (
 from mckibben.simulation import Metrics
 from mckibben.units import deg
 
+pytestmark = pytest.mark.slow  # they need the identification of all muscles
+
 CHOU_CLAIM = "The experimental law is closer to the measured force than Chou's"
 REAL_CLAIM = "Eq. 2 is closer than Chou's law on a measured map"
 SIMILAR_CLAIM = "Loading and unloading are similar"
@@ -84,7 +86,6 @@ def relabelled(validation, swap: dict[str, str]):
     )
 
 
-@pytest.mark.slow
 def test_chou_may_be_closer(judged, identification):
     assert judged(CHOU_CLAIM).holds
     swapped = relabelled(identification.retested, {EXPERIMENTAL: CHOU, CHOU: EXPERIMENTAL})
@@ -100,7 +101,6 @@ def test_chou_may_be_closer(judged, identification):
 
 
 @pytest.mark.parametrize("name", [MARTENS, FESTO])
-@pytest.mark.slow
 def test_the_law_may_fail_on_unseen_pressures_of_a_real_muscle(judged, identification, name):
     assert judged(REAL_CLAIM).holds
     fit = identification.fits[name]
@@ -109,7 +109,6 @@ def test_the_law_may_fail_on_unseen_pressures_of_a_real_muscle(judged, identific
         assert not judged(REAL_CLAIM, muscles=dataclasses.replace(identification, fits=fits)).holds
 
 
-@pytest.mark.slow
 def test_loading_and_unloading_may_differ(judged, identification):
     table = identification.data[RIG].table
     loading = table["direction"].to_numpy() == "loading"

@@ -157,6 +157,7 @@ def test_pressures_in_the_loop_are_those_of_the_statics(stiffness):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_the_certificate_bounds_what_few_steps_leave(seed):
     rng = np.random.default_rng(seed)
     factors, right, size = rng.normal(size=(9, 7)), rng.normal(size=9), 7

@@ -38,6 +38,7 @@ def pull_of_gravity(robot, angles):
 
 
 @pytest.mark.parametrize("case", REFERENCE["cases"])
+@pytest.mark.slow
 def test_an_arm_of_24_muscles_is_that_of_soromox(arm, case):
     """Muscles, mass matrix and accelerations of UMArm; there gravity acts along -x of the base."""
     angles, rates = np.array(case["angle_rad"]), np.array(case["velocity_rad_s"])

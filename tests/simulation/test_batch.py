@@ -207,6 +207,7 @@ def test_the_runs_ended_in_every_way_there_is(everything):
     assert np.nanmax(everything.metrics["time_saturated"]) > 0
 
 
+@pytest.mark.slow
 def test_coupling_is_known_where_the_stiffness_changes_and_stops(everything):
     coupling = everything.metrics["coupling"]
     for name in ("step before the run", "step in the last period", "step after the run", "constant"):
@@ -227,6 +228,7 @@ def test_what_is_kept_are_columns_of_the_single_run(everything, alone):
     assert everything.table["angle"].attrs["units"] == "rad"
 
 
+@pytest.mark.slow
 def test_the_table_names_the_values_and_the_outcomes(everything):
     masses = everything.table["load.mass2"].to_numpy()
     np.testing.assert_array_equal(masses, [row["load.mass2"] for row in ROWS])

@@ -245,6 +245,7 @@ RUBBING = (
 
 
 @pytest.mark.parametrize("plants", [(), RUBBING, (OF_AIR, ("substeps: 1", "substeps: 8"))])
+@pytest.mark.slow
 def test_a_true_model_is_the_plant_of_each_run(plants):
     runs = draw(changed(("tuning: {", "true_model: [decoupling]\ntuning: {"), *plants), 8, 1)
     assert len(runs.groups) == 2

@@ -18,6 +18,7 @@ def start():
 
 
 @pytest.mark.parametrize(("label", "name"), OPTIONS)
+@pytest.mark.slow
 def test_an_option_is_recognised_in_the_text_of_its_scenario(start, label, name):
     chosen = CHOICES[label].choose(start, name)
     again = Scenario.parse(chosen.dumps())
