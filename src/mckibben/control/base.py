@@ -105,6 +105,10 @@ class DiscreteTimeSystem(Labelled, Component, Generic[State]):
     ) -> tuple[State, tuple[PyTree, ...]]:
         """Return the next state, and the outputs for the coming control period [s]."""
 
+    def desired_angle(self, setpoint: PyTree) -> PyTree:
+        """Return the desired angle [rad] of a setpoint."""
+        return setpoint.angle
+
     def telemetry(self, state: State) -> dict[str, Array]:
         """Return the signals to record each period, by name."""
         return {}

@@ -136,6 +136,9 @@ class TrackingControl(RobotController):
         held, setpoints = self.reference.step(state.reference, time, measurement, period)
         return self.step_toward(state._replace(reference=held), setpoints, measurement, period)
 
+    def desired_angle(self, setpoint: PyTree) -> PyTree:
+        return tuple(reference(setpoint).angle for reference in self.reference.references)
+
     @abc.abstractmethod
     def step_toward(
         self, state: PyTree, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike

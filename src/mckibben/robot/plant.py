@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import operator
@@ -28,7 +29,7 @@ from mckibben.numerics.calculus import SEMI_IMPLICIT_LIMIT, rk4, semi_implicit, 
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
-from mckibben.plant.sensors import Disturbance
+from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
 from mckibben.robot.dynamics import (
     Contact,
     Posture,
@@ -169,6 +170,12 @@ class RobotPlant(Plant[RobotState]):
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
         return tuple(joint.disturbance for joint in self.robot.joints)
+
+    def with_ideal_io(self) -> RobotPlant:
+        """Return the plant with perfect sensors, and without disturbances and delay of the commands."""
+        joints = tuple(dataclasses.replace(joint, disturbance=NoDisturbance()) for joint in self.robot.joints)
+        robot = dataclasses.replace(self.robot, joints=joints)
+        return dataclasses.replace(self, robot=robot, sensors=PerfectSensors(), command_delay=None, delay_periods=0)
 
     def true_measurement(self, state: RobotState) -> Measurement:
         angles: Any = state.posture.angles

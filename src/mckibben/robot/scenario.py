@@ -7,6 +7,7 @@ import os
 from types import SimpleNamespace
 from typing import Annotated, Any, cast
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer, model_validator
@@ -19,6 +20,8 @@ from mckibben.config.model import ConfigModel, fail_validation, located_below
 from mckibben.control import Controller
 from mckibben.errors import RangeError, quoted, suggest
 from mckibben.muscle import SpringLaw
+from mckibben.numerics.calculus import evenly_spaced
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors
 from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.control import JointwiseControl, TimedReference, TrackingControl, check_pairs
@@ -26,6 +29,7 @@ from mckibben.robot.dynamics import joint_load
 from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.plant import RobotPlant, RobotStart
+from mckibben.robot.simulate import RobotProblem
 from mckibben.robot.statics import holding_torques, is_affine, pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
     ControllerPart,
@@ -35,7 +39,10 @@ from mckibben.scenario.scenario import (
     Substeps,
     ValvePart,
 )
+from mckibben.simulation import Margins
 from mckibben.simulation.accuracy import ACCURACY
+from mckibben.simulation.problem import sampling_times, single_run
+from mckibben.simulation.stability import linearisable, margins_along
 from mckibben.units import (
     Accuracy,
     Angle,
@@ -421,6 +428,22 @@ class RobotScenario(RunSettings):
         return JointwiseControl(
             tuple(inherit(self.controllers[joint.name], scope) for joint, scope in joints), reference=reference
         )
+
+    def margins(self, points: int = 20) -> Margins:
+        """Return the stability margins of the loop of all joints along the run, see `mckibben.simulation.margins`."""
+        assert self.duration is not None  # as it has a controller
+        times = sampling_times(self.duration, self.control_period)
+        plant = linearisable(self.plant(), self.control_period)
+        problem = single_run(RobotProblem(plant, self.control(), self.initial()), self.control_period, "disk_margins")
+        start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start))
+        chosen = evenly_spaced(times.size, points)
+        found = margins_along(
+            problem, start, times, times[chosen], chosen, self.control_period, self.needed_substeps(), self.robot.muscle_names
+        )
+        return found
+
+    def needed_substeps(self) -> int:
+        return self.substeps or 4
 
     def initial(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+import functools
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -42,6 +44,7 @@ _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
 _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
+_MOST_NUMBERS = 2**24  # of the responses of several loops at once
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
@@ -73,8 +76,8 @@ class LinearLoop(NamedTuple):
 class Margins(Result):
     """Stability margins of the sampled loop at operating points along a run.
 
-    The loop is opened at the commands of both valves. Infinite where no disturbance of any size leads to instability,
-    and 0 at an unstable point. The disk margin alpha is that of both commands at once, each with its own gain and
+    The loop is opened at the commands of all valves. Infinite where no disturbance of any size leads to instability,
+    and 0 at an unstable point. The disk margin alpha is that of all commands at once, each with its own gain and
     phase, without skew: gains from (2 - alpha)/(2 + alpha) to its inverse and phases up to 2 arctan(alpha / 2).
 
     Attributes
@@ -84,22 +87,27 @@ class Margins(Result):
     radius
         Largest modulus of the poles in discrete time, shape (points,); below 1 for a stable loop.
     gain, phase, delay
-        Smallest factor, phase [rad] and delay [s] of both commands beyond which the loop is unstable, shape (points,).
+        Smallest factor, phase [rad] and delay [s] of all commands beyond which the loop is unstable, shape (points,).
     disk
         Disk margin, shape (points,).
+    alone
+        Disk margin of each command alone, with the loops of the others closed, shape (points, commands).
     peak, loop
         Frequency [Hz] at which the loop comes closest to instability, and whether that is in the loop of the angle,
-        which drives the pressures apart, or of the stiffness; NaN and empty at an unstable point. Shape (points,).
+        which drives the pressures apart, or of the stiffness, or, of a robot, the muscle that takes the largest part in
+        it; NaN and empty at an unstable point. Shape (points,).
     frequency
         Frequencies [Hz] of the response, shape (frequencies,).
     sensitivity
         Largest singular value of the sensitivity at the commands, shape (points, frequencies).
     loci
-        Eigenvalues of the open loop, complex, shape (points, frequencies, 2).
+        Eigenvalues of the open loop, complex, shape (points, frequencies, commands).
     oscillation
         Amplitude of the limit cycle of the run [rad]; 0 without one.
     friction
         Whether muscles or joint of the plant have friction.
+    muscles
+        Names of the muscles of a robot, in the order of the commands.
 
     References
     ----------
@@ -121,6 +129,8 @@ class Margins(Result):
     loci: NDArray[np.complex128] = column("1", "open loop", dims=("point", "frequency", "command"))
     oscillation: float = column("rad", "amplitude of the limit cycle", "deg", default=0.0)
     friction: bool = False
+    muscles: tuple[str, ...] = ()
+    alone: NDArray[np.float64] = column("1", "disk margin of one", dims=("point", "command"), default=None)
 
     @property
     def stable(self) -> bool:
@@ -135,7 +145,8 @@ class Margins(Result):
     def limit(self) -> str:
         """Return the operating point of the least disk margin, and the loop and frequency of its peak."""
         worst = int(self.disk.argmin())
-        peak = f" in the loop of the {self.loop[worst]} at {self.peak[worst]:.3g} Hz" if self.loop[worst] else ""
+        which = f"{'' if self.muscles else 'the '}{self.loop[worst]}"
+        peak = f" in the loop of {which} at {self.peak[worst]:.3g} Hz" if self.loop[worst] else ""
         return f"at {self.time[worst]:.3g} s{peak}"
 
     def verdict(self) -> str:
@@ -164,7 +175,7 @@ class Margins(Result):
             yield Remark.warning("friction", text, "simulate with a `disturbance` to see their amplitude")
         if opened := int(np.sum(self.disk >= _OPEN)):
             text = (
-                f"at {opened} of the points the loop is open, with both valves in their dead zone, or both commands at "
+                f"at {opened} of the points the loop is open, with all valves in their dead zone, or all commands at "
                 "a limit"
             )
             yield Remark.warning("reference", text, "choose a reference in motion")
@@ -195,13 +206,31 @@ def margins(
     problem = _problem(plant, controller, reference, initial, control_period)
     problem, setpoints = single_run(problem, control_period, "disk_margins"), sampled_reference(reference, times)
     start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start(setpoints)[0]))
+    found = margins_along(problem, start, setpoints, times[chosen], chosen, control_period, substeps)
+    return dataclasses.replace(found, friction=plant.friction is not None or plant.joint.has_friction)
+
+
+def margins_along(
+    problem: Any,
+    start: PyTree,
+    setpoints: PyTree,
+    times: NDArray[np.float64],
+    chosen: NDArray[np.int64],
+    control_period: float,
+    substeps: int,
+    muscles: tuple[str, ...] = (),
+) -> Margins:
+    """Return the margins of the plant and controller of a problem at chosen control periods, which begin at times [s].
+
+    The start has one run along the last axis; setpoints are those of all periods, for a robot the times.
+    """
     loops, oscillations = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    columns: dict[str, Any] = _margins_of(LinearLoop(*(leaf[0] for leaf in loops)), control_period)
-    columns["friction"] = plant.friction is not None or plant.joint.has_friction
-    columns["oscillation"] = float(oscillations[0])
-    return Margins(time=times[chosen], frequency=_frequencies(control_period), **columns)
+    points = [_margins_of(LinearLoop(*(leaf[:, i] for leaf in loops)), control_period, muscles) for i in range(len(times))]
+    columns: dict[str, Any] = {name: np.concatenate([point[name] for point in points]) for name in points[0]}
+    columns |= {"oscillation": float(oscillations[0]), "muscles": muscles}
+    return Margins(time=times, frequency=_frequencies(control_period), **columns)
 
 
 def disk_margins(
@@ -227,17 +256,36 @@ def disk_margins(
     times = sampling_times(duration, control_period)
     problem = _problem(plant, controller, reference, initial, control_period)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
-    chosen = evenly_spaced(times.size, points)
+
+    def starting(some: SimulationProblem) -> tuple[PlantState, Any, Setpoint]:
+        setpoints = sampled_runs(some.reference, shared.reference, times)
+        return *starts_of(some, shared, setpoints), setpoints
+
+    return least_disk_margins(lanes, shared, count, starting, evenly_spaced(times.size, points), control_period, substeps)
+
+
+def least_disk_margins(
+    lanes: Any,
+    shared: Any,
+    count: int,
+    starting: Callable[[Any], tuple[PyTree, Any, PyTree]],
+    chosen: NDArray[np.int64],
+    control_period: float,
+    substeps: int,
+) -> NDArray[np.float64]:
+    """Return what `disk_margins` does, of runs of a problem that is split into lanes and what they share.
+
+    `starting` gives, of some lanes, with the runs along the last axis: starts, whether they exist, and setpoints.
+    """
 
     def of_chunk(piece: slice) -> NDArray[np.float64]:
         some = jax.tree.map(lambda leaf: np.moveaxis(leaf, 0, -1), pad_chunk(lanes, piece, _LANES))
-        setpoints = sampled_runs(some.reference, shared.reference, times)
-        start, exists = starts_of(some, shared, setpoints)
+        start, exists, setpoints = starting(some)
         loops, oscillation = _linearised(some, shared, start, setpoints, control_period, chosen, substeps)
         asked = slice(piece.stop - piece.start)
         flat = LinearLoop(*(leaf[asked].reshape(-1, *leaf.shape[2:]) for leaf in loops))
         margins = _disk_margins(flat, control_period).reshape(-1, chosen.size).min(axis=1)
-        return np.where(exists[asked], np.where(oscillation[asked] > 0, 0.0, margins), np.nan)
+        return np.where(np.asarray(exists)[asked], np.where(oscillation[asked] > 0, 0.0, margins), np.nan)
 
     return np.concatenate([margins_of_chunk for _, margins_of_chunk in map_chunks(of_chunk, count, _LANES)])
 
@@ -252,18 +300,29 @@ def _problem(
     """
     if plant.valve.switches and isinstance(initial, PlantState):
         initial = initial._replace(air=())
+    return SimulationProblem.of(linearisable(plant, period), controller, reference, initial)
+
+
+def linearisable(plant: Any, period: float) -> Any:
+    """Return a plant without noise and disturbance: its valves have their mean flow, and all delays are in commands."""
     own = 0.0 if plant.command_delay is None else plant.command_delay
     delay = getattr(plant.sensors, "delay", 0.0) * period + own
     ideal = dataclasses.replace(plant.with_ideal_io(), valve=plant.valve.averaged())
-    plant = dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
-    return SimulationProblem.of(plant, controller, reference, initial)
+    return dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
+
+
+class _Loop(NamedTuple):
+    """Plant and controller of a sampled loop, or parts of them that vary."""
+
+    plant: Any
+    controller: Any
 
 
 def _linearised(
-    lanes: SimulationProblem | None,
-    shared: SimulationProblem,
-    start: PlantState,
-    setpoints: Setpoint,
+    lanes: Any,
+    shared: Any,
+    start: PyTree,
+    setpoints: PyTree,
     control_period: float,
     chosen: NDArray[np.int64],
     substeps: int,
@@ -272,21 +331,20 @@ def _linearised(
 
     Arguments have the runs along their last axis; setpoints of all runs alike may lack it.
     """
-    without: Any = {"reference": None, "initial": None}
-    constant = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
-    own = None if lanes is None else lanes._replace(**without)
+    constant = _Loop(*shared[:2]), np.asarray(control_period), np.asarray(substeps)
+    own, inputs = None if lanes is None else _Loop(*lanes[:2]), len(shared.plant.muscles)
     runs = jax.tree.leaves(start)[0].shape[-1]
     setpoints = jax.tree.map(lambda leaf: np.broadcast_to(leaf.reshape(len(leaf), -1), (len(leaf), runs)), setpoints)
     visited, oscillation = map(np.asarray, _visited("auto", constant, (own, start, setpoints))[0])
-    if early := shared.controller.samples_ahead:
+    if early := getattr(shared.controller, "samples_ahead", 0):
         setpoints = jax.tree.map(lambda leaf: np.asarray(leaf[early:]), extended(setpoints, early, control_period))
     states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
-    directions = np.eye(count + 2)
+    directions = np.eye(count + inputs)
 
     def lane(leaf: NDArray) -> NDArray:
         """A leaf as lanes, one for each run, point and direction, which are its last axes."""
-        return np.broadcast_to(leaf, (*leaf.shape[:-3], *shape, count + 2)).reshape(*leaf.shape[:-3], -1)
+        return np.broadcast_to(leaf, (*leaf.shape[:-3], *shape, count + inputs)).reshape(*leaf.shape[:-3], -1)
 
     parts = (
         *jax.tree.map(lambda leaf: lane(np.asarray(leaf)[..., None, None]), (own, start)),
@@ -295,7 +353,7 @@ def _linearised(
         lane(directions[:, None, None]),
     )
     following, wanted = (
-        np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", constant, parts)[0]
+        np.moveaxis(np.reshape(rows, (-1, *shape, count + inputs)), 0, 2) for rows in _along("auto", constant, parts)[0]
     )
     return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count]), oscillation
 
@@ -303,22 +361,25 @@ def _linearised(
 @BatchFunction
 def _visited(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     """States of plant and controller at each control period, and the amplitude of the limit cycle of the run [rad]."""
-    (problem, period, substeps), (own, start, setpoints) = shared, lane
-    run = problem if own is None else eqx.combine(own, problem)
+    (loop, period, substeps), (own, start, setpoints) = shared, lane
+    run: _Loop = loop if own is None else eqx.combine(own, loop)
+    still = jnp.zeros(len(run.plant.muscles))
 
-    def step(loop: LoopState, setpoint: Setpoint) -> tuple[LoopState, tuple[Array, Array]]:
-        following, _ = _advance(run, loop, setpoint, jnp.zeros(2), period, substeps)
-        return following, (ravel_pytree(loop)[0], jnp.asarray(loop[0].angle))
+    def step(loop: LoopState, setpoint: PyTree) -> tuple[LoopState, tuple[Array, PyTree, PyTree]]:
+        following, _ = _advance(run, loop, setpoint, still, period, substeps)
+        angles = run.plant.true_measurement(loop[0]).angle, run.controller.desired_angle(setpoint)
+        return following, (ravel_pytree(loop)[0], *jax.tree.map(jnp.asarray, angles))
 
-    states, angles = lax.scan(step, *begun(run.plant, run.controller, setpoints, start, period))[1]
-    return states, find_limit_cycle(angles, setpoints.angle, period).amplitude
+    states, *angles = lax.scan(step, *begun(run.plant, run.controller, setpoints, start, period))[1]
+    cycles = map(find_limit_cycle, *map(jax.tree.leaves, angles), itertools.repeat(period))
+    return states, functools.reduce(jnp.maximum, (cycle.amplitude for cycle in cycles))
 
 
 @BatchFunction
 def _along(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     """Derivatives of the next state and of the commands in a direction of the state and the disturbed commands."""
-    (problem, period, substeps), (own, start, state, setpoint, direction) = shared, lane
-    run = problem if own is None else eqx.combine(own, problem)
+    (loop, period, substeps), (own, start, state, setpoint, direction) = shared, lane
+    run: _Loop = loop if own is None else eqx.combine(own, loop)
     shapes = jax.eval_shape(initial_loop, run.plant, run.controller, start)
     unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes))[1]
 
@@ -327,17 +388,17 @@ def _along(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
         return ravel_pytree(following)[0], wanted
 
     size = state.shape[0]
-    return jax.jvp(flat_step, (state, jnp.zeros(2)), (direction[:size], direction[size:]))[1]
+    return jax.jvp(flat_step, (state, jnp.zeros(len(run.plant.muscles))), (direction[:size], direction[size:]))[1]
 
 
 def _advance(
-    run: SimulationProblem, loop: LoopState, setpoint: Setpoint, disturbance: Array, period: Array, substeps: Any
+    run: _Loop, loop: LoopState, setpoint: PyTree, disturbance: Array, period: Array, substeps: Any
 ) -> tuple[LoopState, Array]:
     """The loop after a control period with disturbed commands, and the commands."""
     state, held = loop
     state, measurement = run.plant.sample(state, period)
     held, wanted = run.controller.step(held, setpoint, measurement, period)
-    commands = run.plant.clip_commands((wanted[0] + disturbance[0], wanted[1] + disturbance[1]))
+    commands = run.plant.clip_commands(tuple(one + disturbance[i] for i, one in enumerate(wanted)))
     return (run.plant.follow(state, commands, period, substeps), held), jnp.stack(wanted)
 
 
@@ -354,7 +415,7 @@ def _radii(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
 class _Triangular(NamedTuple):
     """Linear loops in the coordinates of a Schur decomposition, whose matrices are upper triangular.
 
-    Shapes (loops, n, n), (loops, n, 2) and (loops, 2, n).
+    Shapes (loops, n, n), (loops, n, commands) and (loops, commands, n).
     """
 
     a: NDArray[np.complex128]
@@ -380,32 +441,34 @@ class _Triangular(NamedTuple):
     def sensitivity(self, angles: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Commands over their disturbance, at angles [rad] of a control period.
 
-        Angles of shape (loops, frequencies) give (loops, frequencies, 2, 2).
+        Angles of shape (loops, frequencies) give (loops, frequencies, commands, commands).
         """
-        count, size = self.poles.shape
-        z, b = np.repeat(np.exp(1j * angles), 2, axis=1), np.tile(self.b, angles.shape[1])
+        count, size, inputs = self.b.shape
+        if count * size * inputs * angles.shape[1] > _MOST_NUMBERS and count > 1:
+            alone = [_Triangular(*(leaf[i : i + 1] for leaf in self)) for i in range(count)]
+            return np.concatenate([loop.sensitivity(angles[i : i + 1]) for i, loop in enumerate(alone)])
+        z, b = np.repeat(np.exp(1j * angles), inputs, axis=1), np.tile(self.b, angles.shape[1])
         states = np.zeros((count, size, z.shape[1]), complex)
         for k in reversed(range(size)):  # substitution from the last state, of all loops at all angles at once
             known = b[:, k] + (self.a[:, k, None, k + 1 :] @ states[:, k + 1 :])[:, 0]
             states[:, k] = known / (z - self.a[:, k, k, None])
-        return np.eye(2) + np.moveaxis((self.c @ states).reshape(count, 2, -1, 2), 1, 2)
+        return np.eye(inputs) + np.moveaxis((self.c @ states).reshape(count, inputs, -1, inputs), 1, 2)
 
     def peaks(self, period: float, *, few: int = 120, tops: int = 4, rounds: int = 4) -> tuple[NDArray, ...]:
-        """Disk margins, frequencies [Hz] of the peaks that limit them, and the loops in whose commands the peaks are.
+        """Disk margins, frequencies [Hz] of the peaks that limit them, and the commands of the peaks.
 
-        The disk margin is the inverse of the largest response of S - 1/2 of a stable loop. The loop of the angle drives
-        the pressures apart, that of the stiffness both up and down.
+        The disk margin is the inverse of the largest response of S - 1/2 of a stable loop.
 
         From frequencies in equal ratios and the resonances of the poles with their widths, the frequencies about the
         largest local maxima, the `tops`, are refined by a factor of four in each round, so that narrow peaks are met
         to well below 1 %.
         """
-        lowest, poles = 2 * np.pi * _LOWEST_FREQUENCY * period, self.poles
+        lowest, poles, half = 2 * np.pi * _LOWEST_FREQUENCY * period, self.poles, np.eye(self.b.shape[2]) / 2
         resonance, width = np.where(poles.imag >= 0, np.angle(poles), np.pi), 1 - np.abs(poles)
         even = np.tile(2 * np.pi * _frequencies(period, few) * period, (len(poles), 1))
         angles = np.concatenate([even, resonance, resonance - width, resonance + width], axis=1)
         angles = np.sort(angles.clip(lowest, np.pi), axis=1)
-        sizes = _largest_singular(self.sensitivity(angles) - np.eye(2) / 2)
+        sizes = _largest_singular(self.sensitivity(angles) - half)
         between = np.array([0.25, 0.5, 0.75])
         for _ in range(rounds):
             padded = np.pad(sizes, ((0, 0), (1, 1)))
@@ -415,20 +478,20 @@ class _Triangular(NamedTuple):
             middle = np.take_along_axis(angles, top, axis=1)[..., None, None]
             towards = np.take_along_axis(angles[:, None], sides, axis=2)[..., None] - middle
             new = (middle + towards * between).reshape(len(poles), -1)
-            new_sizes = _largest_singular(self.sensitivity(new) - np.eye(2) / 2)
+            new_sizes = _largest_singular(self.sensitivity(new) - half)
             angles, sizes = np.concatenate([angles, new], axis=1), np.concatenate([sizes, new_sizes], axis=1)
             order = np.argsort(angles, axis=1, kind="stable")
             angles, sizes = (np.take_along_axis(values, order, axis=1) for values in (angles, sizes))
         top = np.argmax(sizes, axis=1)[:, None]
         angle, size = (np.take_along_axis(values, top, axis=1) for values in (angles, sizes))
-        directions = np.linalg.svd(self.sensitivity(angle)[:, 0] - np.eye(2) / 2)[2][:, 0]
-        common, difference = np.abs(directions @ [[1, 1], [1, -1]]).T
-        loop = np.where(difference > common, "angle", "stiffness")
-        return 1 / size[:, 0], angle[:, 0] / (2 * np.pi * period), loop
+        directions = np.linalg.svd(self.sensitivity(angle)[:, 0] - half)[2][:, 0]
+        return 1 / size[:, 0], angle[:, 0] / (2 * np.pi * period), directions
 
 
 def _largest_singular(matrices: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Largest singular values of matrices of shape (..., 2, 2), from the invariants of each times its adjoint."""
+    """Largest singular values of matrices; of 2 x 2 ones from the invariants of each times its adjoint."""
+    if matrices.shape[-1] != 2:
+        return np.linalg.norm(matrices, 2, axis=(-2, -1))
     trace = (np.abs(matrices) ** 2).sum(axis=(-2, -1))
     determinant = np.abs(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0])
     return np.sqrt((trace + np.sqrt(np.maximum(trace**2 - 4 * determinant**2, 0.0))) / 2)
@@ -445,27 +508,36 @@ def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
     return margins
 
 
-def _margins_of(loops: LinearLoop, period: float) -> dict[str, NDArray]:
-    """Columns of `Margins` of linear loops, leaves (loops, ...)."""
+def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -> dict[str, NDArray]:
+    """Columns of `Margins` of linear loops, leaves (loops, ...), of a joint or of a robot with these muscles."""
     triangular = _Triangular.of(loops)
     radius, angles = _radii(triangular.poles), 2 * np.pi * _frequencies(period) * period
     sensitivity = triangular.sensitivity(np.broadcast_to(angles, (radius.size, angles.size)))
-    opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
+    size = np.eye(sensitivity.shape[-1])
+    opened = size - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
     gain, phase, delay = np.array([_crossings(rows, angles, period) for rows in loci]).T
-    disk, peak, loop = triangular.peaks(period)
-    margins: dict[str, NDArray] = {"gain": gain, "phase": phase, "delay": delay, "disk": disk}
-    margins = {name: np.where(radius < 1, values, 0.0) for name, values in margins.items()}
+    disk, peak, directions = triangular.peaks(period)
+    if muscles:
+        loop = np.array(muscles)[np.abs(directions).argmax(axis=1)]
+    else:  # that of the angle drives the pressures apart, that of the stiffness both up and down
+        common, difference = np.abs(directions @ [[1, 1], [1, -1]]).T
+        loop = np.where(difference > common, "angle", "stiffness")
+    alone = 1 / np.abs(np.diagonal(sensitivity, axis1=2, axis2=3) - 0.5).max(axis=1)
+    margins: dict[str, NDArray] = {"gain": gain, "phase": phase, "delay": delay, "disk": disk, "alone": alone.T}
+    margins = {name: np.where(radius < 1, values, 0.0).T for name, values in margins.items()}
     margins |= {"peak": np.where(radius < 1, peak, np.nan), "loop": np.where(radius < 1, loop, "")}
     return margins | {"radius": radius, "sensitivity": _largest_singular(sensitivity), "loci": loci}
 
 
 def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> tuple[float, float, float]:
     """Gain margin, phase margin [rad] and delay margin [s] from the loci of the open loop over the frequency."""
-    same, crossed = (np.abs(loci[1:] - earlier).sum(axis=1) for earlier in (loci[:-1], loci[:-1, ::-1]))
-    swapped = np.append(False, np.logical_xor.accumulate(same > crossed))  # in the order of the nearest neighbours
-    followed = np.where(swapped[:, None], loci[:, ::-1], loci)
-    turned, size = np.unwrap(np.angle(followed), axis=0), np.abs(followed)
+    from scipy.optimize import linear_sum_assignment
+
+    followed = [loci[0]]  # in the order of the nearest neighbours
+    for row in loci[1:]:
+        followed.append(row[linear_sum_assignment(np.abs(followed[-1][:, None] - row))[1]])
+    turned, size = np.unwrap(np.angle(np.array(followed)), axis=0), np.abs(followed)
     k, locus = np.nonzero((size[:-1] - 1) * (size[1:] - 1) < 0)
     part = (1 - size[k, locus]) / (size[k + 1, locus] - size[k, locus])
     lag = np.mod(turned[k, locus] + part * (turned[k + 1, locus] - turned[k, locus]) + np.pi, 2 * np.pi)
