@@ -37,15 +37,12 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    from mckibben.scenario import Scenario, read_scenario, run_scenario
+    from mckibben.scenario import Scenario, read_scenario
 
     read = read_scenario(scenario)
     if not isinstance(read, Scenario):
-        from mckibben.robot import run_tracking
-
         check_unused("simulate, of a robot,", animate=animate)
-        return run_tracking(read, source=str(scenario))
-    result = run_scenario(read, source=str(scenario))
+    result = read.run(source=str(scenario))
     if animate:
         from mckibben import report
 
@@ -95,9 +92,9 @@ def stiffness(
 @command
 def margins(scenario: ScenarioFile) -> Margins:
     """Compute the stability margins of the sampled loop at operating points along the reference."""
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import read_scenario
 
-    return Scenario.read(scenario).margins()
+    return read_scenario(scenario).margins()
 
 
 @command

@@ -60,12 +60,12 @@ def sweep(
     dask : ADDRESS
         tcp://HOST:PORT of a dask scheduler, to whose workers the runs go. Default: threads.
     """
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import Scenario, read_scenario
 
     if list_:
         from mckibben.study.parameters.listing import ParameterList
 
-        return ParameterList.of(Scenario.read(scenario))
+        return ParameterList.of(read_scenario(scenario))
     out = required_folder(out, "sweep")
     from mckibben.study.sweep import SweepResult
     from mckibben.study.sweep import sweep as run
@@ -135,14 +135,14 @@ def tune(
     seed : N
         Seed of the search (default 0).
     """
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import read_scenario
     from mckibben.study.parameters import parse_sweeps, sample
     from mckibben.study.scenarios import begun_settings
     from mckibben.study.tune import TuneResult, parse_ranges
     from mckibben.study.tune import tune as run
     from mckibben.study.tune.tune import FORMAT, cost_of
 
-    read = [Scenario.read(path) for path in scenarios]
+    read = [read_scenario(path) for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)
     wanted = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
@@ -231,12 +231,12 @@ def _tuned_names(paths: list[Path]) -> list[str]:
 
 def _write_tuned(tuned: TuneResult, paths: list[Path], targets: list[Path]) -> None:
     """Write the tuned scenarios, editing the user's text in place if its relative paths remain valid."""
-    from mckibben.scenario import Scenario, edit_scenario
+    from mckibben.scenario import edit_scenario
 
     for scenario, path, target in zip(tuned.scenarios, paths, targets, strict=True):
         text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
         with suppress(ScenarioError):
-            if Scenario.parse(text, folder=target.parent) == scenario:
+            if type(scenario).parse(text, folder=target.parent) == scenario:
                 with atomic_write(target, overwrite=True) as part:
                     part.write_text(text, encoding="utf-8")
                 continue

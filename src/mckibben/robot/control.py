@@ -136,8 +136,13 @@ class TrackingControl(RobotController):
         held, setpoints = self.reference.step(state.reference, time, measurement, period)
         return self.step_toward(state._replace(reference=held), setpoints, measurement, period)
 
+    def setpoints_at(self, time: ArrayLike) -> tuple[Setpoint, ...]:
+        """Return the setpoints of the joints at a time [s], of a `TimedReference`."""
+        timed: PyTree = self.reference
+        return tuple(reference(time) for reference in timed.references)
+
     def desired_angle(self, setpoint: PyTree) -> PyTree:
-        return tuple(reference(setpoint).angle for reference in self.reference.references)
+        return tuple(each.angle for each in self.setpoints_at(setpoint))
 
     @abc.abstractmethod
     def step_toward(

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import os
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Annotated, Any, cast
 
+import equinox as eqx
 import jax
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import IdealValve
-from mckibben.component.schema import ComponentField, inherit, parse_component
+from mckibben.component.schema import ComponentField, independent, inherit, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Flag, Title
 from mckibben.config.model import ConfigModel, fail_validation, located_below
-from mckibben.control import Controller
-from mckibben.errors import RangeError, quoted, suggest
+from mckibben.control import Controller, Reference
+from mckibben.errors import ParameterError, RangeError, UnreachableError, quoted, suggest
 from mckibben.muscle import SpringLaw
+from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors
@@ -28,21 +32,22 @@ from mckibben.robot.control import JointwiseControl, TimedReference, TrackingCon
 from mckibben.robot.dynamics import joint_load
 from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
+from mckibben.robot.metrics import TrackingMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
-from mckibben.robot.simulate import RobotProblem
+from mckibben.robot.simulate import RobotProblem, RobotResult, simulate_robot, simulate_robots
 from mckibben.robot.statics import holding_torques, is_affine, pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
     ControllerPart,
     ReferencePart,
-    RunSettings,
     SensorsPart,
+    StudiedScenario,
     Substeps,
     ValvePart,
 )
-from mckibben.simulation import Margins
+from mckibben.simulation import Batch, Margins
 from mckibben.simulation.accuracy import ACCURACY
-from mckibben.simulation.problem import sampling_times, single_run
-from mckibben.simulation.stability import linearisable, margins_along
+from mckibben.simulation.problem import sampling_times, single_run, split_runs
+from mckibben.simulation.stability import least_disk_margins, linearisable, margins_along
 from mckibben.units import (
     Accuracy,
     Angle,
@@ -188,7 +193,7 @@ class StartSettings(ConfigModel):
     clearance: DropHeight = 0.0
 
 
-class RobotScenario(RunSettings):
+class RobotScenario(StudiedScenario):
     """Robot, valves, ground, control of its joints, and studies; `read` and `dumps` know the units.
 
     Attributes
@@ -210,6 +215,8 @@ class RobotScenario(RunSettings):
     """
 
     kind = "robot"
+    plant_parts = ("robot", "valve", "command_delay")
+    metrics = TrackingMetrics
     examples = "examples/robot/"
 
     name: Title
@@ -420,30 +427,113 @@ class RobotScenario(RunSettings):
     def control(self) -> TrackingControl:
         """Return the controller of all joints with its reference; what its models lack is that of the plant."""
         reference = TimedReference(tuple(self.reference[joint.name] for joint in self.robot.joints))
-        if self.controller is not None:
-            scope = {name: getattr(self, name) for name in ("robot", "valve", "command_delay")}
-            return dataclasses.replace(inherit(self.controller, scope), reference=reference)
-        scopes = [_joint_scope(self.robot, self.valve, self.command_delay, i) for i in range(len(self.robot.joints))]
-        joints = zip(self.robot.joints, scopes, strict=True)
-        return JointwiseControl(
-            tuple(inherit(self.controllers[joint.name], scope) for joint, scope in joints), reference=reference
+        whole = self.with_model()
+        if whole.controller is not None:
+            return dataclasses.replace(whole.controller, reference=reference)
+        controllers = tuple(whole.controllers[joint.name] for joint in self.robot.joints)
+        return JointwiseControl(controllers, reference=reference)
+
+    def _scope(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.plant_parts}
+
+    def _joint_scope(self, name: str) -> dict[str, Any]:
+        return _joint_scope(self.robot, self.valve, self.command_delay, self.robot.index(name))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(joint.name for joint in self.robot.joints)
+
+    def references(self) -> dict[str, Reference]:
+        return self.reference
+
+    def with_model(self, *, fixed: bool = False) -> RobotScenario:
+        change = independent if fixed else (lambda part: part)
+        controllers = {
+            name: change(_inheriting(own, self._joint_scope, name)) for name, own in self.controllers.items()
+        }
+        return self.model_copy(
+            update={"controller": change(_inheriting(self.controller, self._scope)), "controllers": controllers}
         )
 
-    def margins(self, points: int = 20) -> Margins:
-        """Return the stability margins of the loop of all joints along the run, see `mckibben.simulation.margins`."""
-        assert self.duration is not None  # as it has a controller
-        times = sampling_times(self.duration, self.control_period)
-        plant = linearisable(self.plant(), self.control_period)
-        problem = single_run(RobotProblem(plant, self.control(), self.initial()), self.control_period, "disk_margins")
-        start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start))
-        chosen = evenly_spaced(times.size, points)
-        found = margins_along(
-            problem, start, times, times[chosen], chosen, self.control_period, self.needed_substeps(), self.robot.muscle_names
-        )
-        return found
+    def check_start(self) -> None:
+        self.initial()
 
     def needed_substeps(self) -> int:
-        return self.substeps or 4
+        """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
+        if self.substeps is not None:
+            return self.substeps
+        parts = self.plant(), self.control(), self.initial()
+        resolution = simulate_robot(*parts, duration=self._length, **self.steps).resolution
+        return 1 if resolution is None else resolution.substeps
+
+    def run(self, *, source: str = "") -> RobotResult:
+        return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
+
+    def run_many(self, *, metrics: Sequence[str] = (), **options: Any) -> Batch:
+        start, exists = self._starts()
+        if not exists.all():
+            row = int(np.argmin(exists))
+            raise ParameterError(f"row {row}: the muscles cannot hold the start", remedy="vary the robot less")
+        parts = self.plant(), self.control(), start
+        return simulate_robots(*parts, metrics=TrackingMetrics, duration=self._length, **self.steps, **options)
+
+    def margins(self, points: int = 20) -> Margins:
+        times, period = sampling_times(self._length, self.control_period), self.control_period
+        problem = single_run(self._linearisable(self.initial()), period, "disk_margins")
+        start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start))
+        chosen = evenly_spaced(times.size, points)
+        return margins_along(
+            problem, start, times, times[chosen], chosen, period, self.needed_substeps(), self.robot.muscle_names
+        )
+
+    def disk_margins(self, points: int) -> NDArray[np.float64]:
+        times, (first, exists) = sampling_times(self._length, self.control_period), self._starts()
+        lanes, shared, count = split_runs(self._linearisable(first), {}, self.control_period, "margins")
+
+        def starting(some: RobotProblem) -> tuple[RobotStart, Any, NDArray[np.float64]]:
+            size = jax.tree.leaves(some)[0].shape[-1]
+            start = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), eqx.combine(some.start, shared.start))
+            return start, np.ones(size, bool), times
+
+        margins = least_disk_margins(
+            lanes,
+            shared,
+            count,
+            starting,
+            evenly_spaced(times.size, points),
+            self.control_period,
+            self.substeps or 1,
+        )
+        return np.where(exists, margins, np.nan)
+
+    @property
+    def _length(self) -> float:
+        """Duration [s]; `RangeError` without one."""
+        if self.duration is None:
+            remedy = "give it `controller` or `controllers`, `reference` and `duration`, or use `mckibben robot`"
+            raise RangeError("the robot has no controller", field="controller", remedy=remedy)
+        return self.duration
+
+    def _linearisable(self, start: RobotStart) -> RobotProblem:
+        return RobotProblem(linearisable(self.plant(), self.control_period), self.control(), start)
+
+    def _starts(self) -> tuple[RobotStart, NDArray[np.bool_]]:
+        """Starts of the runs of a batch, and whether they exist: those of other runs are in the place of others."""
+        parts = {"robot": self.robot, "valve": self.valve, "reference": self.reference}
+        count, varying = lanes_of(parts)
+        if count is None:
+            return self.initial(), np.ones((), bool)
+        lanes, shared = eqx.partition(parts, varying)
+        starts: list[RobotStart | None] = []
+        for row in range(count):
+            own = self.model_copy(update=eqx.combine(jax.tree.map(lambda leaf, row=row: leaf[row], lanes), shared))
+            try:
+                starts.append(own.initial())
+            except UnreachableError:
+                starts.append(None)
+        found = next((start for start in starts if start), None) or self.initial()
+        exists = np.array([start is not None for start in starts])
+        return jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts)), exists
 
     def initial(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.
@@ -462,6 +552,11 @@ class RobotScenario(RunSettings):
         else:
             pressures = robot.pressures_for(angles, torques.tolist(), stiffness)
         return RobotStart(angles, tuple(pressures), clearance=self.start.clearance)
+
+
+def _inheriting(component: Any, scope: Callable[..., dict[str, Any]], *where: str) -> Any:
+    """A component with what it inherits from a scope, which is computed only if it inherits something."""
+    return component if independent(component) is component else inherit(component, scope(*where))
 
 
 def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: int) -> dict[str, Any]:

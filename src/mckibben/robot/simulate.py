@@ -19,8 +19,8 @@ from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import jit
-from mckibben.robot.control import RobotController, check_pairs
-from mckibben.robot.metrics import MetricSums, RobotMetrics, measure
+from mckibben.robot.control import RobotController, TrackingControl, check_pairs
+from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSums, measure
 from mckibben.robot.plant import RobotPlant, RobotSample, RobotStart
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -123,6 +123,22 @@ def robot_metrics(
     return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(times.shape[0]), period)
 
 
+def tracking_metrics(
+    plant: RobotPlant, controller: TrackingControl, start: RobotStart, times: Array, period: ArrayLike, substeps: int
+) -> TrackingMetrics:
+    """Run a robot that follows references and return its metrics, as `robot_metrics` does."""
+
+    def advance(carry: tuple[Any, TrackingSums], time: Array) -> tuple[Any, None]:
+        state, sums = carry
+        state, record = control_period(plant, controller, state, time, period, substeps)
+        saturated = record.telemetry.get("saturated", record.limited)
+        return (state, sums.after(record.state, saturated, controller.setpoints_at(time), plant)), None
+
+    loop = initial_loop(plant, controller, start)
+    sums = TrackingSums.of(plant.observe(loop[0]))
+    return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(times.shape[0]), period)
+
+
 @checked_call
 def simulate_robot(
     plant: RobotPlant,
@@ -213,6 +229,7 @@ def simulate_robots(
     start: RobotStart,
     *,
     over: Mapping[str, ArrayLike] | None = None,
+    metrics: type[RobotMetrics] | type[TrackingMetrics] = RobotMetrics,
     duration: float,
     control_period: float = 0.5e-3,
     accuracy: float = ACCURACY,
@@ -223,7 +240,7 @@ def simulate_robots(
     engine: str = "auto",
     progress: Progress | None = None,
 ) -> Batch:
-    """Simulate a robot many times, as `simulate_robot` does, and return the `RobotMetrics` of each run.
+    """Simulate a robot many times, as `simulate_robot` does, and return the metrics of each run.
 
     Parameters
     ----------
@@ -232,6 +249,8 @@ def simulate_robots(
     over
         Arrays by the dotted name of a leaf, such as ``{"robot.bodies.0.mass": [0.9, 1.1]}``: parts of the plant,
         ``controller`` or ``start``.
+    metrics
+        Class of the metrics: `TrackingMetrics` of a controller whose reference is over time, that of a file.
     duration, control_period
         As for `simulate_robot`; forces are sampled once per control period.
     accuracy, substeps
@@ -277,8 +296,9 @@ def simulate_robots(
     else:
         first.plant.check_substeps(first.start.angles, None, control_period, substeps)
         steps = StepCounts.given(substeps, count)
+    tracks = metrics is TrackingMetrics
     joined, used = compute_groups(
-        lambda lane, number: _run(engine, (*given, dynamic_steps(number), kind.name), lane, kind),
+        lambda lane, number: _run(engine, (*given, dynamic_steps(number), kind.name, tracks), lane, kind),
         lanes,
         steps.substeps,
         chunk=chunk,
@@ -286,23 +306,25 @@ def simulate_robots(
         engine=engine,
         progress=progress,
     )
-    finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
+    known = joined.angle_max if tracks else (joined.peak_force, joined.peak_trunk_force)
+    finite = np.isfinite(sum(known))
     left = joined.time_outside_domain
     codes = outcomes({"angle_max": np.where(finite, 0.0, np.inf), "time_outside_domain": left})
     columns: dict[str, Any] = {"joint": [joint.name for joint in plant.robot.joints]}
     for name, column in (joined._asdict() | steps.columns()).items():
         dims = ("joint", "run") if isinstance(column, tuple) else ("run",)
         columns[name] = (dims, np.stack(column) if isinstance(column, tuple) else column, attributes(name))
-    return Batch(batch_table(columns, codes, over or {}, engine=used), RobotMetrics)
+    return Batch(batch_table(columns, codes, over or {}, engine=used), metrics)
 
 
 @BatchFunction
-def _run(given: Any, lane: Any) -> RobotMetrics:
+def _run(given: Any, lane: Any) -> RobotMetrics | TrackingMetrics:
     """Metrics of one run."""
-    shared, times, period, substeps, kind = given
+    shared, times, period, substeps, kind, tracks = given
     run: tuple[Any, ...] = eqx.combine(lane, shared), times, period
     own, times, period = run if kind == "float64" else cast(run, jnp.dtype(kind))
-    return robot_metrics(own.plant, own.controller, own.start, times, period, substeps)
+    metrics = tracking_metrics if tracks else robot_metrics
+    return metrics(own.plant, own.controller, own.start, times, period, substeps)
 
 
 @BatchFunction

@@ -5,16 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, ClassVar, NamedTuple
+from typing import ClassVar
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from mckibben.component.columns import Label, labelled
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark
 from mckibben.robot.mechanism import Robot
+from mckibben.robot.metrics import TrackingMetrics, TrackingSample
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot
 from mckibben.robot.statics import (
@@ -26,20 +28,9 @@ from mckibben.robot.statics import (
     pressures_for_joint_stiffness,
 )
 from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.metrics import Run, Totals, metrics_of, values_of
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.units import deg
-
-
-@labelled
-class TrackingMetrics(NamedTuple):
-    """Metrics of a robot whose joints follow references."""
-
-    angle_rmse: Annotated[tuple[float, ...], Label("rad", "angle error (RMS)", "deg", along="joint")]
-    angle_max: Annotated[tuple[float, ...], Label("rad", "largest angle error", "deg", along="joint")]
-    stiffness_rmse: Annotated[tuple[float, ...], Label("N*m/rad", "stiffness error (RMS)", along="joint")]
-    time_saturated: Annotated[float, Label("s", "time saturated")]
-    time_outside_domain: Annotated[float, Label("s", "time with a muscle outside its domain")]
-    air_mass: Annotated[float, Label("kg", "mass of air into the muscles", "g")]
 
 
 class TrackingResult(RobotResult):
@@ -58,15 +49,12 @@ class TrackingResult(RobotResult):
     notes: tuple[Remark, ...] = ()
 
     def _measure(self) -> TrackingMetrics:
-        error = self["angle"] - self["desired_angle"]
-        return TrackingMetrics(
-            tuple(np.sqrt(np.mean(error**2, axis=1))),
-            tuple(np.abs(error).max(axis=1)),
-            tuple(np.sqrt(np.mean((self["stiffness"] - self["desired_stiffness"]) ** 2, axis=1))),
-            float(self["saturated"].sum() * self.control_period),
-            float(self["outside"].sum() * self.control_period),
-            float(np.maximum(np.diff(self["air_mass"], axis=1), 0.0).sum()),
-        )
+        errors = [tuple(map(jnp.asarray, self[name] - self[f"desired_{name}"])) for name in ("angle", "stiffness")]
+        rises = np.maximum(np.diff(self["air_mass"], axis=1), 0.0).sum(axis=0) * (ENERGY / ATMOSPHERE)
+        saturated, outside, inflow = (jnp.asarray(one, float) for one in (self["saturated"], self["outside"], rises))
+        sample = TrackingSample(errors[0], errors[1], saturated, outside, inflow)
+        totals = Totals.of(metrics_of(TrackingMetrics).values(), sample).over_time()
+        return values_of(TrackingMetrics, totals, Run(jnp.asarray(self.times.size), self.control_period))
 
     def verdict(self) -> str:
         """Return duration, size of the robot, and the errors of the worst joints."""

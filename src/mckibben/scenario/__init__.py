@@ -2,7 +2,15 @@
 
 from mckibben.scenario.muscle import air_volume, read_specimen, write_identified, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
-from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, read_scenario, run_scenario
+from mckibben.scenario.scenario import (
+    RunSettings,
+    Scenario,
+    Start,
+    StudiedScenario,
+    initial_state,
+    read_scenario,
+    run_scenario,
+)
 from mckibben.scenario.start import UNKNOWN, starting_scenario, starting_stiffness, starting_text
 from mckibben.scenario.values import (
     ModelFollows,
@@ -21,6 +29,7 @@ __all__ = [
     "Scenario",
     "ScenarioParameter",
     "Start",
+    "StudiedScenario",
     "air_volume",
     "batched",
     "edit_scenario",

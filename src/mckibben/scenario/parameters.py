@@ -14,7 +14,7 @@ from mckibben.component.classes import class_name
 from mckibben.component.schema import component_field, declared_fields, field_types, inherited_fields
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted
-from mckibben.scenario.scenario import Scenario, Start
+from mckibben.scenario.scenario import Start, StudiedScenario
 from mckibben.units import BoundedInt, Quantity, show
 
 Place = tuple[str, ...]
@@ -43,7 +43,7 @@ class _Parameters:
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Self:
+    def of(cls, scenario: StudiedScenario) -> Self:
         """Walk the fields of a scenario."""
         parameters = cls()
         for name, info in type(scenario).model_fields.items():
@@ -54,6 +54,9 @@ class _Parameters:
         mark = next((mark for mark in _marks(info) if isinstance(mark, Mark)), None)
         if isinstance(value, Component):
             self._add_part(_Part(value, Units(), key, ((key,),)))
+        elif isinstance(value, dict) and value:  # of a robot, by joint
+            for name, part in value.items():
+                self._add_part(_Part(part, Units(), f"{key}.{name}", ((key, name),)))
         elif isinstance(value, Start):
             for name, field_info in type(value).model_fields.items():
                 mark = next(mark for mark in _marks(field_info) if isinstance(mark, Quantity))
@@ -228,7 +231,7 @@ class ScenarioParameter:
         return self.mark.write(float(value)) if isinstance(self.mark, Quantity) else str(int(value))
 
 
-def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
+def list_parameters(scenario: StudiedScenario) -> list[ScenarioParameter]:
     """All parameters of a scenario that a study can vary, in the order of the file.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
@@ -242,7 +245,7 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
     return [ScenarioParameter(name, *parameters.numbers[name]) for name in parameters.listed]
 
 
-def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
+def find_parameter(scenario: StudiedScenario, name: str) -> ScenarioParameter:
     """Parameter of a scenario by name, or by the end of its name where that is unique.
 
     Raises `ParameterError` if there is none, or a study cannot vary it.
@@ -260,7 +263,7 @@ def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
     return find_parameters(scenario, [name])[0]
 
 
-def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioParameter]:
+def find_parameters(scenario: StudiedScenario, names: Iterable[str]) -> list[ScenarioParameter]:
     """Parameters of a scenario by their names, which must be different; raises ParameterError.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import abc
 import hashlib
 import importlib
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import Actuator, IdealValve
@@ -24,7 +27,21 @@ from mckibben.control import Controller, Reference
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import Disturbance, JointFriction, JointPlant, NoDisturbance, PerfectSensors, PlantState, Sensors
-from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, simulate
+from mckibben.result import Remark
+from mckibben.simulation import (
+    ACCURACY,
+    AtRest,
+    Batch,
+    Margins,
+    Metrics,
+    SimulationResult,
+    disk_margins,
+    margins,
+    needed_substeps,
+    simulate,
+    simulate_many,
+)
+from mckibben.simulation.result import RunResult
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -95,6 +112,74 @@ def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in written.items() if key != left_out}
 
 
+class StudiedScenario(RunSettings):
+    """Base of scenarios: what studies use of one, whose parts have numbers, or arrays of shape (runs,)."""
+
+    plant_parts: ClassVar[tuple[str, ...]] = ("valve", "command_delay")
+    """Fields that are the plant, which a controller's model may follow."""
+
+    if TYPE_CHECKING:  # fields of each class, in the order of its files
+        name: str
+        command_delay: float | None
+        control_period: float
+        accuracy: float
+        substeps: int | None
+
+    metrics: ClassVar[Any] = Metrics
+    """Class of the metrics of its runs."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints of a robot, of each of which there are metrics."""
+        return ()
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Texts of uncertain parameters for which tuned gains keep their margin."""
+        return ()
+
+    @property
+    def model_remarks(self) -> Iterable[Remark]:
+        """Remarks on the models of the muscles."""
+        return ()
+
+    @abc.abstractmethod
+    def plant(self) -> Any:
+        """Return the simulated plant."""
+
+    @abc.abstractmethod
+    def control(self) -> Any:
+        """Return the controller; parts of its model that its file does not give are those of this scenario's plant."""
+
+    @abc.abstractmethod
+    def references(self) -> Any:
+        """Return all references over time."""
+
+    @abc.abstractmethod
+    def with_model(self, *, fixed: bool = False) -> Self:
+        """Return the scenario with all parts of its controllers' models; if `fixed`, they do not follow the plant."""
+
+    @abc.abstractmethod
+    def check_start(self) -> None:
+        """Raise `McKibbenError` if its run cannot start."""
+
+    @abc.abstractmethod
+    def run(self, *, source: str = "") -> RunResult:
+        """Simulate the scenario; `source` is its file, for errors. Raises `ScenarioError` if its parts do not fit."""
+
+    @abc.abstractmethod
+    def run_many(self, **options: Any) -> Batch:
+        """Simulate all runs of a batch, with options of `simulate_many`."""
+
+    @abc.abstractmethod
+    def margins(self, points: int = 20) -> Margins:
+        """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
+
+    @abc.abstractmethod
+    def disk_margins(self, points: int) -> NDArray[np.float64]:
+        """Return the least disk margin of each run of a batch, see `mckibben.simulation.disk_margins`."""
+
+
 class Start(ConfigModel):
     """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (default: the middle of the attainable range)."""
 
@@ -107,7 +192,7 @@ def model_scope(plant: Any) -> dict[str, Any]:
     return {name: getattr(plant, name) for name in ("joint", "load", "valve", "command_delay")}
 
 
-class Scenario(RunSettings):
+class Scenario(StudiedScenario):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
     `simulate`, `envelope`, `tune`, `compare` and `export` forward to the functions of these names.
@@ -143,6 +228,8 @@ class Scenario(RunSettings):
     >>> scenario.load.mass2
     0.5
     """
+
+    plant_parts = ("joint", "load", "valve", "command_delay")
 
     name: Title = Field(examples=["pre-contracted knee, PID"])
     joint: JointPart
@@ -202,6 +289,14 @@ class Scenario(RunSettings):
         return f"<pre>{escape(self.dumps())}</pre>"
 
     @property
+    def uncertain(self) -> tuple[str, ...]:
+        return self.uncertainty or ()
+
+    @property
+    def model_remarks(self) -> Iterable[Remark]:
+        return self.joint.remarks
+
+    @property
     def digest(self) -> bytes:
         """SHA-256 of the scenario with the absolute paths of its files: the same from whichever folder it is read."""
         return hashlib.sha256(self.dumps(folder=Path.cwd().anchor).encode()).digest()
@@ -215,9 +310,24 @@ class Scenario(RunSettings):
         """Return the controller; parts of its model that its file does not give are those of this scenario's plant."""
         return inherit(self.controller, model_scope(self))
 
-    def with_fixed_model(self) -> Scenario:
-        """Return the scenario with a controller whose model does not follow changes of the plant."""
-        return self.model_copy(update={"controller": independent(self.control())})
+    def with_model(self, *, fixed: bool = False) -> Scenario:
+        control = self.control()
+        return self.model_copy(update={"controller": independent(control) if fixed else control})
+
+    def check_start(self) -> None:
+        self.initial(self.plant())
+
+    def run(self, *, source: str = "") -> SimulationResult:
+        return run_scenario(self, source=source)
+
+    def run_many(self, **options: Any) -> Batch:
+        parts = self.plant(), self.control(), self.reference()
+        return simulate_many(*parts, **self.timing, initial=initial_state(self), **options)
+
+    def disk_margins(self, points: int) -> NDArray[np.float64]:
+        parts = self.plant(), self.control(), self.reference(), initial_state(self)
+        times = {"duration": self.duration, "control_period": self.control_period}
+        return disk_margins(*parts, **times, substeps=self.substeps or 1, points=points)
 
     @checked_call
     def simulate(self, controller: Controller | None = None, **changes: Any) -> SimulationResult:
@@ -252,10 +362,8 @@ class Scenario(RunSettings):
 
     @checked_call
     def margins(self, points: int = 20) -> Margins:
-        """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
         return _with_run(self, margins, substeps=self.needed_substeps(), points=points)
 
-    @checked_call
     @checked_call
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""
@@ -264,6 +372,8 @@ class Scenario(RunSettings):
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
         return self.signals
+
+    references = reference
 
     def initial(self, plant: JointPlant) -> PlantState:
         """Return the initial equilibrium of a plant; raises UnreachableError if there is none."""
@@ -290,8 +400,12 @@ def _above(name: str) -> Any:
 
 def read_scenario(path: str | os.PathLike[str]) -> Any:
     """Read a scenario of a joint, or of a robot, which has a section `robot`; raises `ScenarioError`."""
-    known = read_document(read_text(path, "a scenario", "examples/")).data
-    return (_above("robot").RobotScenario if isinstance(known, dict) and "robot" in known else Scenario).read(path)
+    return scenario_class(read_document(read_text(path, "a scenario", "examples/")).data).read(path)
+
+
+def scenario_class(document: Any) -> type[StudiedScenario]:
+    """Return the class of a document: that of a scenario of a robot if it has a section `robot`."""
+    return _above("robot").RobotScenario if isinstance(document, dict) and "robot" in document else Scenario
 
 
 def initial_state(scenario: Scenario) -> AtRest:

@@ -17,10 +17,11 @@ from mckibben.config.document import Document, edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
-from mckibben.scenario.scenario import Scenario, initial_state
-from mckibben.simulation import Batch, simulate_many
+from mckibben.scenario.scenario import StudiedScenario, scenario_class
+from mckibben.simulation import Batch
 
 P = TypeVar("P")
+S = TypeVar("S", bound=StudiedScenario)
 
 
 def changed(part: P, values: Mapping[Place, Any]) -> P:
@@ -32,6 +33,8 @@ def changed(part: P, values: Mapping[Place, Any]) -> P:
     groups: dict[str, dict[Place, Any]] = {}
     for (first, *rest), value in values.items():
         groups.setdefault(first, {})[tuple(rest)] = value
+    if isinstance(part, dict):
+        return cast(P, part | {name: changed(part[name], inner) for name, inner in groups.items()})
     if isinstance(part, tuple):
         return cast(P, tuple(changed(item, groups.get(str(i), {})) for i, item in enumerate(part)))
     if isinstance(part, ConfigModel):
@@ -45,16 +48,16 @@ def part_at(part: Any, place: Place) -> Any:
     """Return the part at a place within another."""
     for key in place:
         name = fields_by_key(type(part))[key] if isinstance(part, ConfigModel) else key
-        part = part[int(key)] if isinstance(part, tuple) else getattr(part, name)
+        inside = isinstance(part, tuple | dict)
+        part = part[int(key) if isinstance(part, tuple) else key] if inside else getattr(part, name)
     return part
 
 
-def _with(scenario: Scenario, values: Mapping[ScenarioParameter, Any]) -> Scenario:
+def _with(scenario: S, values: Mapping[ScenarioParameter, Any]) -> S:
     """Return the scenario with other values, and what the controller takes from its plant."""
     varied = changed(scenario, _at_places(values))
-    plant = {name: inherit(getattr(varied, name), {}) for name in _PLANT}  # such as the braid angle of Chou's law
-    varied = varied.model_copy(update=plant)
-    return varied.model_copy(update={"controller": varied.control()})
+    plant = {name: inherit(getattr(varied, name), {}) for name in scenario.plant_parts}  # as the braid of Chou's law
+    return varied.model_copy(update=plant).with_model()
 
 
 def _at_places(values: Mapping[ScenarioParameter, Any]) -> dict[Place, Any]:
@@ -72,7 +75,7 @@ class Violation(NamedTuple):
     reason: str
 
 
-def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> dict[int, Violation]:
+def violations(scenario: S, columns: Mapping[ScenarioParameter, NDArray]) -> dict[int, Violation]:
     """Return the invalid rows of a table whose columns are each in range, in order."""
     groups: dict[Place, list[ScenarioParameter]] = {}
     for parameter in columns:
@@ -97,7 +100,7 @@ def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray])
 
 def _part_of(place: Place) -> Place:
     """Return the part within which the validity of a parameter depends on others."""
-    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[:1]
+    return place[:2] if len(place) > 2 and place[0] in ("controller", "controllers", "reference") else place[:1]
 
 
 def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]) -> dict[int, str]:
@@ -129,12 +132,8 @@ def _ends(column: NDArray) -> list[Any]:
 ModelFollows = Collection[str] | Literal["all"]
 """Plant parameters that the controller's model follows when they vary."""
 
-_PLANT = ("joint", "load", "valve", "command_delay")
 
-
-def with_values(
-    scenario: Scenario, values: Mapping[str, float | int], *, model_follows: ModelFollows = "all"
-) -> Scenario:
+def with_values(scenario: S, values: Mapping[str, float | int], *, model_follows: ModelFollows = "all") -> S:
     """The scenario with other values [SI] by name, validated as if in its file; `model_follows` as for `batched`.
 
     Raises `ParameterError` if a name is unknown or repeated, or a value is invalid.
@@ -151,7 +150,7 @@ def with_values(
     return _with(_with_fixed_model(scenario, numbers, model_follows), numbers)
 
 
-def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = ()) -> Scenario:
+def batched(scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = ()) -> S:
     """A batch of scenarios, with arrays of shape (n,) for the varied parameters.
 
     The objects built from it (`plant`, `control`, `reference`) have these arrays among their leaves. Such a scenario
@@ -178,7 +177,7 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, model_follows
     return _with(_with_fixed_model(scenario, columns, model_follows), columns)
 
 
-def followed_names(scenario: Scenario, model_follows: ModelFollows, varied: Iterable[str]) -> tuple[str, ...]:
+def followed_names(scenario: S, model_follows: ModelFollows, varied: Iterable[str]) -> tuple[str, ...]:
     """Varied parameters that the plant and the controller's model have in common; `model_follows` as for `batched`.
 
     Raises `ParameterError` if such a parameter is not varied, or the controller does not take it from the plant.
@@ -206,7 +205,7 @@ def followed_names(scenario: Scenario, model_follows: ModelFollows, varied: Iter
     return names
 
 
-def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
+def valid_rows(scenario: S, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
     """Mask of the rows of a table that make a valid scenario.
 
     Raises `ParameterError` if a name is unknown or repeated, or a value is outside the range of its field.
@@ -223,33 +222,31 @@ def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np
     return mask
 
 
-def _with_fixed_model(
-    scenario: Scenario, values: Mapping[ScenarioParameter, Any], model_follows: ModelFollows
-) -> Scenario:
+def _with_fixed_model(scenario: S, values: Mapping[ScenarioParameter, Any], model_follows: ModelFollows) -> S:
     """Return the scenario with the controller's model fixed, at the values of the parameters that it follows."""
-    plant = {parameter: value for parameter, value in values.items() if parameter.part in _PLANT}
+    plant = {parameter: value for parameter, value in values.items() if parameter.part in scenario.plant_parts}
     names = [
         parameter.name for parameter in (plant if model_follows == "all" else find_parameters(scenario, model_follows))
     ]
     follows = {parameter: value for parameter, value in plant.items() if parameter.name in names}
     if len(follows) == len(plant):
         return scenario
-    return _with(scenario, follows).with_fixed_model()
+    return _with(scenario, follows).with_model(fixed=True)
 
 
-def _follows(scenario: Scenario, parameter: ScenarioParameter) -> bool:
+def _follows(scenario: S, parameter: ScenarioParameter) -> bool:
     """Return whether the controller takes a parameter from the plant."""
-    if parameter.part not in _PLANT:
+    if parameter.part not in scenario.plant_parts:
         return False
     nominal, control = parameter.nominal or 0.0, scenario.control()
     nearby = nominal + 1e-6 * (abs(nominal) or 1), nominal - 1e-6 * (abs(nominal) or 1)
     for value in nearby if parameter.nominal is not None else (*nearby, parameter.lower):
         with contextlib.suppress(RangeError):
-            return bool(_with(scenario, {parameter: value}).controller != control)
+            return bool(_with(scenario, {parameter: value}).control() != control)
     return False
 
 
-def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[ScenarioParameter, NDArray]:
+def _columns(scenario: S, table: Mapping[str, ArrayLike]) -> dict[ScenarioParameter, NDArray]:
     if not table:
         raise ParameterError("no values are given", remedy="give one for each parameter that is to change")
     pairs = zip(find_parameters(scenario, table), table.values(), strict=True)
@@ -279,7 +276,7 @@ def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
     return column.astype(np.int64 if parameter.is_integer else float)
 
 
-def _check_rules(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> None:
+def _check_rules(scenario: S, columns: Mapping[ScenarioParameter, NDArray]) -> None:
     for row, (parameters, reason) in violations(scenario, columns).items():
         values = ", ".join(f"{parameter.name} {parameter.show(columns[parameter][row])}" for parameter in parameters)
         raise ParameterError(f"{_row(row, len(columns[parameters[0]]))}with {values}: {reason}")
@@ -308,7 +305,8 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     load: {from: knee-table-2, damping: 0.1 N*m*s/rad}            # or, with ...
     valve: {time_constant: 30 ms}   # or ideal: the pressure equals the command at once
     """
-    scenario = Scenario.parse(text, folder=folder)
+    kind = scenario_class(read_document(text).data)
+    scenario = kind.parse(text, folder=folder)
     wanted = with_values(scenario, values)
     pairs = list(zip(find_parameters(scenario, values), values.values(), strict=True))
     document = read_document(text)
@@ -317,7 +315,7 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     for written in (by_name, by_place):  # two equal muscles may stand in the text once or twice
         edited = edit_yaml(text, written)
         try:
-            if Scenario.parse(edited, folder=folder) == wanted:
+            if kind.parse(edited, folder=folder) == wanted:
                 return edited
         except ScenarioError:
             pass
@@ -337,14 +335,9 @@ def _with_indices(place: Place) -> tuple[str | int, ...]:
     return tuple(int(key) if key.isdecimal() else key for key in place)
 
 
-def run_many(
-    scenario: Scenario, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = (), **options: Any
-) -> Batch:
+def run_many(scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = (), **options: Any) -> Batch:
     """Simulate a scenario for each row of a table of values, with options of `simulate_many`.
 
     Raises `ParameterError` for an invalid row.
     """
-    many = batched(scenario, table, model_follows=model_follows)
-    return simulate_many(
-        many.plant(), many.control(), many.reference(), **scenario.timing, initial=initial_state(many), **options
-    )
+    return batched(scenario, table, model_follows=model_follows).run_many(**options)

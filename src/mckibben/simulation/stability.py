@@ -227,7 +227,9 @@ def margins_along(
     loops, oscillations = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    points = [_margins_of(LinearLoop(*(leaf[:, i] for leaf in loops)), control_period, muscles) for i in range(len(times))]
+    points = [
+        _margins_of(LinearLoop(*(leaf[:, i] for leaf in loops)), control_period, muscles) for i in range(len(times))
+    ]
     columns: dict[str, Any] = {name: np.concatenate([point[name] for point in points]) for name in points[0]}
     columns |= {"oscillation": float(oscillations[0]), "muscles": muscles}
     return Margins(time=times, frequency=_frequencies(control_period), **columns)
@@ -261,7 +263,9 @@ def disk_margins(
         setpoints = sampled_runs(some.reference, shared.reference, times)
         return *starts_of(some, shared, setpoints), setpoints
 
-    return least_disk_margins(lanes, shared, count, starting, evenly_spaced(times.size, points), control_period, substeps)
+    return least_disk_margins(
+        lanes, shared, count, starting, evenly_spaced(times.size, points), control_period, substeps
+    )
 
 
 def least_disk_margins(

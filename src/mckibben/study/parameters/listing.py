@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from mckibben.result import Result, column
-from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario import StudiedScenario, list_parameters
 
 
 class ParameterList(Result):
@@ -20,7 +20,7 @@ class ParameterList(Result):
     unit: np.ndarray = column(title="unit")
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Self:
+    def of(cls, scenario: StudiedScenario) -> Self:
         """Return the parameters of a scenario."""
         parameters = list_parameters(scenario)
         rows = [(p.name, "-" if p.nominal is None else p.show(p.nominal), p.range, p.shown) for p in parameters]

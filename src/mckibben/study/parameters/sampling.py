@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import CallError, ParameterError, RangeError, UnitError, described, quoted
-from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, find_parameters
+from mckibben.scenario import ScenarioParameter, StudiedScenario, find_parameter, find_parameters
 from mckibben.study.parameters.distributions import (
     MAX_ROWS,
     Distribution,
@@ -72,7 +72,9 @@ class SweptParameter:
         return f"{self.name}={text}"
 
 
-def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distribution]) -> tuple[SweptParameter, ...]:
+def sweep_parameters(
+    scenario: StudiedScenario, distributions: Mapping[str, Distribution]
+) -> tuple[SweptParameter, ...]:
     """Swept parameters from distributions [SI] by name.
 
     Raises `ParameterError` if a name is unknown or repeated, or a distribution does not fit its parameter.
@@ -124,7 +126,7 @@ _QUANTITY = re.compile(rf"{NUMBER.pattern}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\
 _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
 
 
-def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
+def parse_sweep(text: str, scenario: StudiedScenario) -> SweptParameter:
     """Parse a parameter and its distribution.
 
     Raises `ParameterError` if the text is not such a distribution of a parameter of the scenario.
@@ -168,7 +170,7 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
         raise ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields) from None
 
 
-def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
+def parse_sweeps(texts: Iterable[str], scenario: StudiedScenario) -> tuple[SweptParameter, ...]:
     """Parse several parameters and their distributions, each as by `parse_sweep`.
 
     Raises `ParameterError` as well if a parameter is repeated.

@@ -6,25 +6,33 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario import StudiedScenario, list_parameters
 from mckibben.study.parameters.sampling import SweptParameter, Table, parse_sweeps
 
 _DELAY = 2.0  # ms about the delay of the commands
 _INSIDE = 0.95  # of a distribution, between its extremes
 
 
-def usual_variation(scenario: Scenario) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def usual_variation(scenario: StudiedScenario) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return texts of the strengths of both muscles, 10 % about nominal, and of the masses of the load, 20 %.
+
+    Of a robot, those of all muscles and bodies.
 
     >>> usual_variation(Scenario.read("examples/pre-contracted-step-pid.yaml"))[1]
     ('load.mass1=+-20 %', 'load.mass2=+-20 %')
     """
-    masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg" and p.nominal]
-    strengths = tuple(f"joint.muscle{number}.strength=+-10 %" for number in (1, 2))
+    masses, names = [], []
+    for parameter in list_parameters(scenario):
+        if parameter.part in ("load", "robot") and parameter.unit == "kg" and parameter.nominal:
+            masses.append(parameter)
+        if parameter.part == "robot" and parameter.name.endswith(".strength"):
+            names.append(parameter.name)
+    names = names or [f"joint.muscle{number}.strength" for number in (1, 2)]
+    strengths = tuple(f"{name}=+-10 %" for name in names)
     return strengths, tuple(f"{mass.name}=+-20 %" for mass in masses)
 
 
-def uncertainty(scenario: Scenario) -> tuple[tuple[SweptParameter, ...], ...]:
+def uncertainty(scenario: StudiedScenario) -> tuple[tuple[SweptParameter, ...], ...]:
     """Return the uncertain parameters of a scenario's plant, in groups that vary together.
 
     Those of the scenario, each alone; without any, the strengths of the muscles by 10 %, the delay of the commands by 2
@@ -32,8 +40,8 @@ def uncertainty(scenario: Scenario) -> tuple[tuple[SweptParameter, ...], ...]:
 
     Raises `ParameterError` if a text of the scenario is not a distribution of one of its parameters.
     """
-    if scenario.uncertainty:
-        return tuple((swept,) for swept in parse_sweeps(scenario.uncertainty, scenario))
+    if texts := scenario.uncertain:
+        return tuple((swept,) for swept in parse_sweeps(texts, scenario))
     strengths, masses = usual_variation(scenario)
     delay = 1e3 * (scenario.command_delay or 0.0)
     delays = (f"command_delay={max(delay - _DELAY, 0.0)!r}..{delay + _DELAY!r} ms",)

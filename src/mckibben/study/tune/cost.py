@@ -49,7 +49,7 @@ class Term(Checked):
 
 @dataclass(frozen=True)
 class Cost(Checked):
-    """Weighted sum of metrics over their scales.
+    """Weighted sum of metrics over their scales; of a robot, of the means over its joints.
 
     Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of two: that of the
     parameters, and that with all tuned controller gains multiplied by the margin.
@@ -105,8 +105,13 @@ class Cost(Checked):
         return tuple(term.metric for term in self.terms)
 
     def __call__(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the cost of metrics [SI], elementwise."""
-        return np.asarray(sum(term.weight * np.asarray(values[term.metric]) / term.scale for term in self.terms))
+        """Return the cost of metrics [SI] of shape (runs,), or (joints, runs), of which it has the means."""
+
+        def mean(metric: str) -> NDArray[np.float64]:
+            joints = np.asarray(values[metric])
+            return joints.mean(axis=0) if joints.ndim > 1 else joints
+
+        return np.asarray(sum(term.weight * mean(term.metric) / term.scale for term in self.terms))
 
     @property
     def text(self) -> str:

@@ -16,16 +16,15 @@ from mckibben.errors import ParameterError
 from mckibben.numerics.batching import cores
 from mckibben.scenario import (
     ModelFollows,
-    Scenario,
+    StudiedScenario,
     batched,
     find_parameters,
     followed_names,
-    initial_state,
     run_many,
     valid_rows,
     with_values,
 )
-from mckibben.simulation import Batch, disk_margins
+from mckibben.simulation import Batch
 from mckibben.simulation.problem import check_frequencies
 from mckibben.storage.store import Store
 from mckibben.study.parameters import SweptParameter, Table
@@ -65,7 +64,7 @@ class TuningProblem:
         As for `simulate_many`.
     """
 
-    scenarios: tuple[Scenario, ...]
+    scenarios: tuple[StudiedScenario, ...]
     space: SearchSpace
     cost: Cost
     model_follows: ModelFollows = ()  # plant parameters that the controllers' models follow
@@ -75,7 +74,7 @@ class TuningProblem:
     @classmethod
     def of(
         cls,
-        scenarios: Sequence[Scenario],
+        scenarios: Sequence[StudiedScenario],
         swept: Sequence[SweptParameter],
         cost: Cost,
         model_follows: ModelFollows = (),
@@ -94,12 +93,17 @@ class TuningProblem:
         pairs = zip(swept, find_parameters(scenarios[0], names), strict=True)
         space = SearchSpace(tuple(replace(tuned, parameter=parameter) for tuned, parameter in pairs))
         for scenario in scenarios:
+            for metric in cost.metrics:
+                if metric not in scenario.metrics._fields:
+                    message = f"{metric} is not a metric of {scenario.name!r}, a robot"
+                    remedy = f"give some of {', '.join(scenario.metrics._fields)}"
+                    raise ParameterError(message, field="cost", value=metric, remedy=remedy)
             try:
                 followed_names(scenario, model_follows, [*names, *drawn])
             except ParameterError as error:
                 raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
             if drawn:
-                check_frequencies(batched(scenario, drawn).reference(), scenario.control_period)
+                check_frequencies(batched(scenario, drawn).references(), scenario.control_period)
         return cls(tuple(scenarios), space, cost, model_follows, drawn)
 
     def begin(self, store: Store, engine: str) -> TuningProblem:
@@ -119,7 +123,7 @@ class TuningProblem:
         for place, batch in zip(valid, batches, strict=True):
             scenario = scenarios[place]
             for name, values in batch.metrics.items():
-                if batch.usable.any() and np.isnan(values[batch.usable]).all():
+                if batch.usable.any() and np.isnan(values[..., batch.usable]).all():
                     message = f"{name} is not defined for {scenario.name!r}"
                     remedy = "leave it out of the cost: the coupling needs a stiffness step, the air known braids"
                     raise ParameterError(message, value=name, remedy=remedy)
@@ -184,7 +188,7 @@ class TuningProblem:
         return np.concatenate([values, np.clip(values * factors, *limits)])
 
     def _table(
-        self, scenario: Scenario, values: Vector, conditions: Table | None = None
+        self, scenario: StudiedScenario, values: Vector, conditions: Table | None = None
     ) -> tuple[NDArray[np.bool_], Table]:
         """Valid rows of all values under each condition in turn; and the table, with a valid row for invalid ones."""
         conditions = self.conditions if conditions is None else conditions
@@ -194,11 +198,11 @@ class TuningProblem:
         good = valid_rows(scenario, table)
         return good, with_valid(table, good)
 
-    def _run(self, scenario: Scenario, table: Table, **options: Any) -> Batch:
+    def _run(self, scenario: StudiedScenario, table: Table, **options: Any) -> Batch:
         follows = followed_names(scenario, self.model_follows, table)
         return run_many(scenario, table, model_follows=follows, metrics=self.cost.metrics, **options)
 
-    def _costs_of_runs(self, scenario: Scenario, rows: Vector, workers: int) -> Vector:
+    def _costs_of_runs(self, scenario: StudiedScenario, rows: Vector, workers: int) -> Vector:
         """Cost of each run, shape (draws, rows)."""
         good, table = self._table(scenario, rows)
         costs = np.full(good.size, FAILED_COST)
@@ -226,17 +230,7 @@ class TuningProblem:
         if not good.any():
             return np.zeros((1, len(values)))
         many = batched(scenario, table, model_follows=followed_names(scenario, self.model_follows, table))
-        margins = disk_margins(
-            many.plant(),
-            many.control(),
-            many.reference(),
-            initial_state(many),
-            duration=scenario.duration,
-            control_period=scenario.control_period,
-            substeps=scenario.substeps or 1,
-            points=points,
-        )
-        margins = np.where(good, margins, 0.0).reshape(-1, len(values))
+        margins = np.where(good, many.disk_margins(points), 0.0).reshape(-1, len(values))
         started = np.fmax.reduce(margins, axis=0)
         return np.where(np.isnan(margins), np.nan_to_num(started), margins)
 

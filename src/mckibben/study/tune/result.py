@@ -5,37 +5,33 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import field
+from typing import Any
 
 import numpy as np
 
 from mckibben.errors import McKibbenError
 from mckibben.result import Listing, Remark, Result, column
-from mckibben.scenario import Scenario, find_parameter, run_scenario
+from mckibben.scenario import StudiedScenario, find_parameter
 from mckibben.simulation import margin_remarks
-from mckibben.simulation.metrics import METRICS, in_shown_units
+from mckibben.simulation.metrics import metrics_of
 from mckibben.study.parameters import Table
 from mckibben.study.tune.trials import Trial
 
-_UNITS = {metric.replace("_", " "): unit for metric, unit, _ in METRICS.values()} | {
-    "least gain margin": "",
-    "least phase margin": "deg",
-    "least delay margin": "ms",
-    "least disk margin": "",
-}
+_MARGINS = {"least gain margin": "", "least phase margin": "deg", "least delay margin": "ms", "least disk margin": ""}
 
 
 class TuneResult(Result):
     """Result of a tuning; its tables simulate each scenario before and after when they are first asked for.
 
-    `trials` has every point of the search with its cost; `scenarios` can be written with `Scenario.to_yaml`.
+    `trials` has every point of the search with its cost; `scenarios` can be written with their `to_yaml`.
     """
 
     figures = ("tuning",)
 
     values: dict[str, float]
     """Tuned values [SI] by name: six digits in the unit of files, unless that increases the cost."""
-    before: tuple[Scenario, ...]
-    scenarios: tuple[Scenario, ...]
+    before: tuple[StudiedScenario, ...]
+    scenarios: tuple[Any, ...]
     """With the tuned values."""
     cost: float = column("", "cost")
     cost_before: float = column("", "cost before")
@@ -54,7 +50,7 @@ class TuneResult(Result):
     conditions: Table = field(default_factory=dict)
 
     @property
-    def scenario(self) -> Scenario:
+    def scenario(self) -> StudiedScenario:
         """The tuned scenario, the first of several."""
         return self.scenarios[0]
 
@@ -88,7 +84,7 @@ class TuneResult(Result):
         if self.at_bound:
             text = f"at a bound of the range: {', '.join(self.at_bound)}"
             yield Remark.warning("at_bound", text, remedy="consider a wider range")
-        yield from dict.fromkeys(remark for scenario in self.before for remark in scenario.joint.remarks)
+        yield from dict.fromkeys(remark for scenario in self.before for remark in scenario.model_remarks)
 
     def listings(self) -> Iterator[Listing]:
         """Yield the scalars, the parameters and the effect on each scenario."""
@@ -100,15 +96,27 @@ class TuneResult(Result):
         yield Listing.of("Parameters", ("parameter", "before", "tuned"), rows)
         for scenario, (old, new) in zip(self.before, self.effects, strict=True):
             title = f"{scenario.name}{', without the conditions' if self.conditions else ''}"
-            rows = [(name, old[name], new[name], unit) for name, unit in _UNITS.items()]
+            rows = [(name, old[name], new[name], unit) for name, (*_, unit) in _shown(scenario).items()]
+            rows += [(name, old[name], new[name], unit) for name, unit in _MARGINS.items()]
             yield Listing.of(title, ("metric", "before", "tuned", "unit"), rows)
 
 
-def _metrics_and_margins(scenario: Scenario) -> dict[str, float]:
+def _metrics_and_margins(scenario: StudiedScenario) -> dict[str, float]:
     """Metrics of a run and its least stability margins, by title and in shown units; NaN if it cannot be run."""
+    shown = _shown(scenario)
     try:
-        metrics = in_shown_units(run_scenario(scenario).metrics)
-        margins = scenario.margins().least()
+        metrics, margins = scenario.run().metrics, scenario.margins().least()
     except McKibbenError:
-        return dict.fromkeys(_UNITS, np.nan)
-    return dict(zip(_UNITS, [*metrics.values(), *margins.values()], strict=True))
+        return dict.fromkeys((*shown, *_MARGINS), np.nan)
+    values = {title: float(np.atleast_1d(metrics[name])[i]) / size for title, (name, i, size, _) in shown.items()}
+    return values | dict(zip(_MARGINS, margins.values(), strict=True))
+
+
+def _shown(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, str]]:
+    """Metrics of a scenario by title: name, number of the joint, shown unit as a number and as text."""
+    shown = {}
+    for name, label in metrics_of(scenario.metrics).items():
+        title, joints = name.replace("_", " "), scenario.joint_names if label.along else ()
+        for number, joint in enumerate(joints or ("",)):
+            shown[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
+    return shown

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
+from mckibben.scenario import ScenarioParameter, StudiedScenario, find_parameter, list_parameters
 from mckibben.study.parameters import LogUniform, Range, SweptParameter, parse_sweep, sweep_parameters
 from mckibben.study.parameters.sampling import distinct
 from mckibben.study.tune.search import Vector
@@ -91,10 +91,10 @@ def is_gain(name: str) -> bool:
     (True, False, False)
     """
     *above, last = name.split(".")
-    return above[:1] == ["controller"] and last in _GAINS
+    return above[:1] in (["controller"], ["controllers"]) and last in _GAINS
 
 
-def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
+def gain_ranges(scenario: StudiedScenario, decades: float = 2.0) -> dict[str, LogUniform]:
     """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
@@ -105,7 +105,7 @@ def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUnifor
     return {swept.name: _range_around(swept, decades) for swept in gains}
 
 
-def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
+def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[SweptParameter, ...]:
     """Parse parameters and their ranges from texts: ``NAME=LOW..HIGH``, followed by ``log`` for a logarithmic one.
 
     A name alone gets a range from 0.01 to 100 times its value; without texts, all gains are used.

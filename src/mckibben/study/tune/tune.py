@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.errors import ParameterError, suggest
 from mckibben.notebook import Progress, notebook_progress, silent
-from mckibben.scenario import ModelFollows, Scenario, with_values
+from mckibben.scenario import ModelFollows, StudiedScenario, with_values
 from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, open_store
@@ -51,7 +51,7 @@ def cost_of(begun: Mapping[str, Any], **given: Any) -> Cost:
 
 @checked_call
 def tune(
-    scenarios: Sequence[Scenario] | Scenario,
+    scenarios: Sequence[StudiedScenario] | StudiedScenario,
     over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] | None = None,
     cost: Cost | str | None = None,
     *,
@@ -148,14 +148,14 @@ def tune(
 
 
 def _problem(
-    scenarios: Sequence[Scenario] | Scenario,
+    scenarios: Sequence[StudiedScenario] | StudiedScenario,
     over: Any,
     cost: Cost | str,
     model_follows: ModelFollows,
     conditions: Table | None,
 ) -> TuningProblem:
     """Return the problem of the arguments of `tune`."""
-    several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
+    several = [scenarios] if isinstance(scenarios, StudiedScenario) else list(scenarios)
     swept: Any = [over] if isinstance(over, str) else list(over)
     if isinstance(over, Mapping) and several:
         swept = sweep_parameters(several[0], over)
@@ -166,14 +166,14 @@ def _problem(
     problem = TuningProblem.of(several, swept, cost, model_follows, drawn)
     if all(name.startswith("controller.") for name in problem.space.names):
         for scenario in several:
-            scenario.initial(scenario.plant())  # raises what no gains can mend
+            scenario.check_start()  # raises what no gains can mend
     return problem
 
 
 def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, object]:
     """Return all that determines the cost of a point, for JSON."""
     cost, model_follows = problem.cost, problem.model_follows
-    parts = [(scenario.plant(), scenario.control(), scenario.reference()) for scenario in asked.scenarios]
+    parts = [(scenario.plant(), scenario.control(), scenario.references()) for scenario in asked.scenarios]
     return {
         "format": FORMAT,
         "software": software(problem.engine),
