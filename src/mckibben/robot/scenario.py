@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
 import os
 from collections.abc import Callable, Sequence
@@ -524,13 +525,17 @@ class RobotScenario(StudiedScenario):
         if count is None:
             return self.initial(), np.ones((), bool)
         lanes, shared = eqx.partition(parts, varying)
-        starts: list[RobotStart | None] = []
-        for row in range(count):
-            own = self.model_copy(update=eqx.combine(jax.tree.map(lambda leaf, row=row: leaf[row], lanes), shared))
+        leaves, structure = jax.tree.flatten(lanes)
+
+        @functools.cache
+        def start_of(*row: float) -> RobotStart | None:
+            own = self.model_copy(update=eqx.combine(jax.tree.unflatten(structure, row), shared))
             try:
-                starts.append(own.initial())
+                return own.initial()
             except UnreachableError:
-                starts.append(None)
+                return None
+
+        starts = [start_of(*row) for row in np.stack(leaves, axis=-1).tolist()]
         found = next((start for start in starts if start), None) or self.initial()
         exists = np.array([start is not None for start in starts])
         return jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts)), exists

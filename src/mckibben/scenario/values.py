@@ -93,8 +93,10 @@ def violations(scenario: S, columns: Mapping[ScenarioParameter, NDArray]) -> dic
             return None
 
         table = [columns[parameter] for parameter in group]
-        for row, reason in _search(attempt, table, np.arange(len(table[0]))).items():
-            invalid.setdefault(row, Violation(tuple(group), reason))
+        _, first, same = np.unique(np.stack(table), axis=1, return_index=True, return_inverse=True)
+        for row, reason in _search(attempt, table, first).items():
+            for equal in np.flatnonzero(first[same] == row).tolist():
+                invalid.setdefault(equal, Violation(tuple(group), reason))
     return dict(sorted(invalid.items()))
 
 

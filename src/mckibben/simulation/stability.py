@@ -44,7 +44,7 @@ _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
 _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
-_MOST_NUMBERS = 2**24  # of the responses of several loops at once
+_MOST_NUMBERS = 2**19  # of the responses of several loops at once
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
@@ -468,7 +468,10 @@ class _Triangular(NamedTuple):
         to well below 1 %.
         """
         lowest, poles, half = 2 * np.pi * _LOWEST_FREQUENCY * period, self.poles, np.eye(self.b.shape[2]) / 2
-        resonance, width = np.where(poles.imag >= 0, np.angle(poles), np.pi), 1 - np.abs(poles)
+        turning = poles.imag > 0
+        some = np.argsort(~turning, axis=1, kind="stable")[:, : turning.sum(axis=1).max()]
+        resonance, width = np.where(turning, np.angle(poles), np.pi), 1 - np.abs(poles)
+        resonance, width = (np.take_along_axis(values, some, axis=1) for values in (resonance, width))
         even = np.tile(2 * np.pi * _frequencies(period, few) * period, (len(poles), 1))
         angles = np.concatenate([even, resonance, resonance - width, resonance + width], axis=1)
         angles = np.sort(angles.clip(lowest, np.pi), axis=1)
