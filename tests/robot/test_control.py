@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import mckibben as mk
 from mckibben.cli import app
-from mckibben.errors import RangeError, ScenarioError
+from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.export import export
 from mckibben.export.mujoco import load_mujoco
 from mckibben.plant import PerfectSensors
@@ -21,6 +21,8 @@ from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_st
 from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
 from mckibben.robot.dynamics import joint_equations, joint_load
 from mckibben.robot.statics import HeldPosture
+from mckibben.scenario import run_many, with_values
+from mckibben.study.tune import tune
 from mckibben.units import bar, deg
 
 ONE = """
@@ -65,7 +67,7 @@ KEPT = ("angle", "pressure", "command", "stiffness")
 @pytest.mark.slow
 def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):
     scenario = RobotScenario.parse(ONE.replace(LAG, valve) + controllers)
-    run = run_tracking(scenario)
+    run, margins = run_tracking(scenario), scenario.margins(3)
     parts = {name: getattr(scenario, name) for name in ("valve", "sensors", "command_delay")}
     alone = mk.Scenario(
         name="joint",
@@ -76,7 +78,11 @@ def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):
         start={"angle": 0.0, "stiffness": 14.0},
         **parts,
         **{key: value for key, value in scenario.timing.items() if key != "accuracy"},
-    ).simulate()
+    )
+    own, alone = alone.margins(3), alone.simulate()
+    for name in ("radius", "gain", "phase", "delay", "disk", "alone"):
+        np.testing.assert_allclose(getattr(margins, name), getattr(own, name), rtol=1e-4)
+    assert set(margins.loop) <= {"knee1", "knee2"}
     np.testing.assert_allclose(run["angle"][0], alone["angle"], atol=1e-11)
     np.testing.assert_allclose(run["stiffness"][0], alone["stiffness"], rtol=1e-9)
     np.testing.assert_allclose(run["pressure"], [alone["pressure1"], alone["pressure2"]], atol=1e-2)
@@ -128,6 +134,42 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     blind = run_tracking(late_commands.model_copy(update={"controller": unaware}))
     left = [np.std((r["angle"] - r["desired_angle"])[:, late], axis=1) for r in (aware, blind)]
     np.testing.assert_array_less(*left)
+
+
+@pytest.mark.slow
+def test_a_robot_becomes_unstable_at_its_delay_margin():
+    text = RobotScenario.read(FULL).dumps().replace("duration: 4 s", "duration: 1 s")
+    scenario = RobotScenario.parse(text)
+    margin = scenario.margins(3).delay.min()
+    for share, least, most in ((0.9, 0.0, 0.1), (1.15, 0.25, 10.0)):  # beyond it, a limit cycle
+        late = scenario.with_fixed_model().model_copy(update={"command_delay": share * margin, "substeps": 4})
+        run = run_tracking(late)
+        error = np.abs(run["angle"] - run["desired_angle"])[0, run["time"] > 0.5].max() / deg
+        assert least < error < most
+
+
+@pytest.mark.slow
+def test_a_robot_is_tuned_with_its_disk_margin(tmp_path):
+    scenario = RobotScenario.parse(ONE + TORQUE)
+    scenario.to_yaml(tmp_path / "one.yaml")
+    options = ["--over", "controller.feedback.bandwidth=5..40 rad/s log", "--method", "local", "--iterations", "3"]
+    done = CliRunner().invoke(app, ["tune", str(tmp_path / "one.yaml"), *options, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["scalars"]
+    assert results["cost"]["value"] <= results["cost_before"]["value"] and results["least_disk"]["value"] > 0.2
+    tuned = RobotScenario.read(tmp_path / "out" / "one-tuned.yaml")
+    many = run_many(tuned, {"controller.feedback.bandwidth": [20.0, 30.0]})
+    one = run_tracking(with_values(tuned, {"controller.feedback.bandwidth": 30.0}))
+    for name in ("angle_rmse", "angle_max", "stiffness_rmse"):
+        np.testing.assert_allclose(many.metrics[name][:, 1], one.metrics[name], rtol=1e-6)
+    for name in ("air", "time_saturated"):
+        np.testing.assert_allclose(many.metrics[name][1], one.metrics[name], rtol=1e-6)
+
+
+def test_the_cost_of_a_robot_has_its_metrics():
+    with pytest.raises(ParameterError) as caught:
+        tune(RobotScenario.parse(ONE + TORQUE), ["controller.feedback.bandwidth=5..40 rad/s"], "coupling")
+    assert caught.value.field == "cost"
 
 
 @pytest.mark.slow

@@ -250,7 +250,11 @@ def _suite(file: Path) -> Suite:
     from mckibben.scenario import Scenario
     from mckibben.study.compare import Suite
 
-    if "controller" not in (read_document(read_text(file)).data or ()):
+    known = read_document(read_text(file)).data or ()
+    if "robot" in known:
+        remedy = "write one file per controller, `mckibben tune` each with the same --cost, and compare their tables"
+        raise ParameterError("a suite is of controllers of a joint", field="robot", value=str(file), remedy=remedy)
+    if "controller" not in known:
         return Suite.read(file)
     suite = Suite.of(Scenario.read(file))
     echo(

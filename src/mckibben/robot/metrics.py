@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.columns import labelled
-from mckibben.control.base import Setpoint
+from mckibben.component.columns import Label, labelled
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.robot.plant import RobotPlant, RobotSample
-from mckibben.simulation.metrics import (
-    Duration,
-    Largest,
-    LargestError,
-    RootMeanSquare,
-    Run,
-    Total,
-    Totals,
-    Tracked,
-    larger,
-    metrics_of,
-    values_of,
-)
+from mckibben.simulation.metrics import Duration, Largest, LargestError, Run, Totals, Tracked, metrics_of, values_of
 
 Scalar = Float[Array, ""]
 
@@ -103,63 +90,35 @@ class RobotMetrics(NamedTuple):
 class TrackingMetrics(NamedTuple):
     """Metrics of a robot whose joints follow references, in SI: those of `Metrics` of each joint, or of all."""
 
-    angle_rmse: Annotated[
-        tuple[Scalar, ...],
-        RootMeanSquare("rad", "angle error (RMS)", of="angle_error", shown="deg", along="joint"),
-    ]
-    angle_max: Annotated[
-        tuple[Scalar, ...], LargestError("rad", "largest angle error", of="angle_error", shown="deg", along="joint")
-    ]
-    stiffness_rmse: Annotated[
-        tuple[Scalar, ...], RootMeanSquare("N*m/rad", "stiffness error (RMS)", of="stiffness_error", along="joint")
-    ]
-    time_saturated: Annotated[Scalar, Duration("s", "time saturated", of="saturated")]
-    time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
-    air: Annotated[Scalar, Total("m^3", "air consumption, as a volume at atmospheric pressure", of="inflow", shown="L")]
+    angle_rmse: Annotated[Any, Label("rad", "angle error (RMS)", "deg", along="joint")]
+    angle_max: Annotated[Any, Label("rad", "largest angle error", "deg", along="joint")]
+    stiffness_rmse: Annotated[Any, Label("N*m/rad", "stiffness error (RMS)", along="joint")]
+    time_saturated: Annotated[Any, Label("s", "time saturated")]
+    time_outside_domain: Annotated[Any, Label("s", "time with a muscle outside its domain")]
+    air: Annotated[Any, Label("m^3", "air consumption, as a volume at atmospheric pressure", "L")]
+
+    @classmethod
+    def of(cls, samples: TrackingSample, period: float) -> TrackingMetrics:
+        """Return the metrics of samples of shape (..., periods), of one run or of several."""
+        angle, stiffness, air = (np.stack(part) for part in (samples.angle_error, samples.stiffness_error, samples.air))
+        return cls(
+            tuple(np.sqrt(np.mean(angle**2, axis=-1))),
+            tuple(np.abs(angle).max(axis=-1)),
+            tuple(np.sqrt(np.mean(stiffness**2, axis=-1))),
+            samples.saturated.sum(axis=-1) * period,
+            samples.outside.sum(axis=-1) * period,
+            np.maximum(np.diff(air), 0.0).sum(axis=(0, -1)) * (ENERGY / ATMOSPHERE),
+        )
 
 
 class TrackingSample(NamedTuple):
-    """Quantities of a sample, or of samples of shape (periods,), that `TrackingMetrics` are made of."""
+    """Quantities of a sample that `TrackingMetrics` are made of."""
 
-    angle_error: tuple[Scalar, ...]  # [rad]
-    stiffness_error: tuple[Scalar, ...]  # [N*m/rad]
-    saturated: Scalar
-    outside: Scalar
-    inflow: Scalar  # [m^3]
-
-
-class TrackingSums(NamedTuple):
-    """Accumulated sums and maxima of a robot that follows references, and the air [kg] of the last sample."""
-
-    totals: Totals
-    air: tuple[Scalar, ...]
-
-    @classmethod
-    def of(cls, first: RobotSample) -> TrackingSums:
-        zero = jnp.zeros_like(first.z)
-        errors = (zero,) * len(first.angle)
-        nothing = TrackingSample(errors, errors, zero, zero, zero)
-        return cls(Totals.of(metrics_of(TrackingMetrics).values(), nothing).empty(), first.air_mass)
-
-    def after(
-        self, sample: RobotSample, saturated: Array, setpoints: Sequence[Setpoint], plant: RobotPlant
-    ) -> TrackingSums:
-        """Return the sums with a further sample, and the setpoints of the joints at its time."""
-        stiffness = plant.robot.stiffness(sample.angle, sample.pressure)
-        gains = [larger(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
-        now = TrackingSample(
-            tuple(angle - to.angle for angle, to in zip(sample.angle, setpoints, strict=True)),
-            tuple(own - to.stiffness for own, to in zip(stiffness, setpoints, strict=True)),
-            jnp.asarray(saturated).astype(sample.z.dtype),
-            sample.outside.astype(sample.z.dtype),
-            jnp.asarray(sum(gains)) * (ENERGY / ATMOSPHERE),
-        )
-        terms = Totals.of(metrics_of(TrackingMetrics).values(), now)
-        return TrackingSums(self.totals.merge(terms), sample.air_mass)
-
-    def finished(self, periods: Array, period: ArrayLike) -> TrackingMetrics:
-        """Return the metrics of a whole run."""
-        return values_of(TrackingMetrics, self.totals, Run(periods, period))
+    angle_error: tuple[Array, ...]  # [rad]
+    stiffness_error: tuple[Array, ...]  # [N*m/rad]
+    saturated: Array
+    outside: Array
+    air: tuple[Array, ...]  # [kg]
 
 
 class RobotMetricSample(NamedTuple):

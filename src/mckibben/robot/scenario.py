@@ -13,11 +13,12 @@ from typing import Annotated, Any, cast
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import IdealValve
-from mckibben.component.schema import ComponentField, independent, inherit, parse_component
+from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Flag, Title
 from mckibben.config.model import ConfigModel, fail_validation, located_below
@@ -434,10 +435,10 @@ class RobotScenario(StudiedScenario):
         controllers = tuple(whole.controllers[joint.name] for joint in self.robot.joints)
         return JointwiseControl(controllers, reference=reference)
 
-    def _scope(self) -> dict[str, Any]:
+    def _scope(self) -> Scope:
         return {name: getattr(self, name) for name in self.plant_parts}
 
-    def _joint_scope(self, name: str) -> dict[str, Any]:
+    def _joint_scope(self, name: str) -> Scope:
         return _joint_scope(self.robot, self.valve, self.command_delay, self.robot.index(name))
 
     @property
@@ -464,19 +465,19 @@ class RobotScenario(StudiedScenario):
         if self.substeps is not None:
             return self.substeps
         parts = self.plant(), self.control(), self.initial()
-        resolution = simulate_robot(*parts, duration=self._length, **self.steps).resolution
+        resolution = simulate_robot(*parts, **self.timing).resolution
         return 1 if resolution is None else resolution.substeps
 
     def run(self, *, source: str = "") -> RobotResult:
         return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
 
-    def run_many(self, *, metrics: Sequence[str] = (), **options: Any) -> Batch:
+    def run_many(self, *, metrics: Sequence[str] = (), **options: PyTree) -> Batch:
         start, exists = self._starts()
         if not exists.all():
             row = int(np.argmin(exists))
             raise ParameterError(f"row {row}: the muscles cannot hold the start", remedy="vary the robot less")
         parts = self.plant(), self.control(), start
-        return simulate_robots(*parts, metrics=TrackingMetrics, duration=self._length, **self.steps, **options)
+        return simulate_robots(*parts, metrics=TrackingMetrics, **self.timing | options)
 
     def margins(self, points: int = 20) -> Margins:
         times, period = sampling_times(self._length, self.control_period), self.control_period
@@ -491,7 +492,7 @@ class RobotScenario(StudiedScenario):
         times, (first, exists) = sampling_times(self._length, self.control_period), self._starts()
         lanes, shared, count = split_runs(self._linearisable(first), {}, self.control_period, "margins")
 
-        def starting(some: RobotProblem) -> tuple[RobotStart, Any, NDArray[np.float64]]:
+        def starting(some: RobotProblem) -> tuple[RobotStart, NDArray, NDArray]:
             size = jax.tree.leaves(some)[0].shape[-1]
             start = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), eqx.combine(some.start, shared.start))
             return start, np.ones(size, bool), times
@@ -559,7 +560,7 @@ class RobotScenario(StudiedScenario):
         return RobotStart(angles, tuple(pressures), clearance=self.start.clearance)
 
 
-def _inheriting(component: Any, scope: Callable[..., dict[str, Any]], *where: str) -> Any:
+def _inheriting(component: PyTree, scope: Callable[..., Scope], *where: str) -> PyTree:
     """A component with what it inherits from a scope, which is computed only if it inherits something."""
     return component if independent(component) is component else inherit(component, scope(*where))
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import Label, attributes, declare, labels_of
@@ -20,7 +20,7 @@ from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import jit
 from mckibben.robot.control import RobotController, TrackingControl, check_pairs
-from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSums, measure
+from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, measure
 from mckibben.robot.plant import RobotPlant, RobotSample, RobotStart
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -38,7 +38,7 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
-from mckibben.simulation.loop import Record, control_period, initial_loop, of_any_length, positions_over_time
+from mckibben.simulation.loop import LoopState, Record, control_period, initial_loop, of_any_length, positions_over_time
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampling_times, single_run, split_runs
 from mckibben.simulation.result import RunResult
@@ -123,20 +123,24 @@ def robot_metrics(
     return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(times.shape[0]), period)
 
 
-def tracking_metrics(
+def tracked_samples(
     plant: RobotPlant, controller: TrackingControl, start: RobotStart, times: Array, period: ArrayLike, substeps: int
-) -> TrackingMetrics:
-    """Run a robot that follows references and return its metrics, as `robot_metrics` does."""
+) -> TrackingSample:
+    """Run a robot that follows references over time, and return its samples; a pure function."""
 
-    def advance(carry: tuple[Any, TrackingSums], time: Array) -> tuple[Any, None]:
-        state, sums = carry
-        state, record = control_period(plant, controller, state, time, period, substeps)
-        saturated = record.telemetry.get("saturated", record.limited)
-        return (state, sums.after(record.state, saturated, controller.setpoints_at(time), plant)), None
+    def advance(loop: LoopState, time: Array) -> tuple[LoopState, TrackingSample]:
+        following, record = control_period(plant, controller, loop, time, period, substeps)
+        sample, setpoints = record.state, controller.setpoints_at(time)
+        stiffness = plant.robot.stiffness(sample.angle, sample.pressure)
+        return following, TrackingSample(
+            tuple(angle - to.angle for angle, to in zip(sample.angle, setpoints, strict=True)),
+            tuple(own - to.stiffness for own, to in zip(stiffness, setpoints, strict=True)),
+            record.telemetry.get("saturated", record.limited),
+            sample.outside,
+            sample.air_mass,
+        )
 
-    loop = initial_loop(plant, controller, start)
-    sums = TrackingSums.of(plant.observe(loop[0]))
-    return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(times.shape[0]), period)
+    return lax.scan(advance, initial_loop(plant, controller, start), times)[1]
 
 
 @checked_call
@@ -306,25 +310,25 @@ def simulate_robots(
         engine=engine,
         progress=progress,
     )
-    known = joined.angle_max if tracks else (joined.peak_force, joined.peak_trunk_force)
-    finite = np.isfinite(sum(known))
-    left = joined.time_outside_domain
+    found: PyTree = TrackingMetrics.of(joined, control_period) if tracks else joined
+    finite = np.isfinite(sum(found.angle_max if tracks else (found.peak_force, found.peak_trunk_force)))
+    left = found.time_outside_domain
     codes = outcomes({"angle_max": np.where(finite, 0.0, np.inf), "time_outside_domain": left})
     columns: dict[str, Any] = {"joint": [joint.name for joint in plant.robot.joints]}
-    for name, column in (joined._asdict() | steps.columns()).items():
+    for name, column in (found._asdict() | steps.columns()).items():
         dims = ("joint", "run") if isinstance(column, tuple) else ("run",)
         columns[name] = (dims, np.stack(column) if isinstance(column, tuple) else column, attributes(name))
     return Batch(batch_table(columns, codes, over or {}, engine=used), metrics)
 
 
 @BatchFunction
-def _run(given: Any, lane: Any) -> RobotMetrics | TrackingMetrics:
-    """Metrics of one run."""
+def _run(given: Any, lane: Any) -> RobotMetrics | TrackingSample:
+    """Metrics of one run, or its samples."""
     shared, times, period, substeps, kind, tracks = given
     run: tuple[Any, ...] = eqx.combine(lane, shared), times, period
     own, times, period = run if kind == "float64" else cast(run, jnp.dtype(kind))
-    metrics = tracking_metrics if tracks else robot_metrics
-    return metrics(own.plant, own.controller, own.start, times, period, substeps)
+    compute = tracked_samples if tracks else robot_metrics
+    return compute(own.plant, own.controller, own.start, times, period, substeps)
 
 
 @BatchFunction

@@ -7,12 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
-from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark
 from mckibben.robot.mechanism import Robot
@@ -28,7 +26,6 @@ from mckibben.robot.statics import (
     pressures_for_joint_stiffness,
 )
 from mckibben.simulation.engine import BatchFunction
-from mckibben.simulation.metrics import Run, Totals, metrics_of, values_of
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.units import deg
 
@@ -49,12 +46,9 @@ class TrackingResult(RobotResult):
     notes: tuple[Remark, ...] = ()
 
     def _measure(self) -> TrackingMetrics:
-        errors = [tuple(map(jnp.asarray, self[name] - self[f"desired_{name}"])) for name in ("angle", "stiffness")]
-        rises = np.maximum(np.diff(self["air_mass"], axis=1), 0.0).sum(axis=0) * (ENERGY / ATMOSPHERE)
-        saturated, outside, inflow = (jnp.asarray(one, float) for one in (self["saturated"], self["outside"], rises))
-        sample = TrackingSample(errors[0], errors[1], saturated, outside, inflow)
-        totals = Totals.of(metrics_of(TrackingMetrics).values(), sample).over_time()
-        return values_of(TrackingMetrics, totals, Run(jnp.asarray(self.times.size), self.control_period))
+        angle, stiffness = (tuple(self[name] - self[f"desired_{name}"]) for name in ("angle", "stiffness"))
+        rest: PyTree = self["saturated"], self["outside"], tuple(self["air_mass"])
+        return TrackingMetrics.of(TrackingSample(angle, stiffness, *rest), self.control_period)
 
     def verdict(self) -> str:
         """Return duration, size of the robot, and the errors of the worst joints."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
@@ -24,9 +25,19 @@ from mckibben.config.document import read_document
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation, read_text
 from mckibben.control import Controller, Reference
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
-from mckibben.plant import Disturbance, JointFriction, JointPlant, NoDisturbance, PerfectSensors, PlantState, Sensors
+from mckibben.plant import (
+    Disturbance,
+    JointFriction,
+    JointPlant,
+    NoDisturbance,
+    PerfectSensors,
+    Plant,
+    PlantState,
+    Sensors,
+)
 from mckibben.result import Remark
 from mckibben.simulation import (
     ACCURACY,
@@ -125,7 +136,7 @@ class StudiedScenario(RunSettings):
         accuracy: float
         substeps: int | None
 
-    metrics: ClassVar[Any] = Metrics
+    metrics: ClassVar[PyTree] = Metrics
     """Class of the metrics of its runs."""
 
     @property
@@ -144,20 +155,24 @@ class StudiedScenario(RunSettings):
         return ()
 
     @abc.abstractmethod
-    def plant(self) -> Any:
+    def plant(self) -> Plant:
         """Return the simulated plant."""
 
     @abc.abstractmethod
-    def control(self) -> Any:
+    def control(self) -> DiscreteTimeSystem:
         """Return the controller; parts of its model that its file does not give are those of this scenario's plant."""
 
     @abc.abstractmethod
-    def references(self) -> Any:
+    def references(self) -> PyTree:
         """Return all references over time."""
 
     @abc.abstractmethod
     def with_model(self, *, fixed: bool = False) -> Self:
         """Return the scenario with all parts of its controllers' models; if `fixed`, they do not follow the plant."""
+
+    def with_fixed_model(self) -> Self:
+        """Return the scenario with a controller whose model does not follow changes of the plant."""
+        return self.with_model(fixed=True)
 
     @abc.abstractmethod
     def check_start(self) -> None:
@@ -168,7 +183,7 @@ class StudiedScenario(RunSettings):
         """Simulate the scenario; `source` is its file, for errors. Raises `ScenarioError` if its parts do not fit."""
 
     @abc.abstractmethod
-    def run_many(self, **options: Any) -> Batch:
+    def run_many(self, **options: PyTree) -> Batch:
         """Simulate all runs of a batch, with options of `simulate_many`."""
 
     @abc.abstractmethod
@@ -320,9 +335,9 @@ class Scenario(StudiedScenario):
     def run(self, *, source: str = "") -> SimulationResult:
         return run_scenario(self, source=source)
 
-    def run_many(self, **options: Any) -> Batch:
+    def run_many(self, **options: PyTree) -> Batch:
         parts = self.plant(), self.control(), self.reference()
-        return simulate_many(*parts, **self.timing, initial=initial_state(self), **options)
+        return simulate_many(*parts, **self.timing | {"initial": initial_state(self)} | options)
 
     def disk_margins(self, points: int) -> NDArray[np.float64]:
         parts = self.plant(), self.control(), self.reference(), initial_state(self)
@@ -403,7 +418,7 @@ def read_scenario(path: str | os.PathLike[str]) -> Any:
     return scenario_class(read_document(read_text(path, "a scenario", "examples/")).data).read(path)
 
 
-def scenario_class(document: Any) -> type[StudiedScenario]:
+def scenario_class(document: object) -> type[StudiedScenario]:
     """Return the class of a document: that of a scenario of a robot if it has a section `robot`."""
     return _above("robot").RobotScenario if isinstance(document, dict) and "robot" in document else Scenario
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.schema import inherit, replaced
@@ -233,7 +234,7 @@ def _with_fixed_model(scenario: S, values: Mapping[ScenarioParameter, Any], mode
     follows = {parameter: value for parameter, value in plant.items() if parameter.name in names}
     if len(follows) == len(plant):
         return scenario
-    return _with(scenario, follows).with_model(fixed=True)
+    return _with(scenario, follows).with_fixed_model()
 
 
 def _follows(scenario: S, parameter: ScenarioParameter) -> bool:
@@ -337,7 +338,9 @@ def _with_indices(place: Place) -> tuple[str | int, ...]:
     return tuple(int(key) if key.isdecimal() else key for key in place)
 
 
-def run_many(scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = (), **options: Any) -> Batch:
+def run_many(
+    scenario: StudiedScenario, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = (), **options: PyTree
+) -> Batch:
     """Simulate a scenario for each row of a table of values, with options of `simulate_many`.
 
     Raises `ParameterError` for an invalid row.

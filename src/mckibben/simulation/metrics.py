@@ -44,11 +44,6 @@ class Totals(NamedTuple):
         """Totals of no control period."""
         return jax.tree.map(jnp.zeros_like, self)
 
-    def over_time(self) -> Totals:
-        """Totals of all periods, of those of shape (periods,) each."""
-        sums, maxima = (jax.tree.map(fold, part) for fold, part in zip((jnp.sum, jnp.max), self, strict=True))
-        return Totals(sums, maxima)
-
     def merge(self, other: Totals) -> Totals:
         """Totals of the periods of both."""
         return Totals(
@@ -91,10 +86,10 @@ class RootMeanSquare(Metric):
     """Root mean square of an error; its derivative at 0 is 0."""
 
     def terms(self, sample: PyTree) -> Totals:
-        return Totals({f"{self.of}^2": jax.tree.map(jnp.square, getattr(sample, self.of))}, {})
+        return Totals({f"{self.of}^2": jnp.square(getattr(sample, self.of))}, {})
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        return jax.tree.map(lambda total: root(total / run.periods), totals.sums[f"{self.of}^2"])
+        return root(totals.sums[f"{self.of}^2"] / run.periods)
 
 
 class Largest(Metric):

@@ -211,7 +211,7 @@ def margins(
 
 
 def margins_along(
-    problem: Any,
+    problem: PyTree,
     start: PyTree,
     setpoints: PyTree,
     times: NDArray[np.float64],
@@ -259,7 +259,7 @@ def disk_margins(
     problem = _problem(plant, controller, reference, initial, control_period)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
 
-    def starting(some: SimulationProblem) -> tuple[PlantState, Any, Setpoint]:
+    def starting(some: SimulationProblem) -> tuple[PlantState, Array, Setpoint]:
         setpoints = sampled_runs(some.reference, shared.reference, times)
         return *starts_of(some, shared, setpoints), setpoints
 
@@ -269,10 +269,10 @@ def disk_margins(
 
 
 def least_disk_margins(
-    lanes: Any,
-    shared: Any,
+    lanes: PyTree,
+    shared: PyTree,
     count: int,
-    starting: Callable[[Any], tuple[PyTree, Any, PyTree]],
+    starting: Callable[[PyTree], tuple[PyTree, PyTree, PyTree]],
     chosen: NDArray[np.int64],
     control_period: float,
     substeps: int,
@@ -307,7 +307,7 @@ def _problem(
     return SimulationProblem.of(linearisable(plant, period), controller, reference, initial)
 
 
-def linearisable(plant: Any, period: float) -> Any:
+def linearisable(plant: PyTree, period: float) -> PyTree:
     """Return a plant without noise and disturbance: its valves have their mean flow, and all delays are in commands."""
     own = 0.0 if plant.command_delay is None else plant.command_delay
     delay = getattr(plant.sensors, "delay", 0.0) * period + own
@@ -318,13 +318,13 @@ def linearisable(plant: Any, period: float) -> Any:
 class _Loop(NamedTuple):
     """Plant and controller of a sampled loop, or parts of them that vary."""
 
-    plant: Any
-    controller: Any
+    plant: PyTree
+    controller: PyTree
 
 
 def _linearised(
-    lanes: Any,
-    shared: Any,
+    lanes: PyTree,
+    shared: PyTree,
     start: PyTree,
     setpoints: PyTree,
     control_period: float,
@@ -396,7 +396,7 @@ def _along(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
 
 
 def _advance(
-    run: _Loop, loop: LoopState, setpoint: PyTree, disturbance: Array, period: Array, substeps: Any
+    run: _Loop, loop: LoopState, setpoint: PyTree, disturbance: Array, period: Array, substeps: PyTree
 ) -> tuple[LoopState, Array]:
     """The loop after a control period with disturbed commands, and the commands."""
     state, held = loop

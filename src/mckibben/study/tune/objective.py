@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,7 +197,7 @@ class TuningProblem:
         good = valid_rows(scenario, table)
         return good, with_valid(table, good)
 
-    def _run(self, scenario: StudiedScenario, table: Table, **options: Any) -> Batch:
+    def _run(self, scenario: StudiedScenario, table: Table, **options: object) -> Batch:
         follows = followed_names(scenario, self.model_follows, table)
         return run_many(scenario, table, model_follows=follows, metrics=self.cost.metrics, **options)
 

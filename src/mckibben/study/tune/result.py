@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import field
-from typing import Any
 
 import numpy as np
+from jaxtyping import PyTree
 
 from mckibben.errors import McKibbenError
 from mckibben.result import Listing, Remark, Result, column
@@ -31,7 +31,7 @@ class TuneResult(Result):
     values: dict[str, float]
     """Tuned values [SI] by name: six digits in the unit of files, unless that increases the cost."""
     before: tuple[StudiedScenario, ...]
-    scenarios: tuple[Any, ...]
+    scenarios: tuple[PyTree, ...]
     """With the tuned values."""
     cost: float = column("", "cost")
     cost_before: float = column("", "cost before")
