@@ -107,7 +107,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3700,
     "joint": 1200,
-    "robot": 4440,
+    "robot": 4580,
     "muscle": 1580,
     "numerics": 840,
     "paper": 740,
@@ -115,11 +115,11 @@ BUDGET = {
     "reachability": 1120,
     "report": 2330,
     "rig": 4590,
-    "scenario": 770,
+    "scenario": 870,
     "serial_protocol": 160,
-    "simulation": 2790,
+    "simulation": 2850,
     "storage": 570,
-    "study": 2910,
+    "study": 2920,
     "web": 2830,
 }
 

@@ -40,8 +40,7 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
     from mckibben.scenario import Scenario, read_scenario
 
     read = read_scenario(scenario)
-    if not isinstance(read, Scenario):
-        check_unused("simulate, of a robot,", animate=animate)
+    check_unused("simulate, of a robot,", animate=None if isinstance(read, Scenario) else animate)
     result = read.run(source=str(scenario))
     if animate:
         from mckibben import report

@@ -250,10 +250,9 @@ def _suite(file: Path) -> Suite:
     from mckibben.scenario import Scenario
     from mckibben.study.compare import Suite
 
-    known = read_document(read_text(file)).data or ()
-    if "robot" in known:
-        remedy = "write one file per controller, `mckibben tune` each with the same --cost, and compare their tables"
-        raise ParameterError("a suite is of controllers of a joint", field="robot", value=str(file), remedy=remedy)
+    if "robot" in (known := read_document(read_text(file)).data or ()):
+        remedy = "`mckibben tune` a file per controller with the same --cost, and compare their tables"
+        raise ParameterError("compare takes controllers of a joint", field="robot", remedy=remedy)
     if "controller" not in known:
         return Suite.read(file)
     suite = Suite.of(Scenario.read(file))
