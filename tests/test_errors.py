@@ -2,17 +2,9 @@ import pickle
 
 import pytest
 
+import mckibben as mk
 from mckibben import errors
-from mckibben.errors import (
-    DatasetError,
-    FileError,
-    McKibbenError,
-    NotInCatalogError,
-    Problem,
-    RangeError,
-    UnitError,
-    printable,
-)
+from mckibben.errors import DatasetError, FileError, NotInCatalogError, Problem, RangeError, UnitError, printable
 
 
 def test_all_errors_are_of_one_family_and_of_the_usual_python_kind():
@@ -20,7 +12,7 @@ def test_all_errors_are_of_one_family_and_of_the_usual_python_kind():
     for error in family:
         if issubclass(error, Warning):
             continue
-        assert issubclass(error, McKibbenError), error
+        assert issubclass(error, mk.McKibbenError), error
         assert error.__doc__, error
     assert issubclass(UnitError, ValueError)
     assert issubclass(NotInCatalogError, KeyError)

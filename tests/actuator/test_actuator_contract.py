@@ -4,39 +4,31 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from mckibben.actuator import (
-    FirstOrderValve,
-    FlowValve,
-    IdealValve,
-    PressureRegulator,
-    SecondOrderValve,
-    SwitchingValves,
-    Tube,
-    UnequalValves,
-)
+import mckibben as mk
+from mckibben.actuator import SecondOrderValve
 from mckibben.report.tables import SETTINGS, plant_of
 
 C, SUPPLY = 5e-9, 7e5
 CLOSED = [
-    IdealValve(),
-    FirstOrderValve(0.05),
-    FirstOrderValve(0.05, rate=1e6),
+    mk.IdealValve(),
+    mk.FirstOrderValve(0.05),
+    mk.FirstOrderValve(0.05, rate=1e6),
     *(SecondOrderValve(60.0, damping=damping) for damping in (0.2, 0.7, 1.0, 1.00001, 3.0)),
 ]
 EXAMPLES = (
-    FirstOrderValve(0.05, rate=1e6),
+    mk.FirstOrderValve(0.05, rate=1e6),
     SecondOrderValve(60.0, damping=0.5),
-    FlowValve(C, SUPPLY),
-    PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
-    SwitchingValves(C, SUPPLY, period=0.02),
-    Tube(
-        PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4, wall_conductance=0.5),
+    mk.FlowValve(C, SUPPLY),
+    mk.PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
+    mk.SwitchingValves(C, SUPPLY, period=0.02),
+    mk.Tube(
+        mk.PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4, wall_conductance=0.5),
         volume=5e-6,
         conductance=2e-9,
     ),
-    UnequalValves(
-        Tube(FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9),
-        FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12),
+    mk.UnequalValves(
+        mk.Tube(mk.FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9),
+        mk.FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12),
         reservoir_volume=1e-3,
         line_conductance=C,
     ),

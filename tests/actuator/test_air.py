@@ -8,46 +8,35 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben import robot
-from mckibben.actuator import (
-    AirState,
-    AirVolume,
-    FirstOrderValve,
-    FlowValve,
-    IdealValve,
-    PressureRegulator,
-    Tube,
-    UnequalValves,
-)
+import mckibben as mk
+from mckibben.actuator import AirState, AirVolume
 from mckibben.errors import RangeError
-from mckibben.joint import SeriesSpring
 from mckibben.muscle.air import mass_flow, pressure_behind
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import jit, numeric
-from mckibben.plant import JointPlant
 from mckibben.units import bar, cm, ms
 from tests.air import ATMOSPHERE, KAPPA, ROOM, follow
 
 C, THIN, SUPPLY, LAG, BAND = 0.1e-8, 0.08e-8, 8 * bar, 20 * ms, 0.5 * bar
 HYSTERESIS, WALL, HOLLOW, PERIOD = 0.2 * bar, 0.5, 6 * cm**3, 1 * ms
 VOLUME, GROWTH = 23.8e-6, 7e-6  # of the muscle [m^3], [m^3/s]
-PLAIN = PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND)
+PLAIN = mk.PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND)
 WARM = dataclasses.replace(PLAIN, leak=0.002e-8, wall_conductance=WALL)
 ASYMMETRIC = dataclasses.replace(
     PLAIN, exhaust_conductance=1.5 * C, leak=0.002e-8, dead_volume=1 * cm**3, hysteresis=HYSTERESIS
 )
-TUBE = Tube(ASYMMETRIC, volume=HOLLOW, conductance=THIN, critical_ratio=0.25)
-OTHER = Tube(
+TUBE = mk.Tube(ASYMMETRIC, volume=HOLLOW, conductance=THIN, critical_ratio=0.25)
+OTHER = mk.Tube(
     dataclasses.replace(PLAIN, conductance=0.6 * C, time_constant=1.5 * LAG), volume=HOLLOW, conductance=1.5 * THIN
 )
 STORE = 100 * cm**3, 0.05e-8
-PAIR = UnequalValves(
-    Tube(PLAIN, volume=HOLLOW, conductance=THIN), OTHER, reservoir_volume=STORE[0], line_conductance=STORE[1]
+PAIR = mk.UnequalValves(
+    mk.Tube(PLAIN, volume=HOLLOW, conductance=THIN), OTHER, reservoir_volume=STORE[0], line_conductance=STORE[1]
 )
-SPOOL = FlowValve(
+SPOOL = mk.FlowValve(
     C, SUPPLY, exhaust_conductance=1.5 * C, dead_zone=0.05, reservoir_volume=STORE[0], line_conductance=STORE[1]
 )
-LAGGING = UnequalValves(FirstOrderValve(20 * ms), FirstOrderValve(30 * ms, supply=4 * bar))
+LAGGING = mk.UnequalValves(mk.FirstOrderValve(20 * ms), mk.FirstOrderValve(30 * ms, supply=4 * bar))
 STILL = AirVolume(jnp.asarray(VOLUME), jnp.zeros(()))
 advance = jit(lambda plant, state, commands, time: plant.advance(state, commands, time, 200))
 
@@ -99,7 +88,7 @@ def test_muscles_fill_and_vent_as_an_independent_solver_says(actuator, commands)
     if air.temperatures:
         np.testing.assert_allclose(air.temperatures, temperatures, rtol=1e-8)
         assert abs(temperatures[0] - ROOM) > 5
-    if isinstance(parts[0], Tube):
+    if isinstance(parts[0], mk.Tube):
         np.testing.assert_allclose([one.pressure for one in air.valves], tubes, rtol=1e-8)
         np.testing.assert_allclose([one.valve for one in air.valves], held, rtol=1e-8)
     if reservoir:
@@ -112,7 +101,7 @@ def test_muscles_fill_and_vent_as_an_independent_solver_says(actuator, commands)
 
 
 def shut(wall, **parts):
-    return FlowValve(1e-30, SUPPLY, wall_conductance=wall, **parts)
+    return mk.FlowValve(1e-30, SUPPLY, wall_conductance=wall, **parts)
 
 
 def test_adiabatic_air_is_compressed_as_p_v_to_the_kappa_and_air_at_a_good_wall_as_isothermal_air():
@@ -124,8 +113,8 @@ def test_adiabatic_air_is_compressed_as_p_v_to_the_kappa_and_air_at_a_good_wall_
 
 @pytest.mark.slow
 def test_behind_shut_valves_the_mass_of_the_air_is_constant_and_no_air_is_consumed(knee, load):
-    joint = dataclasses.replace(knee, tendon=SeriesSpring(stiffness=2e4, preload=0.0, travel=0.03))
-    plant = numeric(JointPlant(joint, load, shut(WALL, dead_volume=3 * cm**3)))
+    joint = dataclasses.replace(knee, tendon=mk.SeriesSpring(stiffness=2e4, preload=0.0, travel=0.03))
+    plant = numeric(mk.JointPlant(joint, load, shut(WALL, dead_volume=3 * cm**3)))
     start = plant.init_state(0.1, (3e5, 4e5))._replace(velocity=jnp.asarray(0.5))
     moved = advance(plant, start, (0.0, 0.0), 0.1)
     masses = []
@@ -140,7 +129,7 @@ def test_behind_shut_valves_the_mass_of_the_air_is_constant_and_no_air_is_consum
 
 @pytest.mark.parametrize("wall", [0.0, 0.5, 50.0])
 def test_the_bound_on_the_rates_of_warm_air_holds_and_is_near(wall):
-    valve = PressureRegulator(0.4e-8, SUPPLY, time_constant=50 * ms, band=0.1 * bar, wall_conductance=wall)
+    valve = mk.PressureRegulator(0.4e-8, SUPPLY, time_constant=50 * ms, band=0.1 * bar, wall_conductance=wall)
 
     def rates(x, command):
         (rate,), moved = valve.air_rate((x[0],), AirState((x[1],), (), (x[2],)), (command,), (STILL,))
@@ -216,13 +205,13 @@ def test_a_model_predicts_in_steps_of_a_control_period(model, command):
 
 @pytest.mark.parametrize("width", [1, 3, 30])
 def test_the_pressure_follows_a_target_with_the_lag_behind_narrow_and_wide_tubes(lag_of, width):
-    model = Tube(PLAIN, volume=HOLLOW, conductance=width * THIN)
+    model = mk.Tube(PLAIN, volume=HOLLOW, conductance=width * THIN)
     assert lag_of(model, VOLUME, 12 * ms, PERIOD) == pytest.approx(12 * ms, rel=0.05)
 
 
 def test_valve_and_tube_in_series_have_one_conductance():
     """1 / C^2 is the sum of both: what a tube attains is what a valve of C / sqrt(2) does, with one dead volume."""
-    tube = Tube(PLAIN, volume=HOLLOW, conductance=C, critical_ratio=0.3)
+    tube = mk.Tube(PLAIN, volume=HOLLOW, conductance=C, critical_ratio=0.3)
     alone = dataclasses.replace(PLAIN, conductance=C / math.sqrt(2))
     pressure, whole = jnp.asarray(2.5 * bar), AirVolume(STILL.volume + HOLLOW, jnp.zeros(()))
     found = tube.attainable(pressure, tube.init_model(pressure), (0.0, 6 * bar), STILL, PERIOD)(pressure)
@@ -231,7 +220,7 @@ def test_valve_and_tube_in_series_have_one_conductance():
 
 
 def test_each_muscle_has_its_own_response_and_limit(knee, load):
-    plant = JointPlant(knee, load, LAGGING)
+    plant = mk.JointPlant(knee, load, LAGGING)
     state = plant.init_state(0.0, (2 * bar, 2 * bar))
     (first, second), _ = LAGGING.all_after(state.pressures, state.air, (3 * bar, 3 * bar), 10 * ms)
     assert float(first) == pytest.approx(3 * bar - bar * math.exp(-0.5), rel=1e-12)
@@ -244,10 +233,10 @@ def test_each_muscle_has_its_own_response_and_limit(knee, load):
     assert [float(one) for one in commands] == [pytest.approx(2.02 * bar), pytest.approx(2.03 * bar)]
 
 
-FLOW = FlowValve(1e-9, SUPPLY)
+FLOW = mk.FlowValve(1e-9, SUPPLY)
 DIRECT, STORED = (
-    FlowValve(1e-9, SUPPLY, direct=True),
-    FlowValve(1e-9, SUPPLY, reservoir_volume=1e-3, line_conductance=1e-9),
+    mk.FlowValve(1e-9, SUPPLY, direct=True),
+    mk.FlowValve(1e-9, SUPPLY, reservoir_volume=1e-3, line_conductance=1e-9),
 )
 RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 1e-9}
 
@@ -259,14 +248,14 @@ RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 1e-9}
         (lambda: dataclasses.replace(TUBE, conductance=-1e-9), "conductance"),
         (lambda: dataclasses.replace(TUBE, valve=DIRECT), "valve"),
         (lambda: dataclasses.replace(TUBE, valve=TUBE), "valve"),
-        (lambda: UnequalValves(FLOW, FirstOrderValve(20 * ms)), "muscle2"),
-        (lambda: UnequalValves(FLOW, IdealValve()), "muscle2"),
-        (lambda: UnequalValves(FLOW, DIRECT), "muscle2"),
-        (lambda: UnequalValves(FLOW, PAIR), "muscle2"),
-        (lambda: UnequalValves(STORED, FLOW), "muscle1"),
-        (lambda: UnequalValves(FLOW, FLOW, reservoir_volume=1e-3), "line_conductance"),
-        (lambda: UnequalValves(FirstOrderValve(0.1), FirstOrderValve(0.1), **RESERVOIR), "reservoir_volume"),
-        (lambda: robot.RobotPlant(robot.read_robot("lei-leg-planar"), LAGGING), "valve"),
+        (lambda: mk.UnequalValves(FLOW, mk.FirstOrderValve(20 * ms)), "muscle2"),
+        (lambda: mk.UnequalValves(FLOW, mk.IdealValve()), "muscle2"),
+        (lambda: mk.UnequalValves(FLOW, DIRECT), "muscle2"),
+        (lambda: mk.UnequalValves(FLOW, PAIR), "muscle2"),
+        (lambda: mk.UnequalValves(STORED, FLOW), "muscle1"),
+        (lambda: mk.UnequalValves(FLOW, FLOW, reservoir_volume=1e-3), "line_conductance"),
+        (lambda: mk.UnequalValves(mk.FirstOrderValve(0.1), mk.FirstOrderValve(0.1), **RESERVOIR), "reservoir_volume"),
+        (lambda: mk.robot.RobotPlant(mk.robot.read_robot("lei-leg-planar"), LAGGING), "valve"),
     ],
 )
 def test_what_no_actuator_can_be_is_refused(make, field):

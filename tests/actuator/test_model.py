@@ -5,21 +5,12 @@ import dataclasses
 import jax.numpy as jnp
 import pytest
 
-from mckibben.actuator import (
-    AirState,
-    AirVolume,
-    FirstOrderValve,
-    FlowValve,
-    IdealValve,
-    PressureRegulator,
-    SecondOrderValve,
-    SwitchingValves,
-    Tube,
-)
+import mckibben as mk
+from mckibben.actuator import AirState, AirVolume, SecondOrderValve
 from mckibben.units import bar, ms
 
 C, SUPPLY, LAG, BAND, INDEX = 0.05e-8, 8 * bar, 20 * ms, 0.5 * bar, 1.2
-REGULATOR = PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND, polytropic_index=INDEX)
+REGULATOR = mk.PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND, polytropic_index=INDEX)
 LEAKING = dataclasses.replace(REGULATOR, leak=0.1 * C, dead_zone=0.1 * bar)
 VOLUME, GROWTH = 20e-6, 7e-6  # m^3, m^3/s
 AIR = AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))
@@ -40,12 +31,12 @@ def test_the_command_for_a_rate_gives_that_rate(pressure, rate):
 @pytest.mark.parametrize("period", [1 * ms, 2 * ms])
 @pytest.mark.parametrize("conductance", [0.2 * C, C, 20 * C])
 def test_the_pressure_follows_a_target_with_the_lag_of_narrow_and_wide_valves(lag_of, conductance, period):
-    valve = PressureRegulator(conductance, SUPPLY, time_constant=LAG, band=BAND)
+    valve = mk.PressureRegulator(conductance, SUPPLY, time_constant=LAG, band=BAND)
     assert lag_of(valve, AIR.volume, 12 * ms, period) == pytest.approx(12 * ms, rel=0.1)
 
 
 def test_a_limited_rate_limits_what_is_attainable():
-    valve, pressure = FirstOrderValve(20 * ms, rate=10 * bar), jnp.asarray(2 * bar)
+    valve, pressure = mk.FirstOrderValve(20 * ms, rate=10 * bar), jnp.asarray(2 * bar)
     lowest, highest = valve.attainable(pressure, (), LIMITS, None, PERIOD)(pressure)
     assert (float(lowest), float(highest)) == (pytest.approx(1.99 * bar), pytest.approx(2.01 * bar))
     assert float(valve.predict(pressure, (), 6 * bar, None, PERIOD)[0]) == pytest.approx(2.01 * bar)
@@ -54,13 +45,13 @@ def test_a_limited_rate_limits_what_is_attainable():
 @pytest.mark.parametrize(
     "valve",
     [
-        IdealValve(),
-        FirstOrderValve(20 * ms),
+        mk.IdealValve(),
+        mk.FirstOrderValve(20 * ms),
         SecondOrderValve(60.0),
         REGULATOR,
-        FlowValve(C, SUPPLY),
-        SwitchingValves(C, SUPPLY, period=10 * ms),
-        Tube(REGULATOR, volume=6e-6, conductance=C),
+        mk.FlowValve(C, SUPPLY),
+        mk.SwitchingValves(C, SUPPLY, period=10 * ms),
+        mk.Tube(REGULATOR, volume=6e-6, conductance=C),
     ],
     ids=lambda valve: type(valve).__name__,
 )

@@ -8,41 +8,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control import (
-    PID,
-    Constant,
-    DecouplingControl,
-    ExtendedStateObserver,
-    Measurement,
-    PolePlacement,
-    PositionStiffnessControl,
-    PredictiveControl,
-    Reference,
-    Setpoint,
-    SlidingMode,
-    Step,
-    VelocityObserver,
-)
+import mckibben as mk
+from mckibben.control import Measurement, Setpoint
 from mckibben.errors import RangeError
-from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg, mm
 from tests.control.conftest import PERIOD, SINE, off, rmse
 
 
 def eso(knee, load, bandwidth=60.0, observed=200.0, **more):
-    return DecouplingControl(knee, load, PolePlacement(bandwidth), ExtendedStateObserver(observed), **more)
+    return mk.DecouplingControl(knee, load, mk.PolePlacement(bandwidth), mk.ExtendedStateObserver(observed), **more)
 
 
 @pytest.fixture(scope="module")
 def controllers(knee, load):
     return {
         "observer": eso(knee, load),
-        "integral": DecouplingControl(knee, load, PolePlacement(60.0, integral=True), VelocityObserver(200.0)),
-        "sliding": DecouplingControl(knee, load, SlidingMode(40.0, 250.0), ExtendedStateObserver(200.0)),
-        "predictive": PredictiveControl(knee, load, ExtendedStateObserver(200.0), bandwidth=60.0),
+        "integral": mk.DecouplingControl(knee, load, mk.PolePlacement(60.0, integral=True), mk.VelocityObserver(200.0)),
+        "sliding": mk.DecouplingControl(knee, load, mk.SlidingMode(40.0, 250.0), mk.ExtendedStateObserver(200.0)),
+        "predictive": mk.PredictiveControl(knee, load, mk.ExtendedStateObserver(200.0), bandwidth=60.0),
     }
 
 
@@ -67,7 +52,7 @@ def test_with_a_right_model_there_is_next_to_no_error(tracked, plant, name):
 
 def test_the_loop_is_the_linear_one_that_was_designed(run, plant, controllers):
     """All poles at 60 rad/s: after a step the error is (1 + wt + (wt)^2/2) e^-wt of it."""
-    error = -off(run(plant, controllers["observer"], Step(0.0, 0.5 * deg, 0.1)))[100:400]
+    error = -off(run(plant, controllers["observer"], mk.Step(0.0, 0.5 * deg, 0.1)))[100:400]
     wt = 60.0 * PERIOD * np.arange(300)
     np.testing.assert_allclose(error, 0.5 * (1 + wt + wt**2 / 2) * np.exp(-wt), atol=0.015)
 
@@ -75,8 +60,8 @@ def test_the_loop_is_the_linear_one_that_was_designed(run, plant, controllers):
 def test_a_step_of_stiffness_hardly_moves_the_angle(run, plant, controllers, knee, load):
     """From next to the lowest to next to the highest attainable, while moving; a tenth of the PID's is asked for."""
     low, high = (float(k) for k in knee.attainable_stiffness(0.0, -load.gravity_torque(0.0), minimum_tension=5.0))
-    setpoint = SINE, Step(low + 0.1, high - 0.1, 1.5)  # at 0 deg on the way back
-    pid = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(0.08e5, 5e5, 0.0), model=knee)
+    setpoint = SINE, mk.Step(low + 0.1, high - 0.1, 1.5)  # at 0 deg on the way back
+    pid = mk.PositionStiffnessControl(mk.PID(2e5, 60e5, 0.4e5), mk.PID(0.08e5, 5e5, 0.0), model=knee)
 
     def moved(control):
         with_step, without = run(plant, control, *setpoint), run(plant, control, SINE, low + 0.1)
@@ -93,13 +78,15 @@ def test_commands_stay_within_limits_and_muscles_taut_when_too_much_is_asked(run
         assert np.asarray(record.telemetry["saturated"]).mean() > 0.9
         tensions = np.asarray(knee.tensions(record.state.angle, record.state.pressures))
         assert tensions.min() > 4.0
-        assert rmse((record, sampled(Reference(angle=SINE, stiffness=15.0), 2.0, PERIOD)[1])) < 0.02  # the torque first
+        assert (
+            rmse((record, sampled(mk.Reference(angle=SINE, stiffness=15.0), 2.0, PERIOD)[1])) < 0.02
+        )  # the torque first
 
 
 def test_a_wrong_load_leaves_no_error_at_rest(run, knee, load, plant, controllers):
-    heavy = JointPlant(knee, dataclasses.replace(load, mass2=0.75), plant.valve)
+    heavy = mk.JointPlant(knee, dataclasses.replace(load, mass2=0.75), plant.valve)
     for name in ("observer", "integral", "predictive"):
-        answer = run(heavy, controllers[name], Constant(0.1))
+        answer = run(heavy, controllers[name], mk.Constant(0.1))
         assert abs(off(answer)[-1]) < 1e-3
         weight = float(heavy.load.gravity_torque(0.1) - load.gravity_torque(0.1))
         if name != "integral":
@@ -109,7 +96,7 @@ def test_a_wrong_load_leaves_no_error_at_rest(run, knee, load, plant, controller
 def test_nothing_winds_up_while_the_torque_is_out_of_reach(run, plant, controllers):
     """A step of 40 deg asks for more than the muscles have; it is not overshot by what was out of reach meanwhile."""
     for name, most in (("observer", 21.5), ("integral", 21.5), ("predictive", 23.0)):
-        angle = np.asarray(run(plant, controllers[name], Step(-20 * deg, 20 * deg, 0.1))[0].state.angle) / deg
+        angle = np.asarray(run(plant, controllers[name], mk.Step(-20 * deg, 20 * deg, 0.1))[0].state.angle) / deg
         assert angle.max() < most
         assert angle[-1] == pytest.approx(20.0, abs=0.01)
 
@@ -117,7 +104,7 @@ def test_nothing_winds_up_while_the_torque_is_out_of_reach(run, plant, controlle
 @pytest.mark.slow
 def test_expected_friction_is_part_of_the_torque(knee, load):
     """Drawn along the setpoint it is made up for at once, and the observer is told of it."""
-    rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(12.0, 0.5 * mm, elements=1))
+    rubbing = dataclasses.replace(knee.muscle1, friction=mk.MaxwellSlip(12.0, 0.5 * mm, elements=1))
     control = eso(dataclasses.replace(knee, muscle1=rubbing, muscle2=rubbing), load, friction_compensation=True)
     held = tuple(map(jnp.asarray, knee.pressures_for(0.0, -float(load.gravity_torque(0.0)), 15.0)))
     here, setpoint = Measurement(jnp.asarray(0.0), held), Setpoint(jnp.asarray(0.018), jnp.asarray(15.0))
@@ -142,15 +129,16 @@ def test_expected_friction_is_part_of_the_torque(knee, load):
 
 
 def test_sliding_mode_is_bounded_outside_its_layer_and_linear_inside():
-    law = SlidingMode(40.0, 80.0)
+    law = mk.SlidingMode(40.0, 80.0)
     assert float(law.step((), 0.001, 0.02, 1e6, PERIOD)[1]) == pytest.approx(40 * 0.02 + 40 * (0.02 + 0.04))
     assert float(law.step((), 1.0, 0.0, 1e6, PERIOD)[1]) == 80.0
     with pytest.raises(RangeError, match="reach is 0 rad/s"):
-        SlidingMode(reach=0.0)
+        mk.SlidingMode(reach=0.0)
 
 
 @pytest.mark.parametrize(
-    ("law", "ratio"), [(PolePlacement(30.0), 9), (PolePlacement(30.0, damping=2.0), 4), (SlidingMode(30.0, 80.0), 12)]
+    ("law", "ratio"),
+    [(mk.PolePlacement(30.0), 9), (mk.PolePlacement(30.0, damping=2.0), 4), (mk.SlidingMode(30.0, 80.0), 12)],
 )
 def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
     step = law.step(law.init(0.0), 1e-6, 0.0, 1e6, PERIOD), law.step(law.init(0.0), 0.0, 1e-6, 1e6, PERIOD)
@@ -163,7 +151,7 @@ def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
 @pytest.mark.parametrize("damping", [2.0, 2.5, 3.0])
 def test_poles_lie_where_they_are_placed(integral, damping):
     """Poles of the dynamics of the error: a pair of the damping (d - 1)/2, and real ones, all at the bandwidth."""
-    law = PolePlacement(30.0, integral=integral, damping=damping)
+    law = mk.PolePlacement(30.0, integral=integral, damping=damping)
     by_error, by_rate = float(law.step(0.0, 1.0, 0.0, 1e9, 1e-9)[1]), float(law.step(0.0, 0.0, 1.0, 1e9, 1e-9)[1])
     by_integral = float(law.step(0.0, 1.0, 0.0, 1e9, 1.0)[0])
     polynomial = [law.lag, 1.0, by_rate, by_error, *([by_integral] if integral else [])]

@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mckibben.actuator import FirstOrderValve
-from mckibben.control import (
-    PID,
-    DecouplingControl,
-    DelayCompensation,
-    Measurement,
-    PolePlacement,
-    PositionStiffnessControl,
-    Setpoint,
-)
+import mckibben as mk
+from mckibben.control import Measurement, Setpoint
 from mckibben.control.model_based import mean_commands
 from mckibben.errors import ParameterError, RangeError
 from mckibben.units import ms
@@ -27,8 +19,8 @@ ANGLE, PRESSURES = 0.05, (2.5e5, 3.1e5)
 
 @pytest.fixture(scope="module")
 def control(knee, load):
-    inner = PositionStiffnessControl(PID(3e5, 4e6, 5e4), PID(3e4, 1.1e6, 0.0), model=knee)
-    return DelayCompensation(knee, load, valve=FirstOrderValve(LAG), controller=inner, command_delay=DELAY)
+    inner = mk.PositionStiffnessControl(mk.PID(3e5, 4e6, 5e4), mk.PID(3e4, 1.1e6, 0.0), model=knee)
+    return mk.DelayCompensation(knee, load, valve=mk.FirstOrderValve(LAG), controller=inner, command_delay=DELAY)
 
 
 @pytest.mark.parametrize(("newest", "oldest"), [(0.0, 1.0), (1.0, 2.0), (0.25, 0.75), (0.5, 2.25), (1.9, 3.0)])
@@ -61,7 +53,7 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
 
 def test_over_a_long_delay_it_knows_what_fast_valves_have_done(control, knee):
     """The pressures lag behind commands that rise steadily by the lag of the valves, but for a part of a step."""
-    late = dataclasses.replace(control, command_delay=30 * ms, valve=FirstOrderValve(1 * ms)).with_period(PERIOD)
+    late = dataclasses.replace(control, command_delay=30 * ms, valve=mk.FirstOrderValve(1 * ms)).with_period(PERIOD)
     estimates = late.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
     rise = 1e3  # Pa in a period
     sent = tuple((jnp.asarray(3e5 - rise * age), jnp.asarray(2e5 + rise * age)) for age in range(31))
@@ -86,7 +78,7 @@ def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_
 
 
 def test_a_controller_that_predicts_itself_is_refused(knee, load):
-    inner = DecouplingControl(knee, load, PolePlacement(40.0), valve=FirstOrderValve(LAG))
+    inner = mk.DecouplingControl(knee, load, mk.PolePlacement(40.0), valve=mk.FirstOrderValve(LAG))
     with pytest.raises(RangeError) as caught:
-        DelayCompensation(knee, load, valve=FirstOrderValve(LAG), controller=inner, command_delay=DELAY)
+        mk.DelayCompensation(knee, load, valve=mk.FirstOrderValve(LAG), controller=inner, command_delay=DELAY)
     assert caught.value.field == "controller"

@@ -8,18 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.actuator import FirstOrderValve
-from mckibben.control import (
-    AngleLimits,
-    DecouplingControl,
-    ExtendedStateObserver,
-    PolePlacement,
-    PredictiveControl,
-    Reference,
-    Step,
-)
+import mckibben as mk
+from mckibben.control import AngleLimits
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg
 from tests.control.conftest import PERIOD, SINE, off, rmse
@@ -28,7 +19,7 @@ SECONDS = 1.5
 
 
 def predictive(knee, load, bandwidth=60.0, observed=200.0, **more):
-    return PredictiveControl(knee, load, ExtendedStateObserver(observed), bandwidth=bandwidth, **more)
+    return mk.PredictiveControl(knee, load, mk.ExtendedStateObserver(observed), bandwidth=bandwidth, **more)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +48,7 @@ def test_with_a_right_model_there_is_next_to_no_error(tracked, plant):
 def test_without_limits_the_loop_is_the_linear_one_that_was_designed(run, plant, knee, load):
     """With d = 3 all poles are at 60 rad/s, stages of 1 ms; the stiffness has its own pole, and both do not mix."""
     control = predictive(knee, load, damping=3.0, horizon=0.012, stiffness_bandwidth=40.0)
-    record, setpoints = run(plant, control, Step(0.0, 0.5 * deg, 0.1), Step(15.0, 15.3, 0.1))
+    record, setpoints = run(plant, control, mk.Step(0.0, 0.5 * deg, 0.1), mk.Step(15.0, 15.3, 0.1))
     wt = 60.0 * PERIOD * np.arange(300)
     np.testing.assert_allclose(-off((record, setpoints))[100:400], 0.5 * (1 + wt + wt**2 / 2) * np.exp(-wt), atol=0.02)
     softer = 15.3 - np.asarray(seen_from_outside(numeric(plant.joint), record)[0])[100:400]
@@ -71,7 +62,7 @@ def test_it_stands_still_where_it_stands(run, plant, knee, load):
 
 
 def test_where_both_cannot_be_had_they_are_given_up_as_their_errors_weigh(run, plant, knee, load):
-    setpoint = sampled(Reference(angle=SINE, stiffness=15.0), SECONDS, PERIOD)[1]
+    setpoint = sampled(mk.Reference(angle=SINE, stiffness=15.0), SECONDS, PERIOD)[1]
     knee = numeric(knee)
     for wanted in (5.0, 25.0):
         record, _ = run(plant, predictive(knee, load, 80.0, 250.0), SINE, wanted)
@@ -92,8 +83,8 @@ def test_it_brakes_in_time_where_valves_are_slow(run, plant, knee, load):
     """A step of 20 deg with valves of 100 ms, known. Who looks 12 ms ahead cannot see a limit coming."""
     beyond = {}
     for far in (0.012, 0.06, 0.12):
-        control = predictive(knee, load, 80.0, 250.0, valve=FirstOrderValve(0.1), horizon=far)
-        record, _ = run(JointPlant(knee, load, FirstOrderValve(0.1)), control, Step(-10 * deg, 10 * deg, 0.1))
+        control = predictive(knee, load, 80.0, 250.0, valve=mk.FirstOrderValve(0.1), horizon=far)
+        record, _ = run(mk.JointPlant(knee, load, mk.FirstOrderValve(0.1)), control, mk.Step(-10 * deg, 10 * deg, 0.1))
         angle = np.asarray(record.state.angle) / deg
         beyond[far] = angle.max() - 10.0
         assert angle[-1] == pytest.approx(10.0, abs=0.05)
@@ -105,16 +96,16 @@ def test_it_brakes_in_time_where_valves_are_slow(run, plant, knee, load):
 @pytest.mark.slow
 def test_what_is_known_ahead_is_met_ahead(run, plant, knee, load):
     """A step and a limit that the reference would cross: both start to move before, and end where they should."""
-    both = PredictiveControl(knee, load), DecouplingControl(knee, load, PolePlacement())
+    both = mk.PredictiveControl(knee, load), mk.DecouplingControl(knee, load, mk.PolePlacement())
     for control, known in zip(both, (True, 0.1), strict=True):
-        without = rmse(run(plant, control, Step(-5 * deg, 5 * deg, 0.7)))
+        without = rmse(run(plant, control, mk.Step(-5 * deg, 5 * deg, 0.7)))
         control = dataclasses.replace(control, preview=known).with_period(PERIOD)
-        answer = run(plant, control, Step(-5 * deg, 5 * deg, 0.7))
+        answer = run(plant, control, mk.Step(-5 * deg, 5 * deg, 0.7))
         assert rmse(answer) < 0.6 * without
         assert abs(off(answer)[-1]) < 0.01
         delayed = dataclasses.replace(plant, command_delay=8e-3).with_period(PERIOD)
         late = dataclasses.replace(control, command_delay=8e-3).with_period(PERIOD)
-        assert rmse(run(delayed, late, Step(-5 * deg, 5 * deg, 0.7))) < 1.1 * rmse(answer)
+        assert rmse(run(delayed, late, mk.Step(-5 * deg, 5 * deg, 0.7))) < 1.1 * rmse(answer)
         assert rmse(run(plant, control)) < 0.01  # a sine, also at its end
 
 

@@ -6,40 +6,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.actuator import FirstOrderValve, IdealValve
-from mckibben.control import (
-    PID,
-    DecouplingControl,
-    DelayCompensation,
-    ExtendedStateObserver,
-    InverseModelControl,
-    PolePlacement,
-    PositionStiffnessControl,
-    PredictiveControl,
-    Reference,
-    Setpoint,
-)
+import mckibben as mk
+from mckibben.control import Setpoint
 from mckibben.errors import ReachabilityWarning
-from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant
-from mckibben.simulation import dynamic_stiffness, simulate, simulate_many
 from mckibben.units import deg, mm, ms
 
 PERIODS, PERIOD = 800, 2e-3
 ANGLE, SIZE, ASKED = 3 * deg, 1 * deg, 38.0
-PI = PID(kp=2e5, ki=60e5, kd=0.2e5), PID(kp=0.1e5, ki=8e5, kd=0.0)
+PI = mk.PID(kp=2e5, ki=60e5, kd=0.2e5), mk.PID(kp=0.1e5, ki=8e5, kd=0.0)
 
 
 @pytest.fixture(scope="module")
 def joint(knee):
-    muscle = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(7.5, 0.5 * mm))
+    muscle = dataclasses.replace(knee.muscle1, friction=mk.MaxwellSlip(7.5, 0.5 * mm))
     return dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
 
 
 @pytest.fixture(scope="module")
 def plant(joint, load):
-    return JointPlant(joint, load, FirstOrderValve(20 * ms))
+    return mk.JointPlant(joint, load, mk.FirstOrderValve(20 * ms))
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +43,20 @@ def settle(plant, short_episode):
 
 def met(plant, state):
     """Stiffness that a slow motion about the angle meets at the pressures of a state."""
-    held = dataclasses.replace(plant, valve=IdealValve())
-    return float(dynamic_stiffness(held, state, SIZE, 1.0).stiffness[0, 0])
+    held = dataclasses.replace(plant, valve=mk.IdealValve())
+    return float(mk.dynamic_stiffness(held, state, SIZE, 1.0).stiffness[0, 0])
 
 
 def controllers(joint, load):
-    loops = PositionStiffnessControl(*PI, model=joint, minimum_tension=5.0, stiffness_amplitude=SIZE)
-    model = {"valve": FirstOrderValve(20 * ms), "stiffness_amplitude": SIZE}
+    loops = mk.PositionStiffnessControl(*PI, model=joint, minimum_tension=5.0, stiffness_amplitude=SIZE)
+    model = {"valve": mk.FirstOrderValve(20 * ms), "stiffness_amplitude": SIZE}
     return {
         "PID": loops,
-        "inverse model": InverseModelControl(loops, load),
-        "decoupling": DecouplingControl(joint, load, PolePlacement(40.0), ExtendedStateObserver(120.0), **model),
-        "predictive": PredictiveControl(joint, load, ExtendedStateObserver(120.0), bandwidth=40.0, **model),
+        "inverse model": mk.InverseModelControl(loops, load),
+        "decoupling": mk.DecouplingControl(
+            joint, load, mk.PolePlacement(40.0), mk.ExtendedStateObserver(120.0), **model
+        ),
+        "predictive": mk.PredictiveControl(joint, load, mk.ExtendedStateObserver(120.0), bandwidth=40.0, **model),
     }
 
 
@@ -86,8 +74,8 @@ def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, 
 
 def test_a_wrapper_controls_what_the_controller_in_it_does(joint, load):
     loops = controllers(joint, load)["PID"]
-    delayed = DelayCompensation(joint, load, controller=loops, command_delay=5 * ms)
-    for wrapper in (delayed, InverseModelControl(loops, load)):
+    delayed = mk.DelayCompensation(joint, load, controller=loops, command_delay=5 * ms)
+    for wrapper in (delayed, mk.InverseModelControl(loops, load)):
         assert (wrapper.stiffness_amplitude, wrapper.minimum_tension) == (SIZE, 5.0)
 
 
@@ -95,13 +83,13 @@ def test_a_wrapper_controls_what_the_controller_in_it_does(joint, load):
 def test_a_simulation_compares_the_stiffness_of_that_size(joint, load, plant):
     controller = controllers(joint, load)["PID"]
     short = {"duration": 0.8, "control_period": PERIOD}
-    result = simulate(plant, controller, Reference(ANGLE, ASKED), **short)  # attainable: no warning
+    result = mk.simulate(plant, controller, mk.Reference(ANGLE, ASKED), **short)  # attainable: no warning
     assert result["stiffness"][-1] == pytest.approx(ASKED, rel=0.02)
     at_end = float(result["angle"][-1]), (float(result["pressure1"][-1]), float(result["pressure2"][-1]))
     assert result["stiffness"][-1] == pytest.approx(float(joint.secant_stiffness(*at_end, SIZE)), rel=1e-6)
     with pytest.warns(ReachabilityWarning):  # friction adds more than that
-        simulate(plant, controller, Reference(ANGLE, 15.0), **short)
-    batch = simulate_many(
-        plant, controller, Reference(ANGLE, np.array([ASKED, 36.0])), **short, metrics=("stiffness_rmse",)
+        mk.simulate(plant, controller, mk.Reference(ANGLE, 15.0), **short)
+    batch = mk.simulate_many(
+        plant, controller, mk.Reference(ANGLE, np.array([ASKED, 36.0])), **short, metrics=("stiffness_rmse",)
     )
     assert float(batch.table["stiffness_rmse"][0]) == pytest.approx(result.metrics["stiffness_rmse"], rel=1e-6)

@@ -5,26 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mckibben import catalog
-from mckibben.dataset import IsobaricDataset
+import mckibben as mk
 from mckibben.errors import IdentificationError
-from mckibben.identification import fit_law, rank
+from mckibben.identification import fit_law
 from mckibben.identification.least_squares import solve
 from mckibben.identification.regression import NotIdentifiableError, contraction_blocks, cross_validate
-from mckibben.muscle import (
-    ChouLaw,
-    ExponentialLaw,
-    HuntLaw,
-    ReynoldsLaw,
-    SarosiLaw,
-    SmoothLaw,
-    TonduLopezLaw,
-    forces,
-)
+from mckibben.muscle import HuntLaw, ReynoldsLaw, SarosiLaw, TonduLopezLaw, forces
 from mckibben.units import bar
 
 MAP, CHART = "dmsp-10-250-martens2017", "festo-tool-10mm"
-OURS = SmoothLaw
+OURS = mk.SmoothLaw
 
 
 PRESSURES, CONTRACTIONS = np.arange(1, 7) * bar, np.linspace(0, 0.2, 9)
@@ -37,20 +27,20 @@ def made_by(law, noise=0.0, seed=0, repeats=1, pressures=PRESSURES, contractions
         values.ravel() for values in np.meshgrid(np.arange(repeats), pressures, contractions, indexing="ij")
     )
     force = forces(law, contraction, pressure) + noise * generator.standard_normal(len(pressure))
-    return IsobaricDataset.of(
+    return mk.IsobaricDataset.of(
         pressure=pressure, contraction=contraction, force=force, repeat=repeat if repeats > 1 else None
     )
 
 
 @pytest.fixture(scope="module")
 def rankings():
-    kinds = [ReynoldsLaw, ExponentialLaw, HuntLaw, OURS, TonduLopezLaw]
-    return {name: rank(catalog.dataset(name), kinds) for name in (MAP, CHART)}
+    kinds = [ReynoldsLaw, mk.ExponentialLaw, HuntLaw, OURS, TonduLopezLaw]
+    return {name: mk.rank(mk.catalog.dataset(name), kinds) for name in (MAP, CHART)}
 
 
 @pytest.fixture(scope="module")
 def small():
-    return rank(catalog.dataset(MAP), [ReynoldsLaw, ExponentialLaw])
+    return mk.rank(mk.catalog.dataset(MAP), [ReynoldsLaw, mk.ExponentialLaw])
 
 
 @pytest.mark.slow
@@ -83,8 +73,8 @@ def test_a_shape_at_its_bound_is_flagged(rankings):
 
 
 def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data():
-    made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0, seed=3)
-    found = rank(made, [ExponentialLaw, SarosiLaw, ReynoldsLaw])
+    made = made_by(mk.catalog.law("sarosi-dmsp-10"), noise=1.0, seed=3)
+    found = mk.rank(made, [mk.ExponentialLaw, SarosiLaw, ReynoldsLaw])
     entry = found.of("SarosiLaw")
     count, numbers = entry.fit.points_used, 7
     wanted = count * np.log(entry.fit.rmse**2) + 2 * numbers + 2 * numbers * (numbers + 1) / (count - numbers - 1)
@@ -93,18 +83,18 @@ def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data
 
 
 def test_what_is_left_has_to_determine_the_law():
-    made = made_by(catalog.law("sarosi-dmsp-10"), pressures=[2 * bar, 4 * bar])
+    made = made_by(mk.catalog.law("sarosi-dmsp-10"), pressures=[2 * bar, 4 * bar])
     fit = fit_law(SarosiLaw, made)
     with pytest.raises(NotIdentifiableError, match="not determined"):
         cross_validate(fit.regression.problem, fit.regression.solution, fit.regression.points.levels)
-    entry = rank(made, [SarosiLaw]).entries[0]
+    entry = mk.rank(made, [SarosiLaw]).entries[0]
     assert "pressure" not in entry.cross_validation
     assert not entry.flags
 
 
 def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_its_bound():
     """Three of the map's four contractions do not determine an exponential, but the map determines Eq. 2."""
-    ranking = rank(catalog.dataset(MAP), [ReynoldsLaw, ExponentialLaw, HuntLaw])
+    ranking = mk.rank(mk.catalog.dataset(MAP), [ReynoldsLaw, mk.ExponentialLaw, HuntLaw])
     assert [entry.law for entry in ranking.entries] == ["HuntLaw", "ExponentialLaw", "ReynoldsLaw"]
     errors = ranking.of("ExponentialLaw").cross_validation["contraction"].by_block
     assert errors["12.4 %"] > 30  # three contractions say little about the fourth
@@ -120,25 +110,25 @@ def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_
 
 
 def test_no_taut_point_is_nothing_to_rank():
-    slack = IsobaricDataset.of(pressure=[1e5], contraction=[0.2], force=[0.0])
+    slack = mk.IsobaricDataset.of(pressure=[1e5], contraction=[0.2], force=[0.0])
     with pytest.raises(IdentificationError, match="all 1 points are slack"):
-        rank(slack)
+        mk.rank(slack)
 
 
 def test_all_refused_says_why_each():
-    few = made_by(catalog.law("sarosi-dmsp-10"), pressures=[3 * bar, 4 * bar], contractions=[0.0, 0.05])
-    ranking = rank(few, [SarosiLaw, ExponentialLaw])
+    few = made_by(mk.catalog.law("sarosi-dmsp-10"), pressures=[3 * bar, 4 * bar], contractions=[0.0, 0.05])
+    ranking = mk.rank(few, [SarosiLaw, mk.ExponentialLaw])
     with pytest.raises(IdentificationError, match=r"(?s)no law could be fitted.*SarosiLaw: 4 taut.*ExponentialLaw: 4"):
         _ = ranking.best
 
 
 def test_scattered_pressures_are_held_out_by_level():
     """Each point alone would be predicted by its neighbours on its own curve."""
-    made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0)
+    made = made_by(mk.catalog.law("sarosi-dmsp-10"), noise=1.0)
     measured = made.pressure + 500 * np.random.default_rng(1).standard_normal(len(made))
     columns = {"pressure": measured, "contraction": made.contraction, "force": made.force}
-    scattered = rank(IsobaricDataset.of(**columns), [SarosiLaw])
-    nominal = rank(IsobaricDataset.of(**columns, set_pressure=made.pressure), [SarosiLaw])
+    scattered = mk.rank(mk.IsobaricDataset.of(**columns), [SarosiLaw])
+    nominal = mk.rank(mk.IsobaricDataset.of(**columns, set_pressure=made.pressure), [SarosiLaw])
     assert scattered.blocks == nominal.blocks == ("pressure", "contraction")
     errors = (found.entries[0].fit.leave_one_pressure_out.rmse for found in (scattered, nominal))
     assert next(errors) == pytest.approx(next(errors), rel=0.05)
@@ -146,24 +136,24 @@ def test_scattered_pressures_are_held_out_by_level():
 
 def test_all_parameters_at_their_bounds_are_an_error_of_units():
     pressure, contraction = (a.ravel() for a in np.meshgrid(PRESSURES, np.linspace(0, 0.2, 9)))
-    force = forces(catalog.law("lei-mas-10-180n"), contraction, pressure)
-    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
-    bars_for_pascals = IsobaricDataset(data.table.assign(pressure=("point", pressure / bar)))
+    force = forces(mk.catalog.law("lei-mas-10-180n"), contraction, pressure)
+    data = mk.IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
+    bars_for_pascals = mk.IsobaricDataset(data.table.assign(pressure=("point", pressure / bar)))
     with pytest.raises(IdentificationError, match="look for wrong units in the data"):
-        fit_law(ChouLaw, bars_for_pascals)
+        fit_law(mk.ChouLaw, bars_for_pascals)
 
 
 @pytest.mark.slow
 def test_a_contraction_beyond_the_validity_of_a_law_by_noise_counts_as_its_limit():
-    data = catalog.dataset(MAP)
+    data = mk.catalog.dataset(MAP)
     contraction = data.contraction.copy()
     first = np.flatnonzero(~data.slack & (contraction == 0))[0]
     contraction[first] = -0.0004
-    noisy = IsobaricDataset(data.table.assign(contraction=("point", contraction)))
+    noisy = mk.IsobaricDataset(data.table.assign(contraction=("point", contraction)))
     assert fit_law(HuntLaw, noisy).rmse == pytest.approx(fit_law(HuntLaw, data).rmse)
     contraction[first] = -0.002
     with pytest.raises(IdentificationError, match="HuntLaw is not valid at 1 of the 40"):
-        fit_law(HuntLaw, IsobaricDataset(data.table.assign(contraction=("point", contraction))))
+        fit_law(HuntLaw, mk.IsobaricDataset(data.table.assign(contraction=("point", contraction))))
 
 
 @pytest.mark.parametrize(

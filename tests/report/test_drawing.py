@@ -8,37 +8,24 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mckibben import catalog
-from mckibben.actuator import IdealValve
+import mckibben as mk
 from mckibben.errors import FileError, ParameterError, RangeError, SimulationError
-from mckibben.joint import (
-    AntagonisticJoint,
-    Cam,
-    Geometry,
-    KneeGeometry,
-    PairedPaths,
-    Pulley,
-    TabulatedPath,
-    TwoBonePath,
-)
+from mckibben.joint import Geometry
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
-from mckibben.muscle import Muscle, Specimen, return_spring
-from mckibben.plant import JointPlant
 from mckibben.report import animate, draw_joint
-from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import SimulationResult
+from mckibben.scenario import run_scenario
 from mckibben.units import bar, deg, mm
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-KNEE = KneeGeometry(joint_length=370 * mm, joint_radius=30 * mm, connector_length=208 * mm)
-BONES = PairedPaths(
-    TwoBonePath(-30 * mm, 162 * mm, -35 * mm, 0.0, connector_length=20 * mm),
-    TwoBonePath(30 * mm, 170 * mm, 35 * mm, 0.0, connector_length=10 * mm),
+KNEE = mk.KneeGeometry(joint_length=370 * mm, joint_radius=30 * mm, connector_length=208 * mm)
+BONES = mk.PairedPaths(
+    mk.TwoBonePath(-30 * mm, 162 * mm, -35 * mm, 0.0, connector_length=20 * mm),
+    mk.TwoBonePath(30 * mm, 170 * mm, 35 * mm, 0.0, connector_length=10 * mm),
 )
-PULLEYS = PairedPaths(Pulley(30 * mm, 162 * mm), Pulley(25 * mm, 150 * mm))
-CAMS = PairedPaths(Cam(30 * mm, 162 * mm, arm_slope=8 * mm), Cam(30 * mm, 150 * mm, arm_slope=-8 * mm))
+PULLEYS = mk.PairedPaths(mk.Pulley(30 * mm, 162 * mm), mk.Pulley(25 * mm, 150 * mm))
+CAMS = mk.PairedPaths(mk.Cam(30 * mm, 162 * mm, arm_slope=8 * mm), mk.Cam(30 * mm, 150 * mm, arm_slope=-8 * mm))
 ANGLES = [angle * deg for angle in (-40, -20, 0, 20, 40)]
-TABLE = TabulatedPath(ANGLES, arms=[arm * mm for arm in (26, 29, 30, 29, 26.5)], rest_length=162 * mm)
+TABLE = mk.TabulatedPath(ANGLES, arms=[arm * mm for arm in (26, 29, 30, 29, 26.5)], rest_length=162 * mm)
 
 
 class Own(Geometry):
@@ -48,7 +35,14 @@ class Own(Geometry):
         return 0.16 + 0.03 * jnp.sin(angle), 0.16 - 0.03 * jnp.sin(angle)
 
 
-ALL = {"knee": KNEE, "bones": BONES, "pulleys": PULLEYS, "cams": CAMS, "table": PairedPaths(TABLE, TABLE), "own": Own()}
+ALL = {
+    "knee": KNEE,
+    "bones": BONES,
+    "pulleys": PULLEYS,
+    "cams": CAMS,
+    "table": mk.PairedPaths(TABLE, TABLE),
+    "own": Own(),
+}
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -78,8 +72,8 @@ def test_the_diameter_is_that_of_a_cylinder_with_the_volume(knee):
         assert length == pytest.approx(float(path))
         volume = knee.muscle1.specimen.volume(1 - length / 0.18)
         assert np.pi / 4 * diameter**2 * length == pytest.approx(float(volume))
-    unknown = Muscle(Specimen("own", 180 * mm), catalog.law("lei-mas-10-180n"))
-    assert muscle_sizes(AntagonisticJoint(KNEE, unknown, unknown), (0.1, 0.1))[1] == [None, None]
+    unknown = mk.Muscle(mk.Specimen("own", 180 * mm), mk.catalog.law("lei-mas-10-180n"))
+    assert muscle_sizes(mk.AntagonisticJoint(KNEE, unknown, unknown), (0.1, 0.1))[1] == [None, None]
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -87,15 +81,15 @@ def test_every_geometry_is_drawn_alone_and_with_muscles(name, knee):
     (axes,) = draw_joint(ALL[name], 20 * deg).axes
     arms = [float(arm) / mm for arm in ALL[name].moment_arms(20 * deg)]
     assert f"moment arms {arms[0]:.3g} and {arms[1]:.3g} mm" in axes.get_title()
-    joint = AntagonisticJoint(ALL[name], knee.muscle1, knee.muscle2)
+    joint = mk.AntagonisticJoint(ALL[name], knee.muscle1, knee.muscle2)
     figure = draw_joint(joint, 20 * deg, (2 * bar, 4 * bar), labels=False)
     first, second = (patch for patch in figure.axes[0].patches if patch.get_linewidth() == 0.8)
     assert first.get_facecolor() != second.get_facecolor()
 
 
 def test_a_spring_in_place_of_a_muscle_has_no_body(knee, load):
-    joint = AntagonisticJoint(PULLEYS, knee.muscle1, return_spring(4e3, 130 * mm))
-    figure = draw_joint(JointPlant(joint, load, IdealValve()), 0.1)
+    joint = mk.AntagonisticJoint(PULLEYS, knee.muscle1, mk.return_spring(4e3, 130 * mm))
+    figure = draw_joint(mk.JointPlant(joint, load, mk.IdealValve()), 0.1)
     bodies = [patch for patch in figure.axes[0].patches if patch.get_linewidth() == 0.8]
     assert [body.get_visible() for body in bodies] == [True, False]
 
@@ -110,7 +104,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     text = (EXAMPLES / "own-joint.yaml").read_text(encoding="utf-8").replace("duration: 4 s", "duration: 800 ms")
     (folder / "short.yaml").write_text(text, encoding="utf-8")
-    return run_scenario(Scenario.read(folder / "short.yaml"))
+    return run_scenario(mk.Scenario.read(folder / "short.yaml"))
 
 
 @pytest.mark.parametrize("suffix", ["webp", "gif"])
@@ -134,7 +128,7 @@ def test_an_animation_needs_a_known_ending_and_a_joint(run, tmp_path):
     with pytest.raises(ParameterError) as found:
         animate(run, tmp_path / "run.mp4")
     assert (found.value.field, found.value.value) == ("path", ".mp4")
-    bare = SimulationResult(dict(run.columns), run.control_period)
+    bare = mk.SimulationResult(dict(run.columns), run.control_period)
     with pytest.raises(SimulationError) as missing:
         animate(bare, tmp_path / "run.gif")
     assert missing.value.field == "plant"

@@ -9,53 +9,38 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mckibben import (
-    PID,
-    AntagonisticJoint,
-    FirstOrderValve,
-    IdealValve,
-    JointFriction,
-    JointPlant,
-    KneeGeometry,
-    OpenLoopControl,
-    PositionStiffnessControl,
-    Reference,
-    Sine,
-    Step,
-    catalog,
-    simulate,
-    simulate_many,
-)
+import mckibben as mk
 from mckibben.errors import McKibbenWarning, SimulationError
-from mckibben.simulation import SimulationResult
 from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, resolution_of
 from mckibben.units import bar, deg, mm
 
-PRINTED = catalog.joint("knee-table-2")
-KNEE = AntagonisticJoint(
-    KneeGeometry(PRINTED.geometry.joint_length, PRINTED.geometry.joint_radius, 208 * mm),
+PRINTED = mk.catalog.joint("knee-table-2")
+KNEE = mk.AntagonisticJoint(
+    mk.KneeGeometry(PRINTED.geometry.joint_length, PRINTED.geometry.joint_radius, 208 * mm),
     PRINTED.muscle1,
     PRINTED.muscle2,
 )
-PLANT = JointPlant(KNEE, catalog.load("knee-table-2"), FirstOrderValve(0.02))
-CONTROL = PositionStiffnessControl(PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar, 0.0), model=KNEE)
+PLANT = mk.JointPlant(KNEE, mk.catalog.load("knee-table-2"), mk.FirstOrderValve(0.02))
+CONTROL = mk.PositionStiffnessControl(
+    mk.PID(2 * bar, 60 * bar, 0.4 * bar), mk.PID(0.08 * bar, 5 * bar, 0.0), model=KNEE
+)
 START = PLANT.equilibrium(0.0, stiffness=12.0)
-SMOOTH = Reference(Sine(10 * deg, 0.5), 15.0)
+SMOOTH = mk.Reference(mk.Sine(10 * deg, 0.5), 15.0)
 RUN = {"duration": 0.5, "initial": START}
 
 
 def slack(amplitude, frequency, low, high):
     """A reference that slackens the muscles, so that the angle has kinks in its acceleration."""
-    return Reference(Sine(amplitude * deg, frequency), Step(low, high, 5.0))
+    return mk.Reference(mk.Sine(amplitude * deg, frequency), mk.Step(low, high, 5.0))
 
 
 def angle_error(result, *, reference, **options):
-    fine = simulate(PLANT, CONTROL, reference, initial=START, substeps=256, **options)
+    fine = mk.simulate(PLANT, CONTROL, reference, initial=START, substeps=256, **options)
     return np.abs(result["angle"] - fine["angle"]).max()
 
 
 def test_a_smooth_run_needs_one_step_and_says_how_far_it_is_from_two():
-    run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
+    run = mk.simulate(PLANT, CONTROL, SMOOTH, **RUN)
     assert run.resolution.resolved and run.resolution.substeps == 1 and 0 < run.resolution.error < 1e-10
     assert angle_error(run, reference=SMOOTH, duration=0.5) == pytest.approx(run.resolution.error, rel=0.1)
 
@@ -66,7 +51,7 @@ def test_a_smooth_run_needs_one_step_and_says_how_far_it_is_from_two():
 @pytest.mark.parametrize("accuracy", [1e-5, 1e-6])
 def test_the_estimated_error_is_within_a_factor_of_2_where_muscles_are_slack(case, accuracy):
     reference = slack(*case)
-    run = simulate(PLANT, CONTROL, reference, initial=START, duration=3.0, accuracy=accuracy)
+    run = mk.simulate(PLANT, CONTROL, reference, initial=START, duration=3.0, accuracy=accuracy)
     assert run["slack"].any() and run.resolution.resolved
     assert 0.5 < angle_error(run, reference=reference, duration=3.0) / run.resolution.error < 2
 
@@ -74,10 +59,10 @@ def test_the_estimated_error_is_within_a_factor_of_2_where_muscles_are_slack(cas
 @pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")
 def test_the_estimated_error_is_that_from_scipy():
     """A joint that swings at constant pressures, so that its muscles go slack in turn."""
-    plant, pressures = JointPlant(KNEE, PLANT.load, IdealValve()), (0.3 * bar, 0.3 * bar)
+    plant, pressures = mk.JointPlant(KNEE, PLANT.load, mk.IdealValve()), (0.3 * bar, 0.3 * bar)
     start = plant.init_state(25 * deg, pressures)
-    control = OpenLoopControl(*pressures, model=KNEE)
-    run = simulate(plant, control, Reference(0.0, 3.0), initial=start, duration=1.0, control_period=0.01)
+    control = mk.OpenLoopControl(*pressures, model=KNEE)
+    run = mk.simulate(plant, control, mk.Reference(0.0, 3.0), initial=start, duration=1.0, control_period=0.01)
     assert run["slack"].any()
 
     @jax.jit
@@ -96,22 +81,22 @@ def test_the_estimated_error_is_that_from_scipy():
 def test_a_run_that_is_not_resolved_is_reported_with_the_time_from_which_solutions_separate():
     reference = slack(25, 2.0, 3.0, 25.0)
     with pytest.warns(McKibbenWarning, match="not resolved"):
-        run = simulate(PLANT, CONTROL, reference, initial=START)
+        run = mk.simulate(PLANT, CONTROL, reference, initial=START)
     assert not run.resolution.resolved and run.resolution.error > 1e-6
-    twice = simulate(PLANT, CONTROL, reference, initial=START, substeps=2 * run.resolution.substeps)
+    twice = mk.simulate(PLANT, CONTROL, reference, initial=START, substeps=2 * run.resolution.substeps)
     apart = np.abs(twice["angle"] - run["angle"]) > 1e-6
     assert run.times[apart.argmax()] == pytest.approx(run.resolution.unresolved_from)
 
 
 def test_friction_and_a_finer_accuracy_need_more_steps():
-    plant = dataclasses.replace(PLANT, friction=JointFriction(0.3, 1 * deg))
-    runs = [simulate(plant, CONTROL, SMOOTH, accuracy=accuracy, **RUN).resolution for accuracy in (1e-6, 1e-8)]
+    plant = dataclasses.replace(PLANT, friction=mk.JointFriction(0.3, 1 * deg))
+    runs = [mk.simulate(plant, CONTROL, SMOOTH, accuracy=accuracy, **RUN).resolution for accuracy in (1e-6, 1e-8)]
     assert runs[0].substeps < runs[1].substeps and runs[1].error <= 1e-8
 
 
 @pytest.mark.parametrize(
     ("run", "lowest"),
-    [(simulate, 1e-12), (simulate_many, 1e-12), (functools.partial(simulate_many, precision=32), 1e-6)],
+    [(mk.simulate, 1e-12), (mk.simulate_many, 1e-12), (functools.partial(mk.simulate_many, precision=32), 1e-6)],
 )
 def test_an_accuracy_below_rounding_is_refused_with_the_one_that_can_be_reached(run, lowest):
     with pytest.raises(SimulationError) as caught:
@@ -122,23 +107,23 @@ def test_an_accuracy_below_rounding_is_refused_with_the_one_that_can_be_reached(
 @pytest.mark.parametrize("accuracy", [0.0, -1e-6, np.nan, np.inf, "fine", True])
 def test_an_accuracy_is_a_positive_angle(accuracy):
     with pytest.raises(SimulationError) as caught:
-        simulate(PLANT, CONTROL, SMOOTH, accuracy=accuracy, **RUN)
+        mk.simulate(PLANT, CONTROL, SMOOTH, accuracy=accuracy, **RUN)
     assert caught.value.field == "accuracy"
 
 
 def test_an_accuracy_between_rounding_and_the_finest_steps_is_refused_with_the_one_that_can_be_reached():
-    plant = dataclasses.replace(PLANT, friction=JointFriction(0.3, 1 * deg))
+    plant = dataclasses.replace(PLANT, friction=mk.JointFriction(0.3, 1 * deg))
     with pytest.raises(SimulationError) as caught:
-        simulate(plant, CONTROL, SMOOTH, accuracy=1e-12, **RUN)
+        mk.simulate(plant, CONTROL, SMOOTH, accuracy=1e-12, **RUN)
     lowest = caught.value.lower
     assert caught.value.field == "accuracy" and 1e-12 < lowest < 1e-7
-    assert simulate(plant, CONTROL, SMOOTH, accuracy=lowest, **RUN).resolution.error <= lowest
+    assert mk.simulate(plant, CONTROL, SMOOTH, accuracy=lowest, **RUN).resolution.error <= lowest
 
 
 def test_the_resolution_is_kept_in_a_file(tmp_path):
-    run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
+    run = mk.simulate(PLANT, CONTROL, SMOOTH, **RUN)
     run.to_netcdf(tmp_path / "run.nc")
-    again = SimulationResult.from_netcdf(tmp_path / "run.nc").resolution
+    again = mk.SimulationResult.from_netcdf(tmp_path / "run.nc").resolution
     assert again[:2] == run.resolution[:2] and again.resolved
 
 
@@ -147,9 +132,11 @@ MANY = {"load.mass2": np.linspace(0.3, 0.7, 40)}
 
 @pytest.mark.slow
 def test_a_batch_has_the_steps_and_the_error_that_its_extreme_runs_need():
-    batch = simulate_many(PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], **RUN)
+    batch = mk.simulate_many(PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], **RUN)
     assert np.all(batch["substeps"] == 1) and np.all(batch["error_estimate"] < 1e-10) and not batch.chaotic.any()
-    fine = simulate_many(PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], substeps=8, **RUN)
+    fine = mk.simulate_many(
+        PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], substeps=8, **RUN
+    )
     assert np.abs(batch["angle"] - fine["angle"]).max() <= 2 * batch["error_estimate"].max()
     assert np.isnan(fine["error_estimate"]).all() and np.all(fine["substeps"] == 8)
 
@@ -157,12 +144,12 @@ def test_a_batch_has_the_steps_and_the_error_that_its_extreme_runs_need():
 @pytest.mark.slow
 def test_blocks_of_a_batch_choose_for_themselves():
     strengths = np.where(np.arange(2 * BLOCK) < BLOCK, 1e-3, 0.5)  # of the friction, N*m
-    plant = dataclasses.replace(PLANT, friction=JointFriction(0.1, 1 * deg))
+    plant = dataclasses.replace(PLANT, friction=mk.JointFriction(0.1, 1 * deg))
     given = {"metrics": ["angle_rmse"], "duration": 0.1, "initial": START, "accuracy": 1e-8}
-    whole = simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths}, **given)
+    whole = mk.simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths}, **given)
     first, second = whole["substeps"][:BLOCK], whole["substeps"][BLOCK:]
     assert np.ptp(first) == np.ptp(second) == 0 and first[0] < second[0]
-    alone = simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths[BLOCK:]}, **given)
+    alone = mk.simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths[BLOCK:]}, **given)
     assert np.array_equal(alone["angle_rmse"], whole["angle_rmse"][BLOCK:])
 
 

@@ -8,36 +8,23 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from mckibben import (
-    PID,
-    FirstOrderValve,
-    JointPlant,
-    PositionStiffnessControl,
-    Reference,
-    Sine,
-    catalog,
-    simulate,
-    simulate_many,
-)
-from mckibben.actuator import IdealValve
+import mckibben as mk
 from mckibben.errors import SimulationError
-from mckibben.muscle import MaxwellCreep, MaxwellSlip
-from mckibben.plant import JointFriction
 from mckibben.plant.base import STABILITY_LIMIT, Motion
 from mckibben.simulation import Outcome
 from mckibben.units import deg, mm
 
-KNEE, LOAD = catalog.joint("knee-table-2"), catalog.load("knee-table-2")
-PLANT = JointPlant(KNEE, LOAD, FirstOrderValve(0.02))
-CONTROL = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=KNEE)
-REFERENCE = Reference(angle=0.0, stiffness=72.5)
+KNEE, LOAD = mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2")
+PLANT = mk.JointPlant(KNEE, LOAD, mk.FirstOrderValve(0.02))
+CONTROL = mk.PositionStiffnessControl(mk.PID(2e5, 60e5, 0.4e5), mk.PID(-1.5e5, -100e5, 0.0), model=KNEE)
+REFERENCE = mk.Reference(angle=0.0, stiffness=72.5)
 
 
 @pytest.mark.parametrize("frequency", [500.0, 1000.0])
 def test_a_sine_at_or_above_half_the_control_rate_is_refused(frequency):
-    reference = Reference(angle=Sine(0.03, frequency), stiffness=72.5)
+    reference = mk.Reference(angle=mk.Sine(0.03, frequency), stiffness=72.5)
     with pytest.raises(SimulationError) as caught:
-        simulate(PLANT, CONTROL, reference, duration=0.1)
+        mk.simulate(PLANT, CONTROL, reference, duration=0.1)
     assert (caught.value.field, caught.value.value, caught.value.upper) == (
         "reference.angle.frequency",
         frequency,
@@ -47,7 +34,9 @@ def test_a_sine_at_or_above_half_the_control_rate_is_refused(frequency):
 
 def test_a_frequency_that_varies_over_runs_is_checked_in_each():
     with pytest.raises(SimulationError) as caught:
-        simulate_many(PLANT, CONTROL, Reference(angle=Sine(0.03, np.array([1.0, 600.0])), stiffness=72.5), duration=0.1)
+        mk.simulate_many(
+            PLANT, CONTROL, mk.Reference(angle=mk.Sine(0.03, np.array([1.0, 600.0])), stiffness=72.5), duration=0.1
+        )
     assert caught.value.value == 600.0
 
 
@@ -57,13 +46,13 @@ def heavily_damped(damping):
 
 def test_a_plant_too_stiff_for_its_substeps_is_refused_with_the_number_that_would_do():
     with pytest.raises(SimulationError) as caught:
-        simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=4)
+        mk.simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=4)
     assert (caught.value.field, caught.value.value) == ("substeps", 4)
-    result = simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=int(caught.value.lower))
+    result = mk.simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=int(caught.value.lower))
     assert result.outcome is not Outcome.DIVERGED
 
 
-SLIP, CREEP = MaxwellSlip(7.5, 0.5 * mm, viscous=200.0), MaxwellCreep(3000.0, 0.3, arms=2)
+SLIP, CREEP = mk.MaxwellSlip(7.5, 0.5 * mm, viscous=200.0), mk.MaxwellCreep(3000.0, 0.3, arms=2)
 
 
 @pytest.mark.slow
@@ -71,9 +60,9 @@ SLIP, CREEP = MaxwellSlip(7.5, 0.5 * mm, viscous=200.0), MaxwellCreep(3000.0, 0.
     ("parts", "friction"),
     [
         ({}, None),
-        ({}, JointFriction(30.0, 0.05 * deg)),
-        ({"friction": SLIP, "creep": CREEP}, JointFriction(0.3, 0.05 * deg)),
-        ({"creep": MaxwellCreep(1.0, 0.01)}, None),  # the fastest mode is its relaxation
+        ({}, mk.JointFriction(30.0, 0.05 * deg)),
+        ({"friction": SLIP, "creep": CREEP}, mk.JointFriction(0.3, 0.05 * deg)),
+        ({"creep": mk.MaxwellCreep(1.0, 0.01)}, None),  # the fastest mode is its relaxation
     ],
 )
 def test_the_fastest_mode_is_that_of_the_linearised_plant(parts, friction):
@@ -81,7 +70,7 @@ def test_the_fastest_mode_is_that_of_the_linearised_plant(parts, friction):
     muscle, angle, pressures = dataclasses.replace(KNEE.muscle1, **parts), 0.1, (2e5, 3e5)
     joint = dataclasses.replace(KNEE, muscle1=muscle, muscle2=muscle)
     load = dataclasses.replace(LOAD, damping=0.05, hanging_angle=angle)
-    plant = JointPlant(joint, load, IdealValve(), friction=friction)
+    plant = mk.JointPlant(joint, load, mk.IdealValve(), friction=friction)
     state = plant.init_state(angle, pressures)
     flat, restored = ravel_pytree(Motion.of(state))
 
@@ -102,7 +91,7 @@ def test_the_limit_is_that_of_the_runge_kutta_method():
     assert caught.value.lower == 5
 
 
-SINE = Reference(Sine(0.1, 1.0), 72.5)
+SINE = mk.Reference(mk.Sine(0.1, 1.0), 72.5)
 
 
 @pytest.mark.parametrize(
@@ -116,5 +105,5 @@ SINE = Reference(Sine(0.1, 1.0), 72.5)
 )
 def test_a_number_that_is_none_is_named(field, plant, control, reference):
     with pytest.raises(SimulationError) as caught:
-        simulate(plant or PLANT, control or CONTROL, reference or REFERENCE, duration=0.1)
+        mk.simulate(plant or PLANT, control or CONTROL, reference or REFERENCE, duration=0.1)
     assert caught.value.field == field

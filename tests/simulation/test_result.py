@@ -7,63 +7,56 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from mckibben import catalog
-from mckibben.actuator import FirstOrderValve, IdealValve
+import mckibben as mk
 from mckibben.component.columns import attributes
-from mckibben.control import (
-    PID,
-    Constant,
-    DecouplingControl,
-    ExtendedStateObserver,
-    InverseModelControl,
-    Measurement,
-    PolePlacement,
-    PositionStiffnessControl,
-    PredictiveControl,
-    Reference,
-    Sine,
-)
+from mckibben.control import Measurement
 from mckibben.errors import FileError, ReachabilityWarning, SimulationError
-from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import Outcome, SimulationResult, Trajectory, run_episode, sampled, simulate
+from mckibben.plant import PlantState
+from mckibben.simulation import Outcome, Trajectory, run_episode, sampled
 from mckibben.simulation.result import BAND
 from mckibben.units import bar, deg
 
-POSITION, STIFFNESS = PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar, 0.0)
+POSITION, STIFFNESS = mk.PID(2 * bar, 60 * bar, 0.4 * bar), mk.PID(0.08 * bar, 5 * bar, 0.0)
 
 
 @pytest.fixture(scope="module")
 def completed(plant, knee):
-    reference = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
-    return simulate(
-        plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2, scenario="name: α\n"
+    reference = mk.Reference(angle=mk.Sine(10 * deg, 0.5), stiffness=mk.Constant(15.0))
+    return mk.simulate(
+        plant,
+        mk.PositionStiffnessControl(POSITION, STIFFNESS, model=knee),
+        reference,
+        duration=0.2,
+        scenario="name: α\n",
     )
 
 
 @pytest.fixture(scope="module")
 def saturated(plant, knee):
-    reference = Reference(angle=Sine(0.0, 0.5), stiffness=Constant(30.0))  # no motion; same structure as the others
+    reference = mk.Reference(
+        angle=mk.Sine(0.0, 0.5), stiffness=mk.Constant(30.0)
+    )  # no motion; same structure as the others
     with pytest.warns(ReachabilityWarning):
-        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2)
+        return mk.simulate(plant, mk.PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2)
 
 
 @pytest.fixture(scope="module")
 def left_domain(as_printed, load, playback):
     """All pressure on one side, from rest: the joint swings over to where the other muscle is stretched too far."""
-    reference = Reference(angle=Constant(0.0), stiffness=Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
+    reference = mk.Reference(angle=mk.Constant(0.0), stiffness=mk.Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
     with pytest.warns(ReachabilityWarning):
-        return simulate(JointPlant(as_printed, load, IdealValve()), playback, reference, duration=0.2)
+        return mk.simulate(mk.JointPlant(as_printed, load, mk.IdealValve()), playback, reference, duration=0.2)
 
 
 @pytest.fixture(scope="module")
 def diverged(knee, load):
     """Damping with a time constant of under 1 ms, integrated in steps of 50 ms, at which Runge-Kutta is unstable."""
-    stiff = JointPlant(knee, dataclasses.replace(load, damping=1000 * load.total_inertia), FirstOrderValve(0.02))
-    reference = Reference(angle=Sine(0.0, 0.5, offset=1 * deg), stiffness=Constant(15.0))
-    control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
+    stiff = mk.JointPlant(knee, dataclasses.replace(load, damping=1000 * load.total_inertia), mk.FirstOrderValve(0.02))
+    reference = mk.Reference(angle=mk.Sine(0.0, 0.5, offset=1 * deg), stiffness=mk.Constant(15.0))
+    control = mk.PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
     _, setpoints = sampled(reference, 40.0, 0.2)  # 200 periods, as in the other runs
     run = run_episode(stiff, control, setpoints, stiff.equilibrium(1 * deg), 0.2, 4)  # `simulate` refuses it
-    return SimulationResult({**run.columns, **dict.fromkeys(BAND, np.full(200, np.nan))}, 0.2)
+    return mk.SimulationResult({**run.columns, **dict.fromkeys(BAND, np.full(200, np.nan))}, 0.2)
 
 
 def said(text: str, what: str) -> tuple[float, float]:
@@ -73,8 +66,8 @@ def said(text: str, what: str) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("frequency", "poor"), [(0.5, False), (8.0, True)])
 def test_a_reference_too_fast_for_the_joint_is_named(plant, knee, frequency, poor):
-    reference = Reference(angle=Sine(10 * deg, frequency), stiffness=Constant(15.0))
-    result = simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=1.0)
+    reference = mk.Reference(angle=mk.Sine(10 * deg, frequency), stiffness=mk.Constant(15.0))
+    result = mk.simulate(plant, mk.PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=1.0)
     assert result.outcome.usable and bool(result.poor_tracking) == poor
     assert ("mckibben envelope" in result.to_text(), "worse than a joint at rest" in result.to_text()) == (poor, poor)
 
@@ -91,7 +84,7 @@ def test_a_limit_cycle_counts_from_the_resolution_of_its_sensor(completed):
     cycle = 0.3 * deg * np.sin(2 * np.pi * 50 * 1e-3 * np.arange(200))
     columns = {**completed.columns, "angle": completed["desired_angle"] + cycle}
     for resolution, expected in (({}, 0.3 * deg), ({"angle_resolution": 1 * deg}, 0.0)):
-        found = SimulationResult(columns, completed.control_period, **resolution)
+        found = mk.SimulationResult(columns, completed.control_period, **resolution)
         assert found.metrics["oscillation_amplitude"] == pytest.approx(expected, rel=0.1)
 
 
@@ -136,9 +129,9 @@ def test_diverged(diverged):
 
 @pytest.mark.slow
 def test_slack_is_said_of_a_run_that_completed(plant, knee, playback):
-    reference = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
+    reference = mk.Reference(angle=mk.Constant(0.0), stiffness=mk.Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
     with pytest.warns(ReachabilityWarning):
-        result = simulate(plant, playback, reference, duration=0.2, initial=PlantState(0.0, 0.0, (0.0, 1e5)))
+        result = mk.simulate(plant, playback, reference, duration=0.2, initial=PlantState(0.0, 0.0, (0.0, 1e5)))
     slack = (result["force1"] <= 0) | (result["force2"] <= 0)
     assert slack.any()
     np.testing.assert_array_equal(result["slack"], slack)
@@ -166,11 +159,11 @@ def test_every_variable_of_a_run_has_a_unit_and_a_meaning(completed):
 
 
 def test_all_that_controllers_by_a_model_report_has_units(knee, load):
-    loops = PositionStiffnessControl(PID(1e5, 1e5, 0.0), PID(1e4, 1e4, 0.0), model=knee)
+    loops = mk.PositionStiffnessControl(mk.PID(1e5, 1e5, 0.0), mk.PID(1e4, 1e4, 0.0), model=knee)
     for control in (
-        DecouplingControl(knee, load, PolePlacement(60.0), ExtendedStateObserver()),
-        PredictiveControl(knee, load),
-        InverseModelControl(loops, load),
+        mk.DecouplingControl(knee, load, mk.PolePlacement(60.0), mk.ExtendedStateObserver()),
+        mk.PredictiveControl(knee, load),
+        mk.InverseModelControl(loops, load),
     ):
         seen = Measurement(np.array(0.1), (np.array(4e5), np.array(4.4e5)))
         told = eqx.filter_eval_shape(lambda control, seen: control.telemetry(control.init(seen)), control, seen)
@@ -182,7 +175,7 @@ def test_all_that_controllers_by_a_model_report_has_units(knee, load):
 def test_netcdf_gives_the_same_run_back(which, request, tmp_path):
     result = request.getfixturevalue(which)
     result.to_netcdf(tmp_path / "run.nc")
-    back = SimulationResult.from_netcdf(tmp_path / "run.nc")
+    back = mk.SimulationResult.from_netcdf(tmp_path / "run.nc")
     assert back.to_dataset().identical(result.to_dataset())
     for name in result.columns:
         assert back[name].dtype == result[name].dtype, name
@@ -196,22 +189,22 @@ def test_netcdf_gives_the_same_run_back(which, request, tmp_path):
 @pytest.mark.slow
 def test_a_missing_broken_or_foreign_file_is_an_error_of_ours(completed, tmp_path):
     with pytest.raises(FileError, match="nowhere"):
-        SimulationResult.from_netcdf(tmp_path / "nowhere.nc")
+        mk.SimulationResult.from_netcdf(tmp_path / "nowhere.nc")
     (tmp_path / "text.nc").write_text("no NetCDF at all")
     with pytest.raises(FileError, match="cannot be read as NetCDF"):
-        SimulationResult.from_netcdf(tmp_path / "text.nc")
+        mk.SimulationResult.from_netcdf(tmp_path / "text.nc")
     (tmp_path / "empty.nc").write_bytes(b"")
     with pytest.raises(FileError):
-        SimulationResult.from_netcdf(tmp_path / "empty.nc")
+        mk.SimulationResult.from_netcdf(tmp_path / "empty.nc")
     completed.to_netcdf(tmp_path / "run.nc")
     whole = (tmp_path / "run.nc").read_bytes()
     for part in (0.1, 0.5, 0.9):
         (tmp_path / "cut.nc").write_bytes(whole[: int(len(whole) * part)])
         with pytest.raises(FileError):
-            SimulationResult.from_netcdf(tmp_path / "cut.nc")
-    catalog.dataset("festo-tool-10mm").to_netcdf(tmp_path / "data.nc")
+            mk.SimulationResult.from_netcdf(tmp_path / "cut.nc")
+    mk.catalog.dataset("festo-tool-10mm").to_netcdf(tmp_path / "data.nc")
     with pytest.raises(FileError, match=r"lacks angle, .*highest_stiffness"):
-        SimulationResult.from_netcdf(tmp_path / "data.nc")
+        mk.SimulationResult.from_netcdf(tmp_path / "data.nc")
 
 
 @pytest.mark.parametrize("change", ["unknown outcome", "no band", "a word for the control period"])
@@ -225,17 +218,17 @@ def test_a_file_that_is_nearly_a_result_is_an_error_of_ours(completed, tmp_path,
         table = table.assign_attrs(control_period="soon")
     table.to_netcdf(tmp_path / "odd.nc", engine="h5netcdf")
     try:
-        SimulationResult.from_netcdf(tmp_path / "odd.nc").metrics["angle_rmse"]
+        mk.SimulationResult.from_netcdf(tmp_path / "odd.nc").metrics["angle_rmse"]
     except FileError:
         return
     raise AssertionError("it was taken for a result")
 
 
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
-    reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
+    reference = mk.Reference(angle=mk.Constant(0.0), stiffness=mk.Constant(15.0))
     start = PlantState(np.nan, 0.0, (1e5, 1e5))
     with pytest.raises(SimulationError) as caught:
-        simulate(plant, playback, reference, duration=0.2, initial=start)
+        mk.simulate(plant, playback, reference, duration=0.2, initial=start)
     assert caught.value.field == "initial.angle"
     result = run_episode(plant, playback, sampled(reference, 0.2, 1e-3)[1], start, 1e-3, 4)
     assert result.outcome is Outcome.DIVERGED
@@ -243,9 +236,9 @@ def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
 
 
 def test_a_pressure_outside_the_domain_is_not_silent(plant, knee):
-    reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
-    control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    result = simulate(plant, control, reference, duration=0.2, initial=PlantState(0.0, 0.0, (9 * bar, 9 * bar)))
+    reference = mk.Reference(angle=mk.Constant(0.0), stiffness=mk.Constant(15.0))
+    control = mk.PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
+    result = mk.simulate(plant, control, reference, duration=0.2, initial=PlantState(0.0, 0.0, (9 * bar, 9 * bar)))
     assert float(result["pressure1"][0]) > float(eqx.filter(knee, True).muscle1.domain.pressure_max)
     assert result.outcome is Outcome.LEFT_DOMAIN
 

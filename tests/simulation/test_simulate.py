@@ -7,17 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben import catalog
-from mckibben.control import (
-    PID,
-    Constant,
-    DecouplingControl,
-    ExtendedStateObserver,
-    PolePlacement,
-    PositionStiffnessControl,
-    Reference,
-    Sine,
-)
+import mckibben as mk
 from mckibben.errors import (
     CallError,
     McKibbenWarning,
@@ -26,16 +16,16 @@ from mckibben.errors import (
     SimulationError,
     UnreachableError,
 )
-from mckibben.muscle import Muscle
-from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import simulate, simulate_many
+from mckibben.plant import PlantState
 from mckibben.units import bar, deg
 
-REFERENCE = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
+REFERENCE = mk.Reference(angle=mk.Sine(10 * deg, 0.5), stiffness=mk.Constant(15.0))
 
 
-def control_of(model) -> PositionStiffnessControl:
-    return PositionStiffnessControl(PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar, 0.0), model=model)
+def control_of(model) -> mk.PositionStiffnessControl:
+    return mk.PositionStiffnessControl(
+        mk.PID(2 * bar, 60 * bar, 0.4 * bar), mk.PID(0.08 * bar, 5 * bar, 0.0), model=model
+    )
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +39,8 @@ def other_knee(knee):
     from mckibben.identification import fit_law
     from mckibben.muscle import ExponentialLaw
 
-    law = fit_law(ExponentialLaw, catalog.dataset("festo-tool-10mm")).law
-    muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
+    law = fit_law(ExponentialLaw, mk.catalog.dataset("festo-tool-10mm")).law
+    muscle = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), law)
     return eqx.tree_at(lambda j: (j.muscle1, j.muscle2), knee, (muscle, muscle))
 
 
@@ -64,7 +54,7 @@ def other_knee(knee):
 )
 def test_a_duration_of_no_whole_number_of_periods_names_both(plant, control, times, named):
     with pytest.raises(SimulationError) as caught:
-        simulate(plant, control, REFERENCE, **times)
+        mk.simulate(plant, control, REFERENCE, **times)
     for number in named:
         assert number in str(caught.value)
     assert caught.value.value == times["duration"]
@@ -75,33 +65,33 @@ def test_a_duration_of_no_whole_number_of_periods_names_both(plant, control, tim
 @pytest.mark.parametrize("name", ["duration", "control_period"])
 def test_times_are_positive_and_finite(plant, control, name, bad):
     with pytest.raises(SimulationError, match=f"{name.replace('_', ' ')} is .*; give a positive time"):
-        simulate(plant, control, REFERENCE, **{name: bad})
+        mk.simulate(plant, control, REFERENCE, **{name: bad})
 
 
 @pytest.mark.parametrize("substeps", [0, -3, 2.5])
 def test_substeps_are_at_least_one(plant, control, substeps):
     with pytest.raises(SimulationError, match=f"substeps is {substeps}") as caught:
-        simulate(plant, control, REFERENCE, substeps=substeps)
+        mk.simulate(plant, control, REFERENCE, substeps=substeps)
     assert caught.value.value == substeps
 
 
 def test_much_memory_is_announced_before_the_run(plant, control):
     with pytest.warns(McKibbenWarning), pytest.raises(SimulationError):
-        simulate(plant, control, REFERENCE, duration=3600.0, substeps=0)
+        mk.simulate(plant, control, REFERENCE, duration=3600.0, substeps=0)
 
 
 def test_a_start_that_cannot_be_held_is_an_error(plant, control):
     heavy = eqx.tree_at(lambda p: p.load.mass2, plant, 50.0)
     with pytest.raises(UnreachableError, match="0 deg"):
-        simulate(heavy, control, REFERENCE, duration=0.2)
-    far = Reference(angle=Constant(60 * deg), stiffness=Constant(15.0))
+        mk.simulate(heavy, control, REFERENCE, duration=0.2)
+    far = mk.Reference(angle=mk.Constant(60 * deg), stiffness=mk.Constant(15.0))
     with pytest.raises(RangeError, match=r"contraction -4\.6 % is outside -3\.\.25 % of MAS-10-180N"):
-        simulate(plant, control, far, duration=0.2)
+        mk.simulate(plant, control, far, duration=0.2)
 
 
 def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control):
     before = jax.tree.map(np.array, eqx.filter((plant, control, REFERENCE), eqx.is_inexact_array_like))
-    one, two = (simulate(plant, control, REFERENCE, duration=0.2, scenario="this") for _ in range(2))
+    one, two = (mk.simulate(plant, control, REFERENCE, duration=0.2, scenario="this") for _ in range(2))
     assert one.to_dataset().identical(two.to_dataset())
     after = jax.tree.map(np.array, eqx.filter((plant, control, REFERENCE), eqx.is_inexact_array_like))
     jax.tree.map(np.testing.assert_array_equal, before, after)
@@ -110,13 +100,13 @@ def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control)
 
 
 def test_it_starts_at_rest_on_the_reference_unless_told(plant, control):
-    shifted = Reference(angle=Constant(5 * deg), stiffness=Constant(15.0))
-    table = simulate(plant, control, shifted, duration=0.2)
+    shifted = mk.Reference(angle=mk.Constant(5 * deg), stiffness=mk.Constant(15.0))
+    table = mk.simulate(plant, control, shifted, duration=0.2)
     assert float(table["angle"][0]) == pytest.approx(5 * deg)
     assert float(table["velocity"][0]) == 0.0
     low, high = float(table["lowest_stiffness"][0]), float(table["highest_stiffness"][0])
     assert float(table["stiffness"][0]) == pytest.approx((low + high) / 2, rel=1e-6)  # affine: amid the co-contractions
-    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, (2e5, 2.5e5)))
+    given = mk.simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, (2e5, 2.5e5)))
     for name, value in (("angle", 0.02), ("velocity", 0.3), ("pressure1", 2e5), ("pressure2", 2.5e5)):
         assert float(given[name][0]) == value
 
@@ -124,17 +114,17 @@ def test_it_starts_at_rest_on_the_reference_unless_told(plant, control):
 def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
     from mckibben.actuator import IdealValve
 
-    far = Reference(angle=Sine(20 * deg, 0.5), stiffness=Constant(72.5))
+    far = mk.Reference(angle=mk.Sine(20 * deg, 0.5), stiffness=mk.Constant(72.5))
     with pytest.warns(ReachabilityWarning, match=r"cannot hold the desired angle .* is outside -3\.\.25 %") as caught:
-        simulate(JointPlant(as_printed, load, IdealValve()), control_of(as_printed), far, duration=0.2)
+        mk.simulate(mk.JointPlant(as_printed, load, IdealValve()), control_of(as_printed), far, duration=0.2)
     assert len([w for w in caught if w.category is ReachabilityWarning]) == 1
     assert caught[0].filename == __file__  # it points to the caller
-    simulate(plant, control, REFERENCE, duration=0.2)  # silent; a warning of ours would be an error here
+    mk.simulate(plant, control, REFERENCE, duration=0.2)  # silent; a warning of ours would be an error here
 
 
 def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other_knee):
     true, wrong = (
-        simulate(plant, control_of(model), REFERENCE, duration=0.2, initial=PlantState(0.0, 0.0, (2.5e5, 2.5e5)))
+        mk.simulate(plant, control_of(model), REFERENCE, duration=0.2, initial=PlantState(0.0, 0.0, (2.5e5, 2.5e5)))
         for model in (knee, other_knee)
     )
     assert true.metrics["estimate_rmse"] < 1e-9
@@ -147,7 +137,7 @@ def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other
 
 
 @pytest.mark.parametrize("swap", [("plant", "controller"), ("controller", "reference")])
-@pytest.mark.parametrize("run", [simulate, simulate_many])
+@pytest.mark.parametrize("run", [mk.simulate, mk.simulate_many])
 def test_swapped_arguments_are_named(plant, control, swap, run):
     given = {"plant": plant, "controller": control, "reference": REFERENCE}
     given |= {name: given[other] for name, other in (swap, swap[::-1])}
@@ -158,26 +148,26 @@ def test_swapped_arguments_are_named(plant, control, swap, run):
 
 def test_an_initial_number_is_no_state(plant, control):
     with pytest.raises(CallError) as caught:
-        simulate(plant, control, REFERENCE, duration=0.2, initial=0.05)  # type: ignore[arg-type]
+        mk.simulate(plant, control, REFERENCE, duration=0.2, initial=0.05)  # type: ignore[arg-type]
     assert (caught.value.field, caught.value.value) == ("initial", 0.05)
 
 
 def test_a_signal_of_numpy_is_referred_to_jax(plant, control):
     for signal in (lambda t: 0.1 * np.sin(t), lambda t: 0.1 if t[0] > 1 else 0.0 * t):
         with pytest.raises(SimulationError, match=r"jax\.numpy"):
-            simulate(plant, control, Reference(signal, 15.0), duration=0.2)
+            mk.simulate(plant, control, mk.Reference(signal, 15.0), duration=0.2)
 
 
 def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee, load):
-    reference = Reference(0.0, 12.0)
+    reference = mk.Reference(0.0, 12.0)
 
     def run(tension):
-        control = DecouplingControl(
-            knee, load, PolePlacement(60.0), ExtendedStateObserver(200.0), minimum_tension=tension
+        control = mk.DecouplingControl(
+            knee, load, mk.PolePlacement(60.0), mk.ExtendedStateObserver(200.0), minimum_tension=tension
         )
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")
-            simulate(plant, control, reference, duration=0.02)
+            mk.simulate(plant, control, reference, duration=0.02)
         found = [one for one in found if issubclass(one.category, ReachabilityWarning)]
         assert {one.filename for one in found} <= {__file__}
         return [str(one.message) for one in found]
@@ -188,6 +178,6 @@ def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee
 
 
 def test_gains_in_bar_are_warned_of(knee):
-    loops = PID(kp=2.0, ki=60.0, kd=0.05), PID(kp=0.5, ki=20.0, kd=0.0)
+    loops = mk.PID(kp=2.0, ki=60.0, kd=0.05), mk.PID(kp=0.5, ki=20.0, kd=0.0)
     with pytest.warns(McKibbenWarning, match="2 \\* bar"):
-        PositionStiffnessControl(*loops, model=knee)
+        mk.PositionStiffnessControl(*loops, model=knee)

@@ -7,16 +7,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mckibben.actuator import IdealValve, UnequalValves
-from mckibben.control import (
-    DecouplingControl,
-    ExtendedStateObserver,
-    PolePlacement,
-    PressureObserver,
-)
+import mckibben as mk
+from mckibben.control import PressureObserver
 from mckibben.errors import RangeError, ScenarioError, SimulationError
 from mckibben.reachability.envelope import envelope
-from mckibben.scenario import Scenario, batched, find_parameter, run_many, run_scenario
+from mckibben.scenario import batched, find_parameter, run_many, run_scenario
 from mckibben.simulation import Outcome
 from mckibben.study.tune import gain_ranges
 from mckibben.units import bar, deg, ms
@@ -32,7 +27,7 @@ DECOUPLING = "  class: decoupling\n  feedback: {bandwidth: 50 rad/s}\n"
 
 def controlled(controller, before=BEFORE):
     """A scenario with another controller."""
-    return Scenario.parse(f"{before}controller:\n{controller}{AFTER}")
+    return mk.Scenario.parse(f"{before}controller:\n{controller}{AFTER}")
 
 
 # Valves with air ------------------------------------------------------------------------------------------------------
@@ -49,7 +44,7 @@ TUBES = (
 
 
 def with_valve(valve):
-    return Scenario.parse(re.sub(r"valve:.*", f"valve: {valve}", SHORT))
+    return mk.Scenario.parse(re.sub(r"valve:.*", f"valve: {valve}", SHORT))
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +88,9 @@ def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
 def test_unequal_valves_with_tubes_are_a_file_parameters_and_columns():
     read = with_valve(TUBES)
     valve = read.plant().valve
-    assert isinstance(valve, UnequalValves) and valve.muscle1 == valve.muscle2
+    assert isinstance(valve, mk.UnequalValves) and valve.muscle1 == valve.muscle2
     assert valve.muscle1.valve.conductance == pytest.approx(0.0091e-8) and valve.muscle2.volume == pytest.approx(3e-6)
-    assert Scenario.parse(read.dumps()).plant().valve == valve
+    assert mk.Scenario.parse(read.dumps()).plant().valve == valve
     batch = run_many(
         read,
         {
@@ -115,7 +110,7 @@ def test_unequal_valves_with_tubes_are_a_file_parameters_and_columns():
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted((EXAMPLES / "valves").glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_gains_to_start_from_control_their_valves(path):
-    result = run_scenario(Scenario.read(path))
+    result = run_scenario(mk.Scenario.read(path))
     assert not result.outcome.failed and result.outcome is not Outcome.LIMIT_CYCLE
     assert result.metrics["angle_rmse"] < 2 * deg
 
@@ -126,13 +121,13 @@ def test_the_gains_to_start_from_control_their_valves(path):
 def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
     short = controlled(DECOUPLING)
     control = short.control()
-    assert isinstance(control, DecouplingControl) and control.feedback == PolePlacement(50.0)
-    assert control.observer == ExtendedStateObserver() and control.pressure_observer == PressureObserver()
+    assert isinstance(control, mk.DecouplingControl) and control.feedback == mk.PolePlacement(50.0)
+    assert control.observer == mk.ExtendedStateObserver() and control.pressure_observer == PressureObserver()
     assert control.valve.time_constant == pytest.approx(20 * ms)
     assert control.load == short.plant().load
     assert control.minimum_tension == 5.0 and not control.friction_compensation
     ideal = controlled(DECOUPLING, re.sub("valve:.*", "valve: ideal", BEFORE))
-    assert isinstance(ideal.control().valve, IdealValve)
+    assert isinstance(ideal.control().valve, mk.IdealValve)
 
 
 def test_bandwidths_count_as_gains():
@@ -156,7 +151,7 @@ RUBBING = BEFORE.replace(
 )
 def test_the_stiffness_of_a_motion_is_controlled_by_any_controller(loops):
     scenario = controlled(f"  stiffness_amplitude: 1 deg\n{loops}", RUBBING)
-    assert Scenario.parse(scenario.dumps()) == scenario
+    assert mk.Scenario.parse(scenario.dumps()) == scenario
     assert scenario.control().stiffness_amplitude == pytest.approx(1 * deg)
     assert find_parameter(scenario, "controller.stiffness_amplitude").unit == "rad"
     assert controlled(loops).control().stiffness_amplitude is None
