@@ -13,17 +13,9 @@ from typer.testing import CliRunner
 import mckibben as mk
 from mckibben.actuator import Actuator, FirstOrderValve
 from mckibben.cli import app
+from mckibben.component import schema
 from mckibben.component.classes import class_name, classes_of, default_class, find_class
 from mckibben.component.extensions import load_extension
-from mckibben.component.schema import (
-    ComponentField,
-    inherited_fields,
-    origin_of,
-    parse_component,
-    section_of,
-    write,
-    write_text,
-)
 from mckibben.control import Controller, PositionStiffnessControl
 from mckibben.errors import ScenarioError
 from mckibben.joint import Geometry, MusclePath, ScaledArms, Tendon
@@ -63,7 +55,7 @@ class Constantly(Controller):
 
 
 def test_keys_ranges_and_defaults_follow_from_the_class():
-    model = section_of(SampledSensors)
+    model = schema.section_of(SampledSensors)
     keys = {"class_", "from_", "encoder", "pressure_noise", "delay", "seed", "encoder_offset"}
     assert set(model.model_fields) == keys
     part = model.model_validate({"encoder": "0.5 deg", "seed": "3"})
@@ -71,7 +63,7 @@ def test_keys_ranges_and_defaults_follow_from_the_class():
     with pytest.raises(ValueError, match="outside 0 to 10 deg"):
         model.model_validate({"encoder": "11 deg"})
     with pytest.raises(ValueError, match="time_constant"):
-        section_of(FirstOrderValve).model_validate({})
+        schema.section_of(FirstOrderValve).model_validate({})
 
 
 KNEE = mk.catalog.joint("knee-table-2")
@@ -105,9 +97,9 @@ COMPONENTS = {
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_any_component_is_written_and_read_back(name):
     base, component = COMPONENTS[name]
-    again = parse_component(base, write_text(component, base=base), source="test")
+    again = schema.parse_component(base, schema.write_text(component, base=base), source="test")
     assert type(again) is type(component) and again == component
-    assert write(again, ComponentField(base)) == write(component, ComponentField(base))
+    assert schema.write(again, schema.ComponentField(base)) == schema.write(component, schema.ComponentField(base))
 
 
 @pytest.mark.parametrize("base", sorted({base for base, _ in COMPONENTS.values()}, key=lambda one: one.__name__))
@@ -126,7 +118,7 @@ def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
     control = scenario.control()
     assert type(control) is OwnDecoupling and control.valve.time_constant == 0.08
     assert control.load == scenario.load and control.model == scenario.joint and control.model is not scenario.joint
-    assert inherited_fields(scenario.controller) == {"model", "load", "valve", "command_delay"}
+    assert schema.inherited_fields(scenario.controller) == {"model", "load", "valve", "command_delay"}
     slower = with_values(scenario, {"valve.time_constant": 0.1})
     assert slower.control().valve.time_constant == 0.1
     assert with_values(scenario, {"valve.time_constant": 0.1}, model_follows=()).control().valve.time_constant == 0.08
@@ -137,9 +129,9 @@ def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
 
 def test_what_is_read_by_name_knows_its_origin_until_it_is_changed():
     scenario = Scenario.parse(BASE)
-    assert origin_of(scenario.load) == "knee-table-2"
+    assert schema.origin_of(scenario.load) == "knee-table-2"
     heavier = with_values(scenario, {"load.mass2": 0.8})
-    assert origin_of(heavier.load) == "" and "mass2: 0.8 kg" in heavier.dumps()
+    assert schema.origin_of(heavier.load) == "" and "mass2: 0.8 kg" in heavier.dumps()
     leaves = jax.tree.structure(scenario.load), jax.tree.structure(mk.catalog.load("knee-table-2"))
     assert leaves[0] == leaves[1], "its origin is no part of the tree"
 

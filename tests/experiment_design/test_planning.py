@@ -10,17 +10,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.experiment_design import Coefficient, Force, JointStiffness, parse_quantity_of_interest, plan
-from mckibben.experiment_design.information import (
-    ExchangeProblem,
-    IdentifiableSubspace,
-    NoiseModel,
-    condensed,
-    estimate_noise,
-    exchange,
-    information_matrix,
-    mean_variance,
-)
+from mckibben.experiment_design import Coefficient, Force, JointStiffness, information, parse_quantity_of_interest, plan
 from mckibben.identification import design_matrix, fit_law
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw
 from mckibben.units import bar, deg, percent
@@ -61,18 +51,18 @@ def covariance(rows, noise, *labels):
 # The algebra.
 
 
-def candidates(stroke: float, seed: int = 1) -> ExchangeProblem:
+def candidates(stroke: float, seed: int = 1) -> information.ExchangeProblem:
     rng = np.random.default_rng(seed)
-    return ExchangeProblem(
+    return information.ExchangeProblem(
         rows=rng.normal(size=(30, 4)),
         strokes=np.repeat(np.arange(10), 3),
-        information=information_matrix(rng.normal(size=(6, 4)), np.arange(6), NoiseModel(0.7)),
-        noise=NoiseModel(0.7, stroke),
+        information=information.information_matrix(rng.normal(size=(6, 4)), np.arange(6), information.NoiseModel(0.7)),
+        noise=information.NoiseModel(0.7, stroke),
         gradients=rng.normal(size=(3, 4)),
     )
 
 
-def brute(problem: ExchangeProblem, chosen) -> float:
+def brute(problem: information.ExchangeProblem, chosen) -> float:
     """The same by inverting the whole covariance of the points."""
     rows, strokes = problem.rows[list(chosen)], problem.strokes[list(chosen)]
     whole = 0.7**2 * np.eye(len(rows)) + problem.noise.stroke**2 * (strokes[:, None] == strokes)
@@ -96,8 +86,8 @@ def test_one_more_point_is_an_update_of_rank_one(stroke):
 def test_the_search_finds_the_best_of_all_pairs_and_no_exchange_improves_more_points():
     problem = candidates(1.3)
     best = min(itertools.combinations(range(30), 2), key=lambda pair: brute(problem, pair))
-    assert sorted(exchange(problem, 2)) == list(best)
-    five = exchange(problem, 5)
+    assert sorted(information.exchange(problem, 2)) == list(best)
+    five = information.exchange(problem, 5)
     least = brute(problem, five)
     for place, other in itertools.product(range(5), set(range(30)) - set(five)):
         assert brute(problem, [*five[:place], other, *five[place + 1 :]]) > least - 1e-9
@@ -105,14 +95,16 @@ def test_the_search_finds_the_best_of_all_pairs_and_no_exchange_improves_more_po
 
 def test_a_region_costs_what_all_its_places_cost():
     many, known = np.random.default_rng(3).normal(size=(400, 4)), np.diag([1.0, 2.0, 3.0, 4.0])
-    assert condensed(many).shape == (4, 4)
-    assert mean_variance(condensed(many), known) == pytest.approx(mean_variance(many, known), rel=1e-12)
+    assert information.condensed(many).shape == (4, 4)
+    assert information.mean_variance(information.condensed(many), known) == pytest.approx(
+        information.mean_variance(many, known), rel=1e-12
+    )
 
 
 def test_coordinates_leave_out_what_no_force_tells():
     rows = np.random.default_rng(0).normal(size=(40, 3))
     rows = np.column_stack([rows, rows[:, 0] - 2 * rows[:, 2]]) * [1, 1e-5, 1, 1e4]
-    found = IdentifiableSubspace.of(rows)
+    found = information.IdentifiableSubspace.of(rows)
     assert found.basis.shape == (4, 3)
     np.testing.assert_allclose((rows @ found.basis).T @ rows @ found.basis / 40, np.eye(3), atol=1e-9)
     parts = found.unidentifiable_part(np.eye(4))
@@ -127,7 +119,7 @@ def test_the_spread_of_points_and_strokes_is_found_without_bias():
     for _ in range(400):
         errors = 1.5 * rng.normal(size=60) + 2.0 * rng.normal(size=15)[strokes]
         residuals = errors - rows @ np.linalg.lstsq(rows, errors, rcond=None)[0]
-        found = estimate_noise(rows, residuals, strokes)
+        found = information.estimate_noise(rows, residuals, strokes)
         squares.append((found.point**2, found.stroke**2))
     point, stroke = np.mean(squares, axis=0)
     assert point == pytest.approx(1.5**2, rel=0.03)

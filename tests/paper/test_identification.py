@@ -7,17 +7,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.identification import fit_law
 from mckibben.identification.reporting import fit_numbers
 from mckibben.muscle import ExponentialLaw
-from mckibben.paper.identification import (
-    CHOU,
-    CHOU_FITTED,
-    EXPERIMENTAL,
-    FESTO,
-    MARTENS,
-    PUBLISHED,
-    RIG,
-    TEST_PRESSURES,
-    direction_gap,
-)
+from mckibben.paper import identification as papers
 from mckibben.units import deg
 
 EQ3 = {"a1": -245.8, "a2": 109.0, "b1": 3.216, "b2": -3.442, "c1": 255.6, "c2": -13.18, "decay": 0.3}
@@ -28,7 +18,8 @@ def rms(x) -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "decay", "rmse", "unseen", "used"), [(MARTENS, 0.400, 1.07, 1.34, 40), (FESTO, 0.340, 2.76, 3.42, 119)]
+    ("name", "decay", "rmse", "unseen", "used"),
+    [(papers.MARTENS, 0.400, 1.07, 1.34, 40), (papers.FESTO, 0.340, 2.76, 3.42, 119)],
 )
 def test_measured_muscles_give_the_known_numbers(identification, name, decay, rmse, unseen, used):
     found = fit_numbers(identification.fits[name])
@@ -40,14 +31,14 @@ def test_measured_muscles_give_the_known_numbers(identification, name, decay, rm
 
 @pytest.mark.parametrize("name", list(EQ3))
 def test_the_rigs_fit_is_eq_3_within_three_standard_errors(identification, name):
-    found = fit_numbers(identification.fits[RIG])["parameters"][name]
+    found = fit_numbers(identification.fits[papers.RIG])["parameters"][name]
     assert abs(found["estimate"] - EQ3[name]) < 3 * found["standard_error"]
     assert found["standard_error"] < 0.25 * abs(EQ3[name])  # which says something
 
 
 def test_the_rigs_fit_reads_the_force_of_eq_3(identification, paper):
     """Parameters trade off against each other; what counts is the force, to 1 % of the largest."""
-    law = identification.fits[RIG].law
+    law = identification.fits[papers.RIG].law
     eps, p = np.meshgrid(np.linspace(0, 0.2, 41), np.linspace(1e5, 6e5, 11))
     true = paper.eq3(eps, p)
     taut = true > 20
@@ -63,21 +54,21 @@ def test_the_test_is_the_papers(identification):
     assert rig.samples == 1000 * len(rig.test)
     steps = np.diff(np.unique(np.round(rig.test.contraction * 180, 6)))
     np.testing.assert_allclose(steps, 1.0)  # mm
-    np.testing.assert_allclose(rig.retest.pressures, TEST_PRESSURES)
+    np.testing.assert_allclose(rig.retest.pressures, papers.TEST_PRESSURES)
     assert len(rig.retest.repeats) == 1
 
 
-@pytest.mark.parametrize("pressure", TEST_PRESSURES)
+@pytest.mark.parametrize("pressure", papers.TEST_PRESSURES)
 def test_validation_is_the_error_over_the_points_of_the_retest(identification, pressure):
     taut = identification.rig.retest.taut
     here = np.isclose(taut.levels, pressure)
     assert here.sum() > 20
-    for name in (EXPERIMENTAL, CHOU):
-        if name == CHOU:  # Eq. 1, by hand
+    for name in (papers.EXPERIMENTAL, papers.CHOU):
+        if name == papers.CHOU:  # Eq. 1, by hand
             alpha, p, eps = np.radians(25), taut.pressure[here], taut.contraction[here]
             force = np.pi * 0.01**2 / 4 * p * (3 * (1 - eps) ** 2 / np.tan(alpha) ** 2 - 1 / np.sin(alpha) ** 2)
         else:
-            force = np.asarray(identification.fits[RIG].law.force(taut.contraction[here], taut.pressure[here]))
+            force = np.asarray(identification.fits[papers.RIG].law.force(taut.contraction[here], taut.pressure[here]))
         expected = rms(force - taut.force[here])
         assert identification.retested.of(name, pressure=pressure).rmse == pytest.approx(expected, rel=1e-6)
 
@@ -85,23 +76,23 @@ def test_validation_is_the_error_over_the_points_of_the_retest(identification, p
 def test_held_out_means_not_seen(identification):
     settled = identification.rig.settled
     for found, unseen in (
-        (identification.held_out_pressures, np.isin(settled.levels, TEST_PRESSURES)),
+        (identification.held_out_pressures, np.isin(settled.levels, papers.TEST_PRESSURES)),
         (identification.held_out_repeat, settled.table["repeat"].to_numpy() == 1),
     ):
         law = fit_law(ExponentialLaw, settled.select(~unseen)).law
         taut = settled.select(unseen).taut
         error = np.asarray(law.force(taut.contraction, taut.pressure)) - taut.force
-        assert found.of(EXPERIMENTAL).rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
-        assert found.of(EXPERIMENTAL).rmse < found.of(CHOU).rmse
-    assert {e.pressure for e in identification.held_out_pressures.errors} == {None, *TEST_PRESSURES}
+        assert found.of(papers.EXPERIMENTAL).rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+        assert found.of(papers.EXPERIMENTAL).rmse < found.of(papers.CHOU).rmse
+    assert {e.pressure for e in identification.held_out_pressures.errors} == {None, *papers.TEST_PRESSURES}
 
 
 def test_eq_3_reads_64_n_too_high_on_another_muscle(identification):
-    assert identification.measured[MARTENS].of(PUBLISHED).bias == pytest.approx(64, abs=1)
-    for name in (MARTENS, FESTO):
+    assert identification.measured[papers.MARTENS].of(papers.PUBLISHED).bias == pytest.approx(64, abs=1)
+    for name in (papers.MARTENS, papers.FESTO):
         measured = identification.measured[name]
-        assert measured.of(EXPERIMENTAL).rmse == pytest.approx(identification.fits[name].rmse)
-        assert measured.of(CHOU_FITTED).rmse < measured.of(CHOU).rmse
+        assert measured.of(papers.EXPERIMENTAL).rmse == pytest.approx(identification.fits[name].rmse)
+        assert measured.of(papers.CHOU_FITTED).rmse < measured.of(papers.CHOU).rmse
 
 
 def test_the_gap_between_directions_on_points_made_by_hand():
@@ -111,7 +102,7 @@ def test_the_gap_between_directions_on_points_made_by_hand():
         force=[100.0, 50.0, 80.0, 40.0, 30.0, 0.0, 200.0, 0.0],
         direction=["loading", "loading", "unloading", "unloading", "loading", "unloading", "loading", "unloading"],
     )
-    gap, span = direction_gap(data)
+    gap, span = papers.direction_gap(data)
     assert gap == pytest.approx((20 + 10) / 2)  # the points of one direction alone, and slack ones, do not count
     assert span == 200.0
 

@@ -10,23 +10,10 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
+from mckibben.rig import steps as plan
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.dry_run import dry_run
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, VALVE
-from mckibben.rig.steps import (
-    Acquire,
-    Dwell,
-    HoldForce,
-    IsometricProtocol,
-    IsotonicProtocol,
-    Move,
-    Pressurise,
-    Repeat,
-    Vent,
-    Walk,
-    describe_steps,
-    steps_of,
-)
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
@@ -41,20 +28,20 @@ def problems(*steps, bench=BENCH, **arguments):
 @pytest.mark.parametrize(
     ("make", "field", "message"),
     [
-        (lambda: Move(to=10.0), "to", "10 % is 0.1"),
-        (lambda: Move(to=0.1, speed=0.0), "speed", "0 m/s"),
-        (lambda: Dwell(duration=math.nan), "duration", "nan s"),
-        (lambda: Pressurise(pressure=math.inf), "pressure", "inf Pa"),
-        (lambda: Pressurise(pressure=1 * bar, shut=3.0, rate=1 * bar), "shut", "at constant length"),
-        (lambda: Acquire(samples=0), "samples", "is 0"),
-        (lambda: Acquire(samples=10.5), "samples", "is 10.5"),
-        (lambda: Acquire(direction="up"), "direction", "'loading'"),
-        (lambda: Walk(to=0.1, step=1), "step", "1 mm is 0.001 m"),
-        (lambda: Repeat(times=2, steps=()), "steps", "at least one"),
-        (lambda: HoldForce(force=-1.0), "force", "-1 N"),
-        (lambda: IsometricProtocol(pressures=[2e5, 1e5]), "pressures", "do not rise"),
-        (lambda: IsometricProtocol(pressures=[1e5, 1e5]), "pressures", "do not rise"),
-        (lambda: IsotonicProtocol(forces=[]), "forces", "give at least one"),
+        (lambda: plan.Move(to=10.0), "to", "10 % is 0.1"),
+        (lambda: plan.Move(to=0.1, speed=0.0), "speed", "0 m/s"),
+        (lambda: plan.Dwell(duration=math.nan), "duration", "nan s"),
+        (lambda: plan.Pressurise(pressure=math.inf), "pressure", "inf Pa"),
+        (lambda: plan.Pressurise(pressure=1 * bar, shut=3.0, rate=1 * bar), "shut", "at constant length"),
+        (lambda: plan.Acquire(samples=0), "samples", "is 0"),
+        (lambda: plan.Acquire(samples=10.5), "samples", "is 10.5"),
+        (lambda: plan.Acquire(direction="up"), "direction", "'loading'"),
+        (lambda: plan.Walk(to=0.1, step=1), "step", "1 mm is 0.001 m"),
+        (lambda: plan.Repeat(times=2, steps=()), "steps", "at least one"),
+        (lambda: plan.HoldForce(force=-1.0), "force", "-1 N"),
+        (lambda: plan.IsometricProtocol(pressures=[2e5, 1e5]), "pressures", "do not rise"),
+        (lambda: plan.IsometricProtocol(pressures=[1e5, 1e5]), "pressures", "do not rise"),
+        (lambda: plan.IsotonicProtocol(forces=[]), "forces", "give at least one"),
     ],
 )
 def test_a_step_without_a_meaning_is_refused(make, field, message):
@@ -65,7 +52,7 @@ def test_a_step_without_a_meaning_is_refused(make, field, message):
 
 def test_the_papers_test_adds_up():
     protocol = IsobaricProtocol(contraction_min=0.0, contraction_max=24.5 * percent, slack_steps=44)
-    found = dry_run(steps_of(protocol, MUSCLE), BENCH)
+    found = dry_run(plan.steps_of(protocol, MUSCLE), BENCH)
     assert found.problems == []
     assert (found.plateaus, found.samples) == (5850, 5_850_000)
     # 13 times: 130 times 44 steps of 10 s and 45 points of 1 s, 5 s of waiting, and what setting a pressure takes
@@ -78,31 +65,31 @@ def test_the_papers_test_adds_up():
 
 def test_a_test_and_its_plan_have_the_same_plateaus():
     protocol = IsobaricProtocol()
-    assert dry_run(steps_of(protocol, MUSCLE), BENCH).plateaus == len(protocol.plateaus(MUSCLE).time)
+    assert dry_run(plan.steps_of(protocol, MUSCLE), BENCH).plateaus == len(protocol.plateaus(MUSCLE).time)
 
 
 def test_without_a_law_the_whole_stroke_is_the_upper_bound():
     bench = replace(BENCH, of=MUSCLE.specimen)
     protocol = IsobaricProtocol(pressures=[6 * bar], repeats=2)
-    found = dry_run(steps_of(protocol, bench.of), bench)
+    found = dry_run(plan.steps_of(protocol, bench.of), bench)
     assert found.estimated and found.problems == []
     assert found.plateaus == 4 * 51
-    assert any("until 598.5 N" in line for line in describe_steps(steps_of(protocol, bench.of)))
+    assert any("until 598.5 N" in line for line in plan.describe_steps(plan.steps_of(protocol, bench.of)))
 
 
-@pytest.mark.parametrize("protocol", [IsometricProtocol(), IsotonicProtocol()])
+@pytest.mark.parametrize("protocol", [plan.IsometricProtocol(), plan.IsotonicProtocol()])
 def test_the_other_tests_suit_the_papers_muscle(protocol):
-    found = dry_run(steps_of(protocol, MUSCLE), BENCH)
+    found = dry_run(plan.steps_of(protocol, MUSCLE), BENCH)
     assert found.problems == []
     assert found.force < 630 and found.plateaus > 50
 
 
 def test_every_limit_is_held_against_the_steps():
     steps = (
-        Move(to=26 * percent, speed=6 * mm),
-        Pressurise(pressure=7 * bar),
-        Move(to=-3 * percent),
-        Walk(to=0.0, step=1.001 * mm, acquire=Acquire(samples=700)),
+        plan.Move(to=26 * percent, speed=6 * mm),
+        plan.Pressurise(pressure=7 * bar),
+        plan.Move(to=-3 * percent),
+        plan.Walk(to=0.0, step=1.001 * mm, acquire=plan.Acquire(samples=700)),
     )
     found = dry_run(steps, BENCH).problems
     assert sorted(problem.field for problem in found) == [
@@ -117,7 +104,7 @@ def test_every_limit_is_held_against_the_steps():
 
 
 def test_a_rig_without_a_shut_off_valve_is_recognised():
-    step = Pressurise(pressure=2 * bar, shut=3.0)
+    step = plan.Pressurise(pressure=2 * bar, shut=3.0)
     (problem,) = dry_run([step], BENCH).problems
     assert problem.field == "[0].pressurise.shut" and problem.remedy
     assert not dry_run([step], replace(BENCH, shuts=True)).problems
@@ -125,7 +112,7 @@ def test_a_rig_without_a_shut_off_valve_is_recognised():
 
 def test_a_way_longer_than_the_travel_is_refused():
     short = replace(BENCH, limits=replace(LIMITS, shorten=20 * mm, stretch=2 * mm))
-    found = dry_run((Walk(to=20 * percent), Move(to=-2 * percent)), short).problems
+    found = dry_run((plan.Walk(to=20 * percent), plan.Move(to=-2 * percent)), short).problems
     assert [problem.field for problem in found] == ["[0].walk.to", "[1].move.to"]
     assert "limits.shorten" in found[0].remedy and "limits.stretch" in found[1].remedy
 
@@ -133,7 +120,7 @@ def test_a_way_longer_than_the_travel_is_refused():
 def test_limits_beyond_muscle_and_sensors_are_refused():
     small = FORCE_SENSOR.channel._replace(low=-500.0, high=500.0), PRESSURE_SENSOR.channel, VALVE
     wide = replace(BENCH, limits=replace(LIMITS, force=700.0, pressure=12 * bar))
-    said = "\n".join(problems(Dwell(duration=1.0), bench=wide, channels=small))
+    said = "\n".join(problems(plan.Dwell(duration=1.0), bench=wide, channels=small))
     assert "700 N is above the rated 630 N" in said
     assert "12 bar is more than a tenth above the 6 bar" in said
     assert "rig.force: 0..700 leaves its range -500..500 N" in said
@@ -141,21 +128,24 @@ def test_limits_beyond_muscle_and_sensors_are_refused():
 
 
 def test_a_force_that_cannot_be_held_is_refused():
-    (said,) = problems(Pressurise(pressure=1 * bar), HoldForce(force=500.0))
+    (said,) = problems(plan.Pressurise(pressure=1 * bar), plan.HoldForce(force=500.0))
     assert said.startswith("[1].hold_force: at 1 bar the force is 0 to") and "500 N are to be held" in said
 
 
 def test_the_cycle_has_to_fit_into_the_patience():
-    (problem,) = dry_run([Dwell(duration=1.0)], replace(BENCH, cycle=0.6), patience=1.0).problems
+    (problem,) = dry_run([plan.Dwell(duration=1.0)], replace(BENCH, cycle=0.6), patience=1.0).problems
     assert problem.field == "recording.cycle" and problem.remedy
 
 
 @pytest.mark.parametrize(
     ("steps", "place"),
     [
-        ([Move(to=1 * percent), Move(to=0.1, speed=1e-33)], "[1].move"),
-        ([Move(to=0.1, speed=1e-320)], "[0].move"),
-        ([Repeat(times=10_000, steps=(Move(to=0.1, speed=1e-6), Move(to=0.0)))], "[0].repeat.steps[1].move"),
+        ([plan.Move(to=1 * percent), plan.Move(to=0.1, speed=1e-33)], "[1].move"),
+        ([plan.Move(to=0.1, speed=1e-320)], "[0].move"),
+        (
+            [plan.Repeat(times=10_000, steps=(plan.Move(to=0.1, speed=1e-6), plan.Move(to=0.0)))],
+            "[0].repeat.steps[1].move",
+        ),
     ],
 )
 def test_a_test_that_would_take_years_is_refused(steps, place):
@@ -167,17 +157,17 @@ def test_a_test_that_would_take_years_is_refused(steps, place):
 
 def test_more_steps_or_points_than_a_test_may_have_are_refused_before_they_are_done(monkeypatch):
     monkeypatch.setattr(importlib.import_module("mckibben.rig.dry_run"), "MOST_POINTS", 3_000)
-    steps = (Vent(),)
+    steps = (plan.Vent(),)
     for _ in range(8):
-        steps = (Repeat(times=10_000, steps=steps),)
-    (problem,) = dry_run((Vent(), *steps), BENCH).problems
+        steps = (plan.Repeat(times=10_000, steps=steps),)
+    (problem,) = dry_run((plan.Vent(), *steps), BENCH).problems
     assert problem.field.startswith("[1].repeat.steps[0]") and "3000" in problem.message
-    back = Repeat(times=100, steps=(Walk(to=None, step=0.025 * mm),))  # leads back only every other time
-    (problem,) = dry_run([Move(to=0.1), Walk(to=0.12, step=0.025 * mm), back], BENCH).problems
+    back = plan.Repeat(times=100, steps=(plan.Walk(to=None, step=0.025 * mm),))  # leads back only every other time
+    (problem,) = dry_run([plan.Move(to=0.1), plan.Walk(to=0.12, step=0.025 * mm), back], BENCH).problems
     assert problem.field == "[2].repeat.steps[0].walk"
 
 
 def test_a_walk_back_returns_to_where_the_one_before_began():
-    found = dry_run((Move(to=2 * percent), Walk(to=10 * percent), Walk(to=None), Vent()), BENCH)
+    found = dry_run((plan.Move(to=2 * percent), plan.Walk(to=10 * percent), plan.Walk(to=None), plan.Vent()), BENCH)
     assert found.plateaus == 2 * 15
     assert found.travel == pytest.approx(3.6 * mm + 2 * 14 * mm)

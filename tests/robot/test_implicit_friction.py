@@ -9,32 +9,26 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mckibben as mk
+from mckibben import robot as robots
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import batched_program
 from mckibben.plant.base import Motion
-from mckibben.robot import (
-    Ground,
-    PressureSchedule,
-    RobotPlant,
-    RobotScenario,
-    RobotStart,
-    read_robot,
-    simulate_robot,
-)
 from mckibben.robot.dynamics import motion
 from mckibben.units import deg, mm, ms
 
 ANGLES = 2 * deg, 2 * deg, -5 * deg
 
 
-AIR = RobotScenario.read("examples/robot/lei-leg-in-space.yaml").valve
+AIR = robots.RobotScenario.read("examples/robot/lei-leg-in-space.yaml").valve
 
 
 def with_ground(ground, valve=None):
     """The catalog's robot in space, as it touches the ground with a middle stiffness."""
-    robot = read_robot("lei-leg")
+    robot = robots.read_robot("lei-leg")
     pressures = robot.pressures_for(ANGLES, (0.0,) * 3, (None, None, 17.0))
-    return RobotPlant(robot, valve or mk.FirstOrderValve(20 * ms), ground), RobotStart(ANGLES, pressures, 0.0, -0.9)
+    return robots.RobotPlant(robot, valve or mk.FirstOrderValve(20 * ms), ground), robots.RobotStart(
+        ANGLES, pressures, 0.0, -0.9
+    )
 
 
 def pressed(plant, start):
@@ -68,7 +62,7 @@ def moved(plant, state, duration, count):
 @pytest.mark.slow
 @pytest.mark.parametrize("slip_speed", [100 * mm, 10 * mm])
 def test_the_motion_is_that_of_a_stiff_solver(slip_speed):
-    plant, start = with_ground(Ground(slip_speed=slip_speed, implicit_friction=True))
+    plant, start = with_ground(robots.Ground(slip_speed=slip_speed, implicit_friction=True))
     state, duration = pressed(plant, start), 4 * ms
     solved = solve_ivp(
         lambda _, y: np.asarray(slope(plant, state, y)),
@@ -91,7 +85,7 @@ def test_the_motion_is_that_of_a_stiff_solver(slip_speed):
 @pytest.mark.parametrize("freedom", ["vertical", "fixed"])
 def test_friction_takes_energy_in_stages_of_any_length(freedom):
     rng = np.random.default_rng(5)
-    plant, start = with_ground(Ground(slip_speed=1 * mm, implicit_friction=True))
+    plant, start = with_ground(robots.Ground(slip_speed=1 * mm, implicit_friction=True))
     plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, base=freedom))
     start = start._replace(upward_speed=0.0 if freedom == "fixed" else start.upward_speed)
     free = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, friction=0.0))
@@ -116,16 +110,16 @@ def test_friction_takes_energy_in_stages_of_any_length(freedom):
 @pytest.mark.slow
 @pytest.mark.parametrize("valve", [None, AIR])
 def test_friction_does_not_limit_the_step(valve):
-    ground = Ground(slip_speed=30 * mm)
+    ground = robots.Ground(slip_speed=30 * mm)
     plant, start = with_ground(ground, valve)
     implicit = dataclasses.replace(plant, ground=dataclasses.replace(ground, implicit_friction=True))
-    schedule = PressureSchedule(tuple((one,) for one in start.pressures))
+    schedule = robots.PressureSchedule(tuple((one,) for one in start.pressures))
     given = {"duration": 0.1, "control_period": 2 * ms}
-    fine = simulate_robot(plant, schedule, start, substeps=64, **given)
-    run = simulate_robot(implicit, schedule, start, substeps=3, **given)
+    fine = robots.simulate_robot(plant, schedule, start, substeps=64, **given)
+    run = robots.simulate_robot(implicit, schedule, start, substeps=3, **given)
     assert np.abs(run["angle"] - fine["angle"]).max() < 0.03 * deg
     assert run["ground_up"].max() == pytest.approx(fine["ground_up"].max(), rel=2e-3)
     with pytest.raises(SimulationError) as caught:
-        simulate_robot(plant, schedule, start, substeps=3, **given)
+        robots.simulate_robot(plant, schedule, start, substeps=3, **given)
     assert (caught.value.field, caught.value.lower) == ("substeps", 8)
     assert "implicit_friction" in caught.value.remedy

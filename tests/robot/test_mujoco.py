@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben import robot as robots
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
 from mckibben.export.compliance import compliance
@@ -15,19 +16,6 @@ from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.export.muscle_plugin import plugin_files
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
-from mckibben.robot import (
-    Body,
-    Foot,
-    Ground,
-    Joint,
-    Place,
-    PressureSchedule,
-    Robot,
-    RobotPlant,
-    RobotScenario,
-    RobotStart,
-    simulate_robot,
-)
 from mckibben.units import bar, deg
 from tests.robot.conftest import limb, over_two, pair_over
 
@@ -36,7 +24,7 @@ PERIOD, SUBSTEPS = 1e-3, 4
 MUSCLE = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
 KNEE = mk.KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.208)
 PULLEYS = PairedPaths(Pulley(0.025, 0.165), Pulley(0.03, 0.165))
-LEVEL, SLOPE = Ground(), Ground(slope=8 * deg, side_slope=-5 * deg)
+LEVEL, SLOPE = robots.Ground(), robots.Ground(slope=8 * deg, side_slope=-5 * deg)
 BONES = (
     TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.0),
     TwoBonePath(0.02, 0.20, 0.02, -0.005, 0.27),  # x is where the angle turns: backwards
@@ -55,24 +43,28 @@ def plant_of(freedom, *, side=False, valve=None, ground=LEVEL):
     """
     forwards, backwards = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)
     joints = (
-        Joint("hip", forwards, -15 * deg, 15 * deg, "thigh", damping=0.05, offset=20 * deg),
-        Joint("knee", backwards, -25 * deg, 30 * deg, "shank", place=Place(z=-0.4), damping=0.05, offset=40 * deg),
-        Joint("ankle", forwards, -20 * deg, 20 * deg, "sole", place=Place(z=-0.37), damping=0.03, offset=50 * deg),
+        robots.Joint("hip", forwards, -15 * deg, 15 * deg, "thigh", damping=0.05, offset=20 * deg),
+        robots.Joint(
+            "knee", backwards, -25 * deg, 30 * deg, "shank", place=robots.Place(z=-0.4), damping=0.05, offset=40 * deg
+        ),
+        robots.Joint(
+            "ankle", forwards, -20 * deg, 20 * deg, "sole", place=robots.Place(z=-0.37), damping=0.03, offset=50 * deg
+        ),
     )
     pairs = tuple(map(pair_over, ("hip", "knee", "ankle"), map(pair, (KNEE, KNEE, PULLEYS))))
     if side:
-        swing = Joint("side", (1.0, 0.0, 0.0), -15 * deg, 15 * deg, damping=0.05)
+        swing = robots.Joint("side", (1.0, 0.0, 0.0), -15 * deg, 15 * deg, damping=0.05)
         joints = swing, *joints[:2], dataclasses.replace(joints[2], axis=(0.3, -0.8, 0.2))
         pairs = pair_over("side", pair(KNEE)), *pairs
     axial = 0.001 if side else 0.0
     bodies = (
-        Body("trunk", 1.3, Place(z=0.1), (0.02, 0.02, 0.02)),
+        robots.Body("trunk", 1.3, robots.Place(z=0.1), (0.02, 0.02, 0.02)),
         limb("thigh", 0.5, 0.19, 0.009, axial),
         limb("shank", 0.3, 0.15, 0.005, axial),
         limb("sole", 0.2, 0.05, 0.002, axial),
     )
-    robot = Robot(bodies, joints, (*pairs, HAMSTRING), freedom, Foot("sole", Place(z=-0.12), 0.02))
-    return RobotPlant(robot, valve or mk.FirstOrderValve(0.02), ground)
+    robot = robots.Robot(bodies, joints, (*pairs, HAMSTRING), freedom, robots.Foot("sole", robots.Place(z=-0.12), 0.02))
+    return robots.RobotPlant(robot, valve or mk.FirstOrderValve(0.02), ground)
 
 
 ANGLES = (3 * deg, -4 * deg, 2 * deg)
@@ -86,9 +78,9 @@ IN_SPACE = [("planar", False), ("free", False), ("vertical", True), ("spatial", 
 def start_of(plant, clearance, speed):
     """A start in the posture, and the commands."""
     if plant.robot.is_planar:
-        return RobotStart(ANGLES, PRESSURES, clearance, speed), COMMANDS
+        return robots.RobotStart(ANGLES, PRESSURES, clearance, speed), COMMANDS
     angle, pressures, commands = SIDE
-    return RobotStart((angle, *ANGLES), (*pressures, *PRESSURES), clearance, speed), (*commands, *COMMANDS)
+    return robots.RobotStart((angle, *ANGLES), (*pressures, *PRESSURES), clearance, speed), (*commands, *COMMANDS)
 
 
 def name_of(plant):
@@ -119,8 +111,8 @@ def model_of(plant, start, commands, library):
 
 def moved(plant, start, commands):
     """Positions in MuJoCo's order, and the run, by our own dynamics."""
-    schedule = PressureSchedule(tuple((one,) for one in commands))
-    run = simulate_robot(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
+    schedule = robots.PressureSchedule(tuple((one,) for one in commands))
+    run = robots.simulate_robot(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
     return np.stack([*(run[name] for name in plant.robot.motions), *run["angle"]], -1), run
 
 
@@ -274,13 +266,13 @@ def test_what_mujoco_cannot_hold_is_refused():
         (plant.robot, mk.SwitchingValves(conductance=1e-9, supply=7e5, period=0.01), "valve"),
     ):
         with pytest.raises(ExportError) as caught:
-            mujoco_model(RobotPlant(robot, valve))
+            mujoco_model(robots.RobotPlant(robot, valve))
         assert caught.value.field == field
         assert caught.value.remedy
 
 
 def test_a_robot_of_a_file_is_written_under_a_name_of_c(tmp_path):
-    scenario = RobotScenario.read("examples/robot/lei-leg.yaml")
+    scenario = robots.RobotScenario.read("examples/robot/lei-leg.yaml")
     with pytest.raises(ParameterError) as caught:
         export(scenario, "mjcf", tmp_path, name="two legs")
     assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])

@@ -7,18 +7,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from mckibben import robot as robots
 from mckibben.actuator import IdealValve, Tube
 from mckibben.cli import app
 from mckibben.codegen.templates import filled
 from mckibben.errors import FileError, RangeError, ScenarioError
-from mckibben.robot import (
-    Body,
-    RobotScenario,
-    jumping,
-    landing,
-    study_jump,
-    study_landing,
-)
 from mckibben.robot.landing import valve_with
 from mckibben.robot.scenario import DrawSettings
 from mckibben.robot.uncertainty import drawn_air, drawn_plant, with_mass
@@ -32,7 +25,7 @@ TEMPLATE = filled("robot.yaml", {"file": "x.yaml", "name": "x"}, "mckibben.cli")
 
 
 def test_the_template_is_a_robot():
-    assert RobotScenario.parse(TEMPLATE).plant().robot.muscle_names[-1] == "rectus"
+    assert robots.RobotScenario.parse(TEMPLATE).plant().robot.muscle_names[-1] == "rectus"
 
 
 @pytest.mark.parametrize(
@@ -48,7 +41,7 @@ def test_the_template_is_a_robot():
 def test_a_mistake_in_a_part_of_a_robot_has_its_line(old, new, line_of, field):
     text = TEMPLATE
     with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse(text.replace(old, new))
+        robots.RobotScenario.parse(text.replace(old, new))
     (problem,) = caught.value.problems
     near = text[: text.index(line_of)].count("\n") + 1
     assert problem.field is not None and problem.field.startswith(field) and problem.remedy
@@ -56,7 +49,9 @@ def test_a_mistake_in_a_part_of_a_robot_has_its_line(old, new, line_of, field):
 
 
 def test_changes_of_the_catalog_name_the_joint():
-    read = RobotScenario.parse(HEAD + "  bodies: {trunk: {mass: 2 kg}}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n")
+    read = robots.RobotScenario.parse(
+        HEAD + "  bodies: {trunk: {mass: 2 kg}}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n"
+    )
     robot = read.robot
     assert robot.bodies[0].mass == 2.0 and robot.joints[1].damping == 0.1 and robot.joints[0].damping == 0.05
 
@@ -84,7 +79,7 @@ def test_changes_of_the_catalog_name_the_joint():
 )
 def test_bad_files_name_line_and_remedy(text, line, word):
     with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse(text)
+        robots.RobotScenario.parse(text)
     problem = caught.value.problems[0]
     assert word in str(problem) and problem.remedy
     assert line is None or problem.line == line
@@ -111,19 +106,19 @@ def test_bad_files_name_line_and_remedy(text, line, word):
 )
 def test_what_follows_from_another_mistake_is_not_said(text, fields):
     with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse("name: x\n" + text)
+        robots.RobotScenario.parse("name: x\n" + text)
     assert [problem.field for problem in caught.value.problems] == fields
 
 
 def test_stiffness_that_is_not_attainable(scenario):
     beyond = scenario.landing.model_copy(update={"stiffness": (40.0,)})
     with pytest.raises(ScenarioError) as caught:
-        study_landing(scenario.model_copy(update={"landing": beyond}))
+        robots.study_landing(scenario.model_copy(update={"landing": beyond}))
     assert "knee" in str(caught.value) and "attainable" in str(caught.value)
 
 
 def test_step_that_is_too_long(scenario):
-    for study in (study_landing, jumping.study_jump):
+    for study in (robots.study_landing, robots.jumping.study_jump):
         with pytest.raises(ScenarioError) as caught:
             study(scenario.model_copy(update={"control_period": 2e-3, "substeps": 1}))
         assert caught.value.problems[0].field == "control_period" and caught.value.problems[0].remedy
@@ -132,7 +127,7 @@ def test_step_that_is_too_long(scenario):
 def test_supply_that_is_too_low(scenario):
     weak = scenario.model_copy(update={"valve": dataclasses.replace(scenario.valve, supply=1e5)})
     with pytest.raises(ScenarioError) as caught:
-        study_landing(weak)
+        robots.study_landing(weak)
     assert "supply" in str(caught.value)
 
 
@@ -140,8 +135,8 @@ def test_supply_that_is_too_low(scenario):
 def study(scenario):
     """In six blocks."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(landing.Landings, "block_size", lambda self: 42)
-        return study_landing(scenario)
+        patch.setattr(robots.landing.Landings, "block_size", lambda self: 42)
+        return robots.study_landing(scenario)
 
 
 @pytest.mark.slow
@@ -163,7 +158,7 @@ def test_landing_study(scenario, study):
     errors = study.table["error_estimate"].to_numpy()
     assert scenario.accuracy >= integration["error_estimate_rad"] == np.nanmax(errors) > 0
     assert integration["runs_chaotic"] == study.table["chaotic"].sum()
-    coarse = study_landing(scenario.model_copy(update={"substeps": 1}))
+    coarse = robots.study_landing(scenario.model_copy(update={"substeps": 1}))
     assert coarse.to_dict()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
 
 
@@ -193,15 +188,15 @@ def test_a_best_stiffness_that_bottoms_out_is_said(study):
 def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario):
     text = scenario.dumps().replace("draws: 20", "draws: 19")
     with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse(text)
+        robots.RobotScenario.parse(text)
     (problem,) = caught.value.problems
     assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
 
 
 @pytest.mark.slow
 def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypatch):
-    monkeypatch.setattr(landing.Landings, "block_size", lambda self: 42)
-    run, runs = landing.Landings.compute, []
+    monkeypatch.setattr(robots.landing.Landings, "block_size", lambda self: 42)
+    run, runs = robots.landing.Landings.compute, []
 
     def counted(self, rows):
         runs.append(1)
@@ -209,18 +204,18 @@ def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypa
             raise KeyboardInterrupt
         return run(self, rows)
 
-    monkeypatch.setattr(landing.Landings, "compute", counted)
+    monkeypatch.setattr(robots.landing.Landings, "compute", counted)
     with pytest.raises(KeyboardInterrupt):
-        study_landing(scenario, out=tmp_path)
+        robots.study_landing(scenario, out=tmp_path)
     with pytest.raises(FileError):  # it exists
-        study_landing(scenario, out=tmp_path)
+        robots.study_landing(scenario, out=tmp_path)
     with file_lock(tmp_path / ".study.sqlite.lock", "computing this study"), pytest.raises(FileError):
-        study_landing(scenario, out=tmp_path, resume=True)
+        robots.study_landing(scenario, out=tmp_path, resume=True)
     with pytest.raises(FileError) as caught:
-        study_landing(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
+        robots.study_landing(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
     assert caught.value.problems
     before = len(runs)
-    again = study_landing(scenario, out=tmp_path, resume=True)
+    again = robots.study_landing(scenario, out=tmp_path, resume=True)
     assert 1 <= len(runs) - before < 6  # of six blocks, the finished ones are kept
     assert again.table.equals(study.table)
 
@@ -285,7 +280,7 @@ def test_draws_of_the_air_may_be_correlated(scenario):
 def test_correlations_that_cannot_be(given):
     valve = "{from: smc-itv0050, supply: 7 bar, leak: 1e-5 L/(s*bar), dead_volume: 3 cm^3}"
     with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{given}}}\n")
+        robots.RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{given}}}\n")
     (problem,) = caught.value.problems
     assert problem.field.startswith("uncertainty.correlations")
 
@@ -308,7 +303,7 @@ WARM = "{from: smc-itv0050, supply: 7 bar, wall_conductance: 0.5 W/K}"
 )
 def test_scatter_of_air_that_the_valve_does_not_have(name, valve, remedy):
     with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
+        robots.RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
     (problem,) = caught.value.problems
     assert problem.field == f"uncertainty.{name}" and remedy in problem.remedy
 
@@ -317,13 +312,13 @@ def test_scatter_of_air_that_the_valve_does_not_have(name, valve, remedy):
 def test_a_landing_of_a_draw_is_that_with_its_air(scenario):
     none = {"strength": 0.0, "mass": 0.0}
     spec = scenario.uncertainty.model_copy(update=none | {"polytropic_index": 0.1})
-    drawn = study_landing(scenario.model_copy(update={"uncertainty": spec}))
+    drawn = robots.study_landing(scenario.model_copy(update={"uncertainty": spec}))
     draw = 7
     index = float(np.asarray(drawn_air(scenario.valve, spec).polytropic_index)[draw])
     own = dataclasses.replace(scenario.valve, polytropic_index=index)
     spec = scenario.uncertainty.model_copy(update=none)
-    alone = study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": own}))
-    found, expected = (one.table["peak_trunk_force"].sel(valve=landing.CLOSED) for one in (drawn, alone))
+    alone = robots.study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": own}))
+    found, expected = (one.table["peak_trunk_force"].sel(valve=robots.landing.CLOSED) for one in (drawn, alone))
     np.testing.assert_allclose(found.sel(draw=draw), expected.sel(draw=0), rtol=1e-5)
     assert np.ptp(found.to_numpy(), axis=-1).max() > 100 * np.ptp(expected.to_numpy(), axis=-1).max()
     low, high = drawn.to_dict()["landings"][-1]["peak_trunk_force_interval"]
@@ -333,7 +328,7 @@ def test_a_landing_of_a_draw_is_that_with_its_air(scenario):
 def test_draws_of_the_mass_scale_every_inertia():
     factors = np.array([1.0, 1.2])
     for inertia in ((0.03, 0.02, 0.012), (0.009, 0.0004), (0.03, 0.02, 0.012, 0.001, 0.0, -0.001)):
-        body = with_mass(Body("x", 2.0, inertia=inertia), factors)
+        body = with_mass(robots.Body("x", 2.0, inertia=inertia), factors)
         np.testing.assert_allclose(body.mass, 2.0 * factors)
         np.testing.assert_allclose(body.inertia, np.outer(inertia, factors))
 
@@ -341,7 +336,7 @@ def test_draws_of_the_mass_scale_every_inertia():
 @pytest.mark.slow
 def test_standing_is_the_highest_posture(scenario):
     plant, drawn = scenario.plant(), drawn_plant(scenario)
-    standing, hip = jumping._standing_heights(plant, drawn)
+    standing, hip = robots.jumping._standing_heights(plant, drawn)
     assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
     assert 0.75 < hip < 0.79 and np.ptp(standing) > 0
 
@@ -350,13 +345,13 @@ def test_standing_is_the_highest_posture(scenario):
 def short_searches():
     with pytest.MonkeyPatch.context() as patch:
         for name in ("_GENERATIONS", "_POPULATION"):
-            patch.setattr(jumping, name, 2)
+            patch.setattr(robots.jumping, name, 2)
         yield
 
 
 @pytest.fixture(scope="module")
 def jumps(scenario, short_searches):
-    return study_jump(scenario)
+    return robots.study_jump(scenario)
 
 
 @pytest.mark.slow
@@ -375,7 +370,7 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
 
 @pytest.mark.slow
 def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeypatch):
-    computed, run = [], jumping.JumpRuns.heights
+    computed, run = [], robots.jumping.JumpRuns.heights
 
     def counted(self, variables):
         computed.append(1)
@@ -383,18 +378,18 @@ def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeyp
             raise KeyboardInterrupt
         return run(self, variables)
 
-    monkeypatch.setattr(jumping.JumpRuns, "heights", counted)
+    monkeypatch.setattr(robots.jumping.JumpRuns, "heights", counted)
     with pytest.raises(KeyboardInterrupt):
-        study_jump(scenario, out=tmp_path)
+        robots.study_jump(scenario, out=tmp_path)
     with pytest.raises(FileError):  # it exists
-        study_jump(scenario, out=tmp_path)
-    again = study_jump(scenario, out=tmp_path, resume=True)
+        robots.study_jump(scenario, out=tmp_path)
+    again = robots.study_jump(scenario, out=tmp_path, resume=True)
     np.testing.assert_array_equal(again.timed.heights, jumps.timed.heights)
     before = len(computed)
-    assert study_jump(scenario, out=tmp_path, resume=True).to_dict() == jumps.to_dict()
+    assert robots.study_jump(scenario, out=tmp_path, resume=True).to_dict() == jumps.to_dict()
     assert len(computed) == before
     with pytest.raises(FileError):
-        study_jump(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
+        robots.study_jump(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
 
 
 @pytest.mark.slow
@@ -407,7 +402,7 @@ def test_commands_write_their_results(scenario, tmp_path):
     numbers = json.loads(done.stdout)
     assert numbers == json.loads((out / "results.json").read_text())
     assert any(path.suffix == ".png" for path in out.iterdir())
-    assert RobotScenario.read(out / "robot.yaml") == scenario
+    assert robots.RobotScenario.read(out / "robot.yaml") == scenario
     resumed = CliRunner().invoke(app, ["robot", "land", str(file), "--out", str(out), "--json", "--resume"])
     assert resumed.exit_code == 0
     assert json.loads(resumed.stdout) == numbers
@@ -417,7 +412,7 @@ def test_commands_write_their_results(scenario, tmp_path):
 
 @pytest.mark.parametrize("command", ["land", "jump"])
 def test_there_is_no_study_to_continue(command, tmp_path, monkeypatch):
-    monkeypatch.setattr(RobotScenario, "plant", lambda self: pytest.fail("work before the check"))
+    monkeypatch.setattr(robots.RobotScenario, "plant", lambda self: pytest.fail("work before the check"))
     done = CliRunner().invoke(app, ["robot", command, FILE, "--out", str(tmp_path), "--resume"])
     assert isinstance(done.exception, FileError)
     problem = done.exception.problems[0]
@@ -430,4 +425,4 @@ def test_file_without_a_study(tmp_path):
     for command in ("land", "jump"):
         done = CliRunner().invoke(app, ["robot", command, str(file)])
         assert isinstance(done.exception, ScenarioError)
-    assert RobotScenario.read(FILE).name
+    assert robots.RobotScenario.read(FILE).name

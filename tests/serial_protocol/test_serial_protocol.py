@@ -6,23 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mckibben import serial_protocol as wire
 from mckibben.codegen.native import compiler
 from mckibben.errors import ParameterError, RigError
 from mckibben.firmware import link_files
-from mckibben.serial_protocol import (
-    LONGEST,
-    VERSION,
-    FaultCode,
-    FaultReport,
-    FirmwareState,
-    Hello,
-    Message,
-    MessageKind,
-    Receiver,
-    Sample,
-    pack_numbers,
-    unpack_numbers,
-)
 
 PROGRAM = r"""
 #include "link.h"
@@ -41,11 +28,13 @@ int main(void) /* writes the messages of a line again, and the counters after th
 }
 """
 MESSAGES = st.builds(
-    Message,
+    wire.Message,
     st.integers(0, 255),
     st.integers(0, 0xFFFF),
     st.integers(0, 0xFFFFFFFF),
-    st.binary(max_size=LONGEST) | st.binary(min_size=LONGEST, max_size=LONGEST) | st.integers(0, LONGEST).map(bytes),
+    st.binary(max_size=wire.LONGEST)
+    | st.binary(min_size=wire.LONGEST, max_size=wire.LONGEST)
+    | st.integers(0, wire.LONGEST).map(bytes),
 )
 
 
@@ -68,7 +57,7 @@ def in_c(tmp_path_factory):
 
 
 def in_python(line, pieces=()):
-    receiver, messages, start = Receiver(), [], 0
+    receiver, messages, start = wire.Receiver(), [], 0
     for end in sorted({*pieces, len(line)}):
         messages += receiver.feed(line[start:end])
         start = end
@@ -100,8 +89,8 @@ def test_both_agree_on_a_damaged_line(in_c, messages, damage):
 
 @given(lost=st.sets(st.integers(1, 19)), doubled=st.sets(st.integers(0, 19)))
 def test_losses_are_counted(in_c, lost, doubled):
-    sent = [Message(MessageKind.SAMPLE, (65530 + i) & 0xFFFF, 1000 * i, bytes([i])) for i in range(20)] + [
-        Message(MessageKind.SAMPLE, 14, 0)
+    sent = [wire.Message(wire.MessageKind.SAMPLE, (65530 + i) & 0xFFFF, 1000 * i, bytes([i])) for i in range(20)] + [
+        wire.Message(wire.MessageKind.SAMPLE, 14, 0)
     ]
     line = b"".join(x.encode() * (1 + (i in doubled)) for i, x in enumerate(sent) if i not in lost)
     counters = (0, len(lost), len(doubled - lost))
@@ -112,18 +101,18 @@ def test_losses_are_counted(in_c, lost, doubled):
 
 def test_a_board_that_starts_again_has_lost_nothing(in_c):
     line = b"".join(
-        Message(kind, n, n).encode()
-        for kind, n in ((MessageKind.SAMPLE, 900), (MessageKind.HELLO, 0), (MessageKind.SAMPLE, 1))
+        wire.Message(kind, n, n).encode()
+        for kind, n in ((wire.MessageKind.SAMPLE, 900), (wire.MessageKind.HELLO, 0), (wire.MessageKind.SAMPLE, 1))
     )
     assert in_python(line)[1] == in_c(line)[1] == (0, 0, 0)
 
 
 def test_a_line_without_end_takes_no_memory(in_c):
-    receiver = Receiver()
+    receiver = wire.Receiver()
     for _ in range(1000):
         assert receiver.feed(b"\1" * 1000) == []
     assert len(receiver._rest) < 300
-    good = Message(MessageKind.VENT, 3, 4)
+    good = wire.Message(wire.MessageKind.VENT, 3, 4)
     assert receiver.feed(b"\0" + good.encode()) == [good]
     assert in_c(b"\1" * 1000 + b"\0" + good.encode()) == (good.encode(), (1, 0, 0))
 
@@ -131,30 +120,34 @@ def test_a_line_without_end_takes_no_memory(in_c):
 def test_the_crc_is_that_of_the_standard():
     """CRC-16/CCITT-FALSE of 123456789 is 0x29B1, in any catalogue of CRCs."""
     kind, sequence, time = 0x31, 0x3332, 0x37363534
-    assert b"\xb1\x29" in Message(kind, sequence, time, b"89").encode()
+    assert b"\xb1\x29" in wire.Message(kind, sequence, time, b"89").encode()
 
 
 def test_bodies_come_back():
-    hello = Hello(
+    hello = wire.Hello(
         "knee 1.0", 1000, bytes(range(32)), [("angle", "rad"), ("p", "Pa")], [("u", "Pa")], [("K", "N*m/rad")]
     )
-    assert Hello.unpack(hello.pack()) == hello
-    sample = Sample(FirmwareState.HOLDING, FaultCode.FROZEN, 3, 2, 1, (0.5, 2.0**18))
-    assert Sample.unpack(sample.pack()) == sample
-    assert FaultReport.unpack(FaultReport(FaultCode.OUT_OF_RANGE, 2, -0.5).pack()) == (FaultCode.OUT_OF_RANGE, 2, -0.5)
-    assert unpack_numbers(pack_numbers((0.1, 15.0))) == (0.1, 15.0)
+    assert wire.Hello.unpack(hello.pack()) == hello
+    sample = wire.Sample(wire.FirmwareState.HOLDING, wire.FaultCode.FROZEN, 3, 2, 1, (0.5, 2.0**18))
+    assert wire.Sample.unpack(sample.pack()) == sample
+    assert wire.FaultReport.unpack(wire.FaultReport(wire.FaultCode.OUT_OF_RANGE, 2, -0.5).pack()) == (
+        wire.FaultCode.OUT_OF_RANGE,
+        2,
+        -0.5,
+    )
+    assert wire.unpack_numbers(wire.pack_numbers((0.1, 15.0))) == (0.1, 15.0)
 
 
 @pytest.mark.parametrize(
     ("unpack", "body", "field"),
     [
-        (Hello.unpack, b"", "version"),
-        (Hello.unpack, bytes([VERSION + 1]) + bytes(50), "version"),
-        (Hello.unpack, bytes([VERSION]) + bytes(10), "body"),
-        (Hello.unpack, bytes([VERSION, 2]) + bytes(38) + b"knee\nangle rad", "body"),
-        (Sample.unpack, b"\0", "body"),
-        (Sample.unpack, bytes(9), "body"),
-        (FaultReport.unpack, b"\0", "body"),
+        (wire.Hello.unpack, b"", "version"),
+        (wire.Hello.unpack, bytes([wire.VERSION + 1]) + bytes(50), "version"),
+        (wire.Hello.unpack, bytes([wire.VERSION]) + bytes(10), "body"),
+        (wire.Hello.unpack, bytes([wire.VERSION, 2]) + bytes(38) + b"knee\nangle rad", "body"),
+        (wire.Sample.unpack, b"\0", "body"),
+        (wire.Sample.unpack, bytes(9), "body"),
+        (wire.FaultReport.unpack, b"\0", "body"),
     ],
 )
 def test_a_malformed_body_is_an_error(unpack, body, field):
@@ -165,5 +158,5 @@ def test_a_malformed_body_is_an_error(unpack, body, field):
 
 def test_a_body_that_is_too_long_is_refused():
     with pytest.raises(ParameterError) as caught:
-        Message(MessageKind.HELLO, 0, 0, bytes(LONGEST + 1)).encode()
-    assert (caught.value.field, caught.value.value) == ("body", LONGEST + 1)
+        wire.Message(wire.MessageKind.HELLO, 0, 0, bytes(wire.LONGEST + 1)).encode()
+    assert (caught.value.field, caught.value.value) == ("body", wire.LONGEST + 1)

@@ -11,17 +11,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mckibben import scenario as scenarios
 from mckibben.errors import ParameterError
-from mckibben.scenario import (
-    Scenario,
-    batched,
-    edit_scenario,
-    find_parameter,
-    followed_names,
-    list_parameters,
-    valid_rows,
-    with_values,
-)
 from mckibben.study.compare import Suite
 from mckibben.units import deg, mm
 
@@ -67,8 +58,8 @@ TEXTS_AND_BLOCK = TEXTS | {"block": BLOCK}
 @functools.cache
 def known(name):
     """A scenario of ours, and what can be varied in it."""
-    scenario = Scenario.parse(TEXTS_AND_BLOCK[name], folder=EXAMPLES)
-    return scenario, list_parameters(scenario)
+    scenario = scenarios.Scenario.parse(TEXTS_AND_BLOCK[name], folder=EXAMPLES)
+    return scenario, scenarios.list_parameters(scenario)
 
 
 @pytest.fixture
@@ -98,7 +89,7 @@ def of(names):
     indirect=["scenario"],
 )
 def test_a_number_has_its_unit_and_its_nominal_value(scenario, name, nominal, shown):
-    address = find_parameter(scenario, name)
+    address = scenarios.find_parameter(scenario, name)
     assert address.name == name
     assert address.shown == shown
     assert address.nominal == pytest.approx(nominal, rel=1e-12)
@@ -108,10 +99,10 @@ def test_a_number_has_its_unit_and_its_nominal_value(scenario, name, nominal, sh
 
 @of([PID, BACKPROP, PRINTED, "block"])
 def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario):
-    listed = list_parameters(scenario)
+    listed = scenarios.list_parameters(scenario)
     assert len({address.name for address in listed}) == len({address.places for address in listed}) == len(listed) > 20
     for address in listed:
-        assert find_parameter(scenario, address.name) == address
+        assert scenarios.find_parameter(scenario, address.name) == address
         if address.nominal is not None:
             assert address.holds(address.nominal)
             assert address.mark.read(address.write(address.nominal)) == address.nominal
@@ -131,20 +122,20 @@ def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario)
 )
 def test_what_is_refused_says_why_and_what_to_do(name, why):
     with pytest.raises(ParameterError, match=why) as caught:
-        find_parameter(known(BACKPROP)[0], name)
+        scenarios.find_parameter(known(BACKPROP)[0], name)
     assert name.split(".")[-1] in str(caught.value)
     assert caught.value.remedy
 
 
 def test_an_item_of_a_list_of_sines_is_a_parameter(full):
-    found = find_parameter(full, "reference.angle.amplitudes.1")
+    found = scenarios.find_parameter(full, "reference.angle.amplitudes.1")
     assert found.name == "reference.angle.amplitudes.1"
     assert found.nominal == 1 * deg
-    assert with_values(full, {found.name: 0.1}).signals.angle.amplitudes == (3 * deg, 0.1)
-    edited = edit_scenario(BLOCK, {"reference.angle.amplitudes.1": 2.5 * deg})
+    assert scenarios.with_values(full, {found.name: 0.1}).signals.angle.amplitudes == (3 * deg, 0.1)
+    edited = scenarios.edit_scenario(BLOCK, {"reference.angle.amplitudes.1": 2.5 * deg})
     assert "amplitudes: [3 deg, 2.5 deg]" in edited
     with pytest.raises(ParameterError) as caught:
-        find_parameter(full, "reference.angle.amplitudes.2")
+        scenarios.find_parameter(full, "reference.angle.amplitudes.2")
     assert "reference.angle.amplitudes.0" in caught.value.remedy
 
 
@@ -170,13 +161,13 @@ def built(scenario):
 @of(TEXTS)
 @pytest.mark.slow
 def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
-    for address in list_parameters(scenario):
+    for address in scenarios.list_parameters(scenario):
         value = another(address)
         if address.name == "controller.stiffness.kd":
-            value = np.sign(find_parameter(scenario, "controller.stiffness.ki").nominal) * 1e-4
-        one = with_values(scenario, {address.name: value})
-        assert find_parameter(one, address.name).nominal == value
-        many = batched(scenario, {address.name: np.array([value, value])}, model_follows="all")
+            value = np.sign(scenarios.find_parameter(scenario, "controller.stiffness.ki").nominal) * 1e-4
+        one = scenarios.with_values(scenario, {address.name: value})
+        assert scenarios.find_parameter(one, address.name).nominal == value
+        many = scenarios.batched(scenario, {address.name: np.array([value, value])}, model_follows="all")
         if address.name.startswith("start."):
             assert getattr(many.start, address.places[0][-1]).tolist() == [value, value]
             continue
@@ -228,17 +219,17 @@ def varies(control):
 def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     scenario = with_controller(name)
     own = jax.tree.leaves(scenario.control())
-    taken = [each.name for each in list_parameters(scenario.with_fixed_model()) if each.part == "controller"]
-    plant = [each for each in list_parameters(scenario) if each.part in OF_THE_PLANT]
+    taken = [each.name for each in scenarios.list_parameters(scenario.with_fixed_model()) if each.part == "controller"]
+    plant = [each for each in scenarios.list_parameters(scenario) if each.part in OF_THE_PLANT]
     assert {each.part for each in plant} == set(OF_THE_PLANT)
     table = {each.name: np.array([another(each)] * 2) for each in plant}
-    many = batched(scenario, table)
+    many = scenarios.batched(scenario, table)
     for leaf, mine in zip(jax.tree.leaves(many.control()), own, strict=True):
         np.testing.assert_array_equal(leaf, mine)
     assert sum(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(many.plant())) >= len(table)
-    one = with_values(scenario, {key: column[0].item() for key, column in table.items()}, model_follows=())
+    one = scenarios.with_values(scenario, {key: column[0].item() for key, column in table.items()}, model_follows=())
     assert jax.tree.leaves(one.control()) == own
-    known = followed_names(scenario, "all", table)
+    known = scenarios.followed_names(scenario, "all", table)
     believed = {
         each.name
         for each in plant
@@ -246,11 +237,11 @@ def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     }
     assert set(known) == believed
     unknown = {key: column for key, column in table.items() if key not in known}
-    assert not varies(batched(scenario, unknown, model_follows="all").control())
+    assert not varies(scenarios.batched(scenario, unknown, model_follows="all").control())
     for name in known:
-        assert varies(batched(scenario, {name: table[name]}, model_follows="all").control()), name
+        assert varies(scenarios.batched(scenario, {name: table[name]}, model_follows="all").control()), name
     if known:
-        both = [batched(scenario, table, model_follows=asked).control() for asked in ("all", known)]
+        both = [scenarios.batched(scenario, table, model_follows=asked).control() for asked in ("all", known)]
         for one, other in zip(*map(jax.tree.leaves, both), strict=True):
             np.testing.assert_array_equal(one, other)
 
@@ -262,16 +253,16 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
         "valve.time_constant": [0.01, 0.03],
         "controller.feedback.bandwidth": [30.0, 40.0],
     }
-    control = batched(scenario, table, model_follows=["load.mass2"]).control()
+    control = scenarios.batched(scenario, table, model_follows=["load.mass2"]).control()
     assert control.load.mass2.tolist() == table["load.mass2"]
     assert control.valve.time_constant == 0.02
     assert control.feedback.bandwidth.tolist() == [30.0, 40.0]  # a number of the controller's own
     with pytest.raises(ParameterError, match=r"joint\.geometry\.connector_length, which is not varied"):
-        followed_names(scenario, ["joint.geometry.connector_length"], table)
-    given = with_values(scenario.with_fixed_model(), {"controller.load.mass2": 0.4})
+        scenarios.followed_names(scenario, ["joint.geometry.connector_length"], table)
+    given = scenarios.with_values(scenario.with_fixed_model(), {"controller.load.mass2": 0.4})
     with pytest.raises(ParameterError, match=r"does not take load\.mass2 from the plant"):
-        followed_names(given, ["load.mass2"], table)
-    assert followed_names(given, "all", table) == ()
+        scenarios.followed_names(given, ["load.mass2"], table)
+    assert scenarios.followed_names(given, "all", table) == ()
 
 
 FORBIDDEN = [
@@ -291,15 +282,15 @@ FORBIDDEN = [
 def test_a_forbidden_combination_is_told_with_its_first_row(scenario, table, row, why):
     rows = len(next(iter(table.values())))
     with pytest.raises(ParameterError, match=why) as caught:
-        batched(scenario, table)
+        scenarios.batched(scenario, table)
     message = str(caught.value)
     assert message.startswith(f"row {row}: with " if rows > 1 else "with ")
     for name, column in table.items():
-        address = find_parameter(scenario, name)
+        address = scenarios.find_parameter(scenario, name)
         assert f"{address.name} {address.show(column[row])}" in message
     with pytest.raises(ParameterError, match=why):
-        with_values(scenario, {name: column[row] for name, column in table.items()})
-    mask = valid_rows(scenario, table)
+        scenarios.with_values(scenario, {name: column[row] for name, column in table.items()})
+    mask = scenarios.valid_rows(scenario, table)
     assert not mask[row]
     assert mask[:row].all()
 
@@ -317,7 +308,7 @@ def test_a_forbidden_combination_is_told_with_its_first_row(scenario, table, row
     ],
 )
 def test_tables_that_are_none_are_refused(table, why):
-    for take in (batched, valid_rows):
+    for take in (scenarios.batched, scenarios.valid_rows):
         with pytest.raises(ParameterError, match=why):
             take(known(BACKPROP)[0], table)
 
@@ -333,10 +324,10 @@ TWICE = PID_TEXT.replace(
 
 
 def test_two_equal_muscles_are_changed_where_they_stand():
-    changed = edit_scenario(TWICE, {"joint.muscle.strength": 0.9, "joint.muscle.law.a1": -250.0})
+    changed = scenarios.edit_scenario(TWICE, {"joint.muscle.strength": 0.9, "joint.muscle.law.a1": -250.0})
     assert changed.count("law: {from: lei-mas-10-180n, a1: -250 N}, strength: 0.9}") == 2
     assert "# From the angle error" in changed
-    changed = edit_scenario(TWICE, {"joint.muscle1.strength": 0.9})
+    changed = scenarios.edit_scenario(TWICE, {"joint.muscle1.strength": 0.9})
     assert changed.count("strength: 0.9") == 1
 
 
@@ -362,7 +353,7 @@ def test_two_equal_muscles_are_changed_where_they_stand():
 def test_only_what_was_asked_for_changes(text, values, old, new, newline):
     assert text.count(old) == 1
     expected = text.replace(old, new).replace("\n", newline)
-    assert edit_scenario(text.replace("\n", newline), values) == expected
+    assert scenarios.edit_scenario(text.replace("\n", newline), values) == expected
 
 
 @settings(max_examples=20)
@@ -374,17 +365,17 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     parameters = [address for address in parameters if address.name != "controller.stiffness.kd"]  # of the sign of ki
     chosen = data.draw(st.lists(st.sampled_from(parameters), min_size=1, max_size=8, unique_by=lambda one: one.name))
     values = {address.name: another(address) for address in chosen}
-    changed = edit_scenario(text, values, folder=EXAMPLES)
-    assert Scenario.parse(changed, folder=EXAMPLES) == with_values(scenario, values)
+    changed = scenarios.edit_scenario(text, values, folder=EXAMPLES)
+    assert scenarios.Scenario.parse(changed, folder=EXAMPLES) == scenarios.with_values(scenario, values)
     spring = "return_spring" in text and any(name.startswith("joint.muscle1.") for name in values)
     for comment in re.findall(r"#.*", text):
         assert comment in changed or spring, "the text of a spring is written anew, as that of a muscle"
-    assert edit_scenario(changed, values, folder=EXAMPLES) == changed
+    assert scenarios.edit_scenario(changed, values, folder=EXAMPLES) == changed
 
 
 def test_a_default_among_the_values_is_in_a_text_that_is_written_anew():
     text = (EXAMPLES / "linear-axis.yaml").read_text(encoding="utf-8")
     values = {"joint.muscle1.specimen.initial_length": 0.12, "reference.angle.offset": 0.0}
-    changed = edit_scenario(text, values, folder=EXAMPLES)
+    changed = scenarios.edit_scenario(text, values, folder=EXAMPLES)
     assert "offset: 0 deg" in changed
-    assert edit_scenario(changed, values, folder=EXAMPLES) == changed
+    assert scenarios.edit_scenario(changed, values, folder=EXAMPLES) == changed

@@ -12,15 +12,7 @@ from mckibben.rig import JointSession, control_loop
 from mckibben.rig.record import Recorder
 from mckibben.rig.safety import StopFlag
 from mckibben.units import bar, ms
-from tests.rig.faults import (
-    FaultyJoint,
-    disconnected,
-    host_delayed,
-    samples_delayed,
-    samples_dropped,
-    samples_stopped,
-    supply_lost,
-)
+from tests.rig import faults
 
 from .conftest import LIMITS, PERIOD, Kept
 
@@ -28,7 +20,7 @@ PERIODS = 30
 INSTANTS = np.random.default_rng(5).uniform(0, PERIODS * PERIOD, 12)
 
 
-class Watched(FaultyJoint):
+class Watched(faults.FaultyJoint):
     """Notes when it was vented first, by its own clock."""
 
     vented_at = math.inf
@@ -58,14 +50,14 @@ def check_vented(joint, kept, outcome, kind):
 
 # What fails, the kind of outcome, words of its text, and the time from the first sample that shows it to the vent [s].
 FAULTS = {
-    "angle lost": (lambda at: disconnected(at, "angle"), "stopped", "the angle sensor is lost", 0.0),
-    "pressure 1 lost": (lambda at: disconnected(at, "pressure1"), "stopped", "pressure 1 sensor is lost", 0),
-    "pressure 2 lost": (lambda at: disconnected(at, "pressure2"), "stopped", "pressure 2 sensor is lost", 0),
-    "silent": (samples_stopped, "silent", "", LIMITS.silence),
-    "late": (lambda at: samples_delayed(at, 60 * ms), "silent", "", LIMITS.silence),
-    "host away": (lambda at: host_delayed(at, 0.12), "stopped", "", None),
-    "dropped": (lambda at: samples_dropped(at, 60), "stopped", "60 samples were dropped", None),
-    "no air": (supply_lost, "stopped", "does not follow", None),
+    "angle lost": (lambda at: faults.disconnected(at, "angle"), "stopped", "the angle sensor is lost", 0.0),
+    "pressure 1 lost": (lambda at: faults.disconnected(at, "pressure1"), "stopped", "pressure 1 sensor is lost", 0),
+    "pressure 2 lost": (lambda at: faults.disconnected(at, "pressure2"), "stopped", "pressure 2 sensor is lost", 0),
+    "silent": (faults.samples_stopped, "silent", "", LIMITS.silence),
+    "late": (lambda at: faults.samples_delayed(at, 60 * ms), "silent", "", LIMITS.silence),
+    "host away": (lambda at: faults.host_delayed(at, 0.12), "stopped", "", None),
+    "dropped": (lambda at: faults.samples_dropped(at, 60), "stopped", "60 samples were dropped", None),
+    "no air": (faults.supply_lost, "stopped", "does not follow", None),
 }
 
 
@@ -99,7 +91,7 @@ def test_pressure_that_falls_slowly_is_told_from_pressure_that_is_not_measured(s
 
 def test_samples_from_before_the_stop_do_not_count_for_the_vent(stiff, watched):
     """A suspended host finds seconds of samples from before."""
-    joint = watched(faults=[host_delayed(10 * PERIOD, 5.0)], patience=60.0)
+    joint = watched(faults=[faults.host_delayed(10 * PERIOD, 5.0)], patience=60.0)
     outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS))
     check_vented(joint, kept, outcome, "stopped")
     assert 0.03 < outcome.vented_after < 0.2 and kept.columns["time"][-1] > 5.0
