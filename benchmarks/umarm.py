@@ -15,7 +15,6 @@ from timing import Bench, inverted
 
 from mckibben.codegen.native import NativeFunction
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.spatial import ZERO
 from mckibben.robot import Robot, RobotScenario
 from mckibben.robot.dynamics import acceleration, at_rest, posture_of
 from mckibben.units import deg
@@ -63,7 +62,7 @@ def accelerations(robot: Robot, states: tuple[Any, ...]) -> tuple[Any, ...]:
     angles, rates, pressures = states
     posture = posture_of(robot, angles)
     torques = [torque - DAMPING * rate for torque, rate in zip(robot.torques(angles, pressures), rates, strict=True)]
-    return acceleration(robot, posture, at_rest(posture)._replace(angles=rates), tuple(torques), ZERO, 0.0).angles
+    return acceleration(robot, posture, at_rest(posture)._replace(angles=rates), tuple(torques), (), 0.0).angles
 
 
 def soromox(folder: Path, states: tuple[np.ndarray, ...]) -> Callable[[], jax.Array]:

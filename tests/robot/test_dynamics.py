@@ -9,7 +9,6 @@ import pytest
 from scipy.optimize import approx_fprime, fsolve
 
 import mckibben as mk
-from mckibben.numerics.spatial import ZERO
 from mckibben.robot import Ground, RobotPlant, attainable_point_stiffness, point_stiffness
 from mckibben.robot.dynamics import Posture, Velocity, acceleration, motion
 from mckibben.robot.ground import compliant_force
@@ -46,12 +45,12 @@ def test_locked_joint_does_not_move_and_carries_its_link(pair):
     posture, velocity = moving()
     posture = posture._replace(angles=(posture.angles[0], zero, posture.angles[2]))
     velocity = velocity._replace(angles=(velocity.angles[0], zero, velocity.angles[2]))
-    found = acceleration(locked, posture, velocity, (1.0, 5.0, 0.3), ZERO, 9.81)
+    found = acceleration(locked, posture, velocity, (1.0, 5.0, 0.3), (), 9.81)
     assert float(found.angles[1]) == 0.0
     # The torque that the lock gives makes the free robot move alike.
-    gain = jax.grad(lambda t: acceleration(robot, posture, velocity, (1.0, t, 0.3), ZERO, 9.81).angles[1])(0.0)
-    offset = acceleration(robot, posture, velocity, (1.0, 0.0, 0.3), ZERO, 9.81).angles[1]
-    held = acceleration(robot, posture, velocity, (1.0, float(-offset / gain), 0.3), ZERO, 9.81)
+    gain = jax.grad(lambda t: acceleration(robot, posture, velocity, (1.0, t, 0.3), (), 9.81).angles[1])(0.0)
+    offset = acceleration(robot, posture, velocity, (1.0, 0.0, 0.3), (), 9.81).angles[1]
+    held = acceleration(robot, posture, velocity, (1.0, float(-offset / gain), 0.3), (), 9.81)
     assert np.allclose(jax.tree.leaves(held), jax.tree.leaves(found), atol=1e-9)
 
 

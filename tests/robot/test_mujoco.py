@@ -130,22 +130,23 @@ def own_contact(plant):
     """Contact and stops of the plant in plain NumPy, as passive forces of MuJoCo at each stage of its integration."""
     ground, joints = plant.ground, plant.robot.joints
     slopes = [one or 0.0 for one in (ground.slope, ground.side_slope)]
-    normal = np.cross([1, 0, np.tan(slopes[0])], [0, 1, np.tan(slopes[1])])
-    normal /= np.linalg.norm(normal)
+    normal = np.cross([1, 0, np.tan(slopes[0])], [0, 1, np.tan(slopes[1])]) if ground.facing is None else ground.facing
+    normal = np.array(normal) / np.linalg.norm(normal)
 
     def pressed(depth, rate, stiffness, damping):
         return stiffness * max(depth, 0.0) * max(1 + damping * rate, 0.0)
 
     def passive(model, data):
-        foot = model.geom("foot").id
-        point = data.geom_xpos[foot] - plant.robot.foot.radius * normal
-        jacobian = np.empty((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[foot])
-        speed = jacobian @ data.qvel
-        push = pressed(-point @ normal, -speed @ normal, ground.stiffness, ground.damping)
-        along = speed - (speed @ normal) * normal
-        slip = np.hypot(np.linalg.norm(along), ground.slip_speed)
-        data.qfrc_passive += jacobian.T @ (push * normal - ground.friction * push * along / slip)
+        for number, sphere in enumerate(plant.robot.spheres):
+            foot = model.geom(f"foot {number + 1}" if number else "foot").id
+            point = data.geom_xpos[foot] - sphere.radius * normal
+            jacobian = np.empty((3, model.nv))
+            mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[foot])
+            speed, height = jacobian @ data.qvel, point @ normal + (ground.distance or 0.0)
+            push = pressed(-height, -speed @ normal, ground.stiffness, ground.damping)
+            along = speed - (speed @ normal) * normal
+            slip = np.hypot(np.linalg.norm(along), ground.slip_speed)
+            data.qfrc_passive += jacobian.T @ (push * normal - ground.friction * push * along / slip)
         for joint in joints:
             at, given = model.joint(joint.name).dofadr[0], (joint.stop_stiffness, joint.stop_damping)
             angle, rate = data.qpos[at], data.qvel[at]
@@ -176,6 +177,8 @@ def test_bodies_muscles_and_valves_move_alike_in_flight(freedom, side, library):
 @pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
 def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, side, library, passive):
     plant = plant_of(freedom, side=side, ground=SLOPE if side else LEVEL)
+    if freedom == "floating":
+        plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, contacts=SPHERES))
     start, commands = start_of(plant, 0.0, -1.5)
     model, data = model_of(plant, start, commands, library)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
@@ -184,6 +187,30 @@ def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, side, li
     assert run["stop_torque"].any()
     assert run["ground_up"].max() > 100
     assert np.abs(run["ground_left"]).max() > 10 or not side
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
+
+
+SPHERES = (
+    robots.Foot("sole", robots.Place(0.05, 0.03, -0.13), 0.015),
+    robots.Foot("shank", robots.Place(x=0.1, z=-0.4), 0.02),
+)
+
+
+def test_a_wall_pushes_as_in_mujoco(library, passive):
+    """A robot whose base is held, with two spheres; the wall leans towards it."""
+    plant = plant_of("fixed", ground=robots.Ground(facing=(-1.0, 0.0, -0.2), distance=0.04))
+    plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, contacts=SPHERES[1:]))
+    start, commands = start_of(plant, 0.0, 0.0)
+    commands = (1.0 * bar, 5.0 * bar, *commands[2:])  # forwards
+    model, data = model_of(plant, start, commands, library)
+    ours, run = moved(plant, start, commands)
+    assert run["ground_forward"].min() < -20
+    theirs = stepped(model, data)
+    assert np.ptp(ours, axis=0).max() > 1 * deg and np.abs(theirs - ours).max() < 0.5 * deg  # by MuJoCo's contact
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = commands
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    passive(own_contact(plant))
     np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
 
 
@@ -215,7 +242,7 @@ def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
     start, commands = start_of(plant, 0.0, 0.0)
     model, _ = model_of(plant, start, commands, library)
     found = compliance(plant, plant.begin(start))
-    assert found["ground"].stiffness / plant.ground.stiffness == pytest.approx(
+    assert found["ground 0"].stiffness / plant.ground.stiffness == pytest.approx(
         model.body_invweight0[model.geom("foot").bodyid[0], 0], rel=2e-3
     )
     for joint in plant.robot.joints:

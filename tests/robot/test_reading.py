@@ -11,7 +11,6 @@ from mckibben.component.schema import read_component
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.export.mjcf import assembled
 from mckibben.muscle import Muscle
-from mckibben.numerics.spatial import ZERO
 from mckibben.robot import RobotPlant, RobotScenario, read_robot
 from mckibben.robot.dynamics import acceleration, at_rest, posture_of
 from mckibben.robot.reading import read_mjcf
@@ -56,7 +55,7 @@ def check(robot, model, offsets):
         posture = posture_of(robot, tuple(angles))
         velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
         damped = torques - np.array([joint.damping for joint in robot.joints]) * rates
-        found = np.array(acceleration(robot, posture, velocity, tuple(damped), ZERO, 9.81).angles)
+        found = np.array(acceleration(robot, posture, velocity, tuple(damped), (), 9.81).angles)
         np.testing.assert_allclose(found, data.qacc[order], rtol=1e-9, atol=1e-9 * np.abs(found).max())
 
 
@@ -90,8 +89,8 @@ def test_what_we_write_reads_back(tmp_path):
     assert (read.base, read.is_planar, read.foot.radius) == ("vertical", False, 0.02)
     for angles in ((0.1, 0.05, -0.3), (-0.1, -0.05, 0.2)):
         posture, again = posture_of(leg, angles), posture_of(read, angles)
-        moved = acceleration(leg, posture, at_rest(posture), (1.0, 2.0, 3.0), ZERO, 9.81)
-        found = acceleration(read, again, at_rest(again), (1.0, 2.0, 3.0), ZERO, 9.81)
+        moved = acceleration(leg, posture, at_rest(posture), (1.0, 2.0, 3.0), (), 9.81)
+        found = acceleration(read, again, at_rest(again), (1.0, 2.0, 3.0), (), 9.81)
         np.testing.assert_allclose(found.angles, moved.angles, rtol=1e-9)
 
 

@@ -12,9 +12,9 @@ import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError, SimulationError
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.spatial import ZERO, Vector
+from mckibben.numerics.spatial import Vector
 from mckibben.robot import Body, Foot, Ground, Joint, Place, Robot, RobotPlant, RobotScenario, RobotStart, read_robot
-from mckibben.robot.dynamics import Posture, acceleration, at_rest, contact, frames, motion, posture_of
+from mckibben.robot.dynamics import Posture, acceleration, at_rest, contacts, frames, motion, posture_of
 from mckibben.units import deg
 from tests.robot.conftest import limb, pair_over, robot_of
 
@@ -47,7 +47,7 @@ def test_energy_and_momenta_in_flight(pair):
 
     def rate(state):
         posture, velocity = state
-        return Posture(*velocity), acceleration(robot, posture, velocity, (0.0, 0.0, 0.0), ZERO, 9.81)
+        return Posture(*velocity), acceleration(robot, posture, velocity, (0.0, 0.0, 0.0), (), 9.81)
 
     def step(_, state):
         return rk4(rate, state, 1e-4)
@@ -70,10 +70,10 @@ def test_a_side_swing_alone_is_a_pendulum(pair):
     bodies = Body("trunk", 1.0), limb("arm", 0.5, 0.19, 0.009, 0.0004)
     robot = Robot(bodies, (side,), foot=Foot("arm", Place(z=-0.4)))
     posture = posture_of(robot, (0.1,))
-    found = acceleration(robot, posture, at_rest(posture), (0.7,), ZERO, 9.81).angles[0]
+    found = acceleration(robot, posture, at_rest(posture), (0.7,), (), 9.81).angles[0]
     inertia = 0.009 + 0.5 * 0.19**2
     assert float(found) == pytest.approx((0.7 - 0.5 * 9.81 * 0.19 * np.sin(0.1)) / inertia, rel=1e-13)
-    foot = contact(robot, frames(robot, posture, at_rest(posture))).position
+    foot = contacts(robot, frames(robot, posture, at_rest(posture)))[0].position
     np.testing.assert_allclose(foot, [0.0, 0.4 * np.sin(0.1), -0.4 * np.cos(0.1)], atol=1e-15)
 
 
@@ -86,7 +86,7 @@ def test_a_robot_without_swing_to_the_side_is_the_planar_robot():
     for robot, before in zip(robots, ((), (0.0,)), strict=True):
         posture = posture_of(robot, (*before, 0.05, -0.2))
         velocity = at_rest(posture)._replace(z=jnp.asarray(-1.0), angles=tuple(map(jnp.asarray, (*before, 1.0, -2.0))))
-        found.append(acceleration(robot, posture, velocity, (*before, 2.0, -1.0), Vector(20.0, 0.0, 90.0), 9.81))
+        found.append(acceleration(robot, posture, velocity, (*before, 2.0, -1.0), [Vector(20.0, 0.0, 90.0)], 9.81))
     assert float(found[1].angles[0]) == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose([found[1].z, *found[1].angles[1:]], [found[0].z, *found[0].angles], rtol=1e-12)
 
@@ -100,7 +100,7 @@ def test_friction_is_along_the_ground_and_against_the_slip():
     velocity = np.array([0.3, -0.4, 0.1])
     robot = read_robot("lei-leg")
     posture = posture_of(robot, (0.0, 0.0, 0.0))
-    point = contact(robot, frames(robot, posture, at_rest(posture)), ground.normal)
+    point = contacts(robot, frames(robot, posture, at_rest(posture)), ground.normal)[0]
     deep = point._replace(position=Vector(*(-0.002 * normal)), velocity=Vector(*velocity))
     force = np.array(ground.force(deep))
     along = velocity - normal * (velocity @ normal)

@@ -55,7 +55,7 @@ def test_an_arm_of_24_muscles_is_that_of_soromox(arm, case):
     posture = posture_of(arm, tuple(angles))
     velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
     applied = np.array(case["torque_Nm"]) + pull_of_gravity(arm, angles) - 2.25 * rates
-    found = np.array(acceleration(arm, posture, velocity, tuple(applied), ZERO, 0.0).angles)
+    found = np.array(acceleration(arm, posture, velocity, tuple(applied), (), 0.0).angles)
     expected = np.array(case["acceleration_rad_s2"])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
@@ -145,7 +145,7 @@ def test_random_trees_with_paths_are_those_of_mujoco(seed):
     data.qfrc_applied[:] = [torques[number - 1] for number in ours]
     mujoco.mj_forward(model, data)
     frames = frames_of(Frame(IDENTITY, ZERO, ZERO, ZERO), hinges)
-    made = equations([], hinges, bodies, frames, 9.81, {})
+    made = equations([], hinges, bodies, frames, 9.81)
     found = np.array(made.accelerations(torques.tolist()), float)
     np.testing.assert_allclose([found[number - 1] for number in ours], data.qacc, rtol=1e-9, atol=1e-9)
     lengths, arms = np.array(data.ten_length), np.zeros((len(paths), 8))

@@ -48,24 +48,26 @@ class Compliance(NamedTuple):
 
 
 def compliance(plant: RobotPlant, start: RobotState) -> dict[str, Compliance]:
-    """Compliance of the "ground", of its "friction", and of the stops of each moving joint, by name."""
+    """Compliance of the stops of each moving joint, by name, and of ground and friction of each sphere, by number."""
     robot = plant.robot
     zero = posture_of(robot, [0.0] * len(robot.joints))
-    softness = {} if robot.foot is None else _of_ground(plant, start, robot.foot, zero)
+    softness: dict[str, Compliance] = {}
+    for number, sphere in enumerate(robot.spheres):
+        softness |= _of_ground(plant, start, sphere, zero, number)
     for joint, mobility in zip(robot.joints, mobilities(robot, zero)[1].diagonal().tolist(), strict=True):
         if joint.locked is None:
             softness[joint.name] = _stop(joint, mobility)
     return softness
 
 
-def _of_ground(plant: RobotPlant, start: RobotState, foot: Foot, zero: Posture) -> dict[str, Compliance]:
-    """Compliance of the "ground" and of its "friction"."""
+def _of_ground(plant: RobotPlant, start: RobotState, foot: Foot, zero: Posture, number: int) -> dict[str, Compliance]:
+    """Compliance "ground" and "friction" of a sphere, with its number."""
     robot, ground = plant.robot, plant.ground
     carrying = robot.frame_bodies[robot.frame_names.index(foot.body)]
     centre = BodyPoint(foot.body, Place() if carrying is None else carrying.centre)
     body = float(mobilities(robot, zero, centre)[0].trace()) / 3  # MuJoCo's mean over x, y and z
     normal = np.array([float(component) for component in ground.normal])
-    mobility = float(normal @ mobilities(robot, start.posture)[0] @ normal)
+    mobility = float(normal @ mobilities(robot, start.posture, foot)[0] @ normal)
     if robot.base == "fixed":  # a stretched robot below a fixed base has no mobility along itself
         mobility = max(mobility, 1 / float(robot.total_mass))
     stiffness = float(ground.stiffness)
@@ -73,8 +75,8 @@ def _of_ground(plant: RobotPlant, start: RobotState, foot: Foot, zero: Posture) 
     weight = float(robot.total_mass * plant.gravity)
     slope = float(ground.friction * weight / ground.slip_speed) or 1.0
     return {
-        "ground": _scaled(stiffness, damper, body),
-        "friction": _scaled(0.0, slope / FRICTION_RATIO, body),
+        f"ground {number}": _scaled(stiffness, damper, body),
+        f"friction {number}": _scaled(0.0, slope / FRICTION_RATIO, body),
     }
 
 

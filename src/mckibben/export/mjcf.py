@@ -393,8 +393,8 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
             raise _cannot("muscles", f"a {type(unit).__name__}", "give it a path through points")
         first += len(unit.names)
     made.left_out.append(f"stops of the joints: MuJoCo's, with our restitution at {LIMIT_SPEED:g} rad/s")
-    if robot.foot is not None:
-        _add_contact(made, plant, softness)
+    if robot.spheres:
+        _add_contacts(made, plant, softness)
     made.left_out += _presliding(robot.joints)
     top = max([0.1, *(float(place.z) for place in base.sites.values())])
     base.bone(Vector(0.0, 0.0, top))
@@ -404,19 +404,22 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
     return made
 
 
-def _add_contact(made: Assembly, plant: RobotPlant, softness: dict[str, Compliance]) -> None:
-    """Add the ground, and the sphere that touches it."""
-    foot, ground, contact = plant.robot.foot, plant.ground, softness["ground"]
-    assert foot is not None
-    body, place = made.bodies[plant.robot.frame_names.index(foot.body)], foot.place.vector
-    body.bone(place)
-    size = repr(float(foot.radius) or 1e-4)
-    body.shapes.append({"name": "foot", "class": "foot", "pos": numbers_text(place), "size": size})
+def _add_contacts(made: Assembly, plant: RobotPlant, softness: dict[str, Compliance]) -> None:
+    """Add the ground, and the spheres that touch it."""
+    ground = plant.ground
+    place = ground.normal.scaled(-float(ground.distance or 0.0))
     made.floor = {"name": "floor", "type": "plane", "size": "4 4 0.1", "zaxis": numbers_text(ground.normal)}
-    made.floor["material"] = "floor"
-    friction = {"friction": f"{numbers_text([ground.friction] * 2)} 0 0 0", "solref": contact.reference}
-    friction |= {"solreffriction": softness["friction"].reference, "solimp": contact.impedance}
-    made.contacts.append({"geom2": "foot"} | friction)
+    made.floor |= {"material": "floor", "pos": numbers_text(place)}
+    for number, sphere in enumerate(plant.robot.spheres):
+        body, place = made.bodies[plant.robot.frame_names.index(sphere.body)], sphere.place.vector
+        body.bone(place)
+        name = f"foot {number + 1}" if number else "foot"
+        body.shapes.append({"name": name, "class": "foot", "pos": numbers_text(place)})
+        body.shapes[-1]["size"] = repr(float(sphere.radius) or 1e-4)
+        contact, slip = softness[f"ground {number}"], softness[f"friction {number}"]
+        friction = {"friction": f"{numbers_text([ground.friction] * 2)} 0 0 0", "solref": contact.reference}
+        made.contacts.append({"geom2": name} | friction)
+        made.contacts[-1] |= {"solreffriction": slip.reference, "solimp": contact.impedance}
     made.left_out.append(
         f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; "
         "its damper acts from the first touch"

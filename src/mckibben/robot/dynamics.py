@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.joint import GeneralLoad
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
-from mckibben.robot.bodies import BodyPoint
+from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.tree import MASSLESS, BodyInertia, Equations, Frame, Hinge, ancestors, equations, frames_of
 
@@ -47,11 +47,15 @@ Velocity = Posture
 
 
 class Contact(NamedTuple):
-    """Point of the foot nearest to the ground: position [m], velocity [m/s], and arm from the hinge of its body [m]."""
+    """Point of a sphere nearest to the ground: position [m], velocity [m/s], and arm from the hinge of its body [m].
+
+    `body` is the number of that body among the frames.
+    """
 
     position: Vector
     velocity: Vector
     arm: Vector
+    body: int
 
 
 def posture_of(robot: Robot, angles: Sequence[ArrayLike], *, z: ArrayLike = 0.0) -> Posture:
@@ -100,13 +104,15 @@ def frames(robot: Robot, posture: Posture, velocity: Velocity) -> list[Frame]:
     return tree.frames()[tree.base :]
 
 
-def contact(robot: Robot, found: Sequence[Frame], normal: Vector = Z) -> Contact | None:
-    """Return the point of the foot that is nearest to a ground with a normal; None without a foot."""
-    if robot.foot is None:
-        return None
-    frame = found[robot.frame_names.index(robot.foot.body)]
-    arm = frame.axes.apply(robot.foot.place.vector) - normal.scaled(robot.foot.radius)
-    return Contact(frame.position + arm, frame.velocity + frame.rate.cross(arm), arm)
+def contacts(robot: Robot, found: Sequence[Frame], normal: Vector = Z) -> list[Contact]:
+    """Return the point of each sphere that is nearest to a ground with a normal."""
+    points = []
+    for sphere in robot.spheres:
+        body = robot.frame_names.index(sphere.body)
+        frame = found[body]
+        arm = frame.axes.apply(sphere.place.vector) - normal.scaled(sphere.radius)
+        points.append(Contact(frame.position + arm, frame.velocity + frame.rate.cross(arm), arm, body))
+    return points
 
 
 class BodyMotion(NamedTuple):
@@ -164,26 +170,24 @@ def _equations(
     posture: Posture,
     velocity: Velocity,
     gravity: ArrayLike,
-    force: Vector = ZERO,
+    forces: Sequence[Vector] = (),
     normal: Vector = Z,
-    slip_mass: ArrayLike | None = None,
+    slip_masses: Sequence[ArrayLike] = (),
 ) -> Equations:
     tree = _tree(robot, posture, velocity)
     found, slides = tree.frames(), _slides(robot)
-    point = contact(robot, found[tree.base :], normal)
-    if robot.foot is None or point is None:
-        return equations(slides, tree.hinges, tree.bodies, found, gravity, {})
-    foot = tree.base + robot.frame_names.index(robot.foot.body)
-    made = equations(slides, tree.hinges, tree.bodies, found, gravity, {foot: (force, point.arm)})
-    if slip_mass is None:
-        return made
-    moved = _velocities(robot, tree, found, foot, point.position)
-    slips = [one - normal.scaled(one.dot(normal)) for one in moved]
-    rows = [
-        [total(entry, product(slip_mass, slips[i].dot(slips[j]))) for j, entry in enumerate(row)]
-        for i, row in enumerate(made.matrix)
-    ]
-    return made._replace(matrix=rows)
+    points = contacts(robot, found[tree.base :], normal) if forces else []
+    acting = [(tree.base + at.body, force, at.arm) for at, force in zip(points, forces, strict=True)]
+    made = equations(slides, tree.hinges, tree.bodies, found, gravity, acting)
+    for point, slip_mass in zip(points, slip_masses, strict=False):
+        moved = _velocities(robot, tree, found, tree.base + point.body, point.position)
+        slips = [one - normal.scaled(one.dot(normal)) for one in moved]
+        rows = [
+            [total(entry, product(slip_mass, slips[i].dot(slips[j]))) for j, entry in enumerate(row)]
+            for i, row in enumerate(made.matrix)
+        ]
+        made = made._replace(matrix=rows)
+    return made
 
 
 def acceleration(
@@ -191,17 +195,17 @@ def acceleration(
     posture: Posture,
     velocity: Velocity,
     torques: Sequence[ArrayLike],
-    force: Vector,
+    forces: Sequence[Vector],
     gravity: ArrayLike,
     normal: Vector = Z,
-    slip_mass: ArrayLike | None = None,
+    slip_masses: Sequence[ArrayLike] = (),
 ) -> Velocity:
-    """Return the accelerations under torques [N*m] of the joints and a force [N] at the foot's point of contact.
+    """Return the accelerations under torques [N*m] of the joints and forces [N] at the points of contact.
 
-    `slip_mass` [kg] is added to the inertia of that point along the ground. Locked joints, and motions that the base
-    lacks, have an acceleration of 0.
+    There is a force for each sphere of the robot, or none. `slip_masses` [kg] are added to the inertia of those points
+    along the ground. Locked joints, and motions that the base lacks, have an acceleration of 0.
     """
-    made = _equations(robot, posture, velocity, gravity, force, normal, slip_mass)
+    made = _equations(robot, posture, velocity, gravity, forces, normal, slip_masses)
     driven = [torque for joint, torque in zip(robot.joints, torques, strict=True) if joint.locked is None]
     rates = iter(made.accelerations([*[0.0] * len(robot.motions), *driven]))
     of_base = {name: next(rates) for name in robot.motions}
@@ -241,12 +245,12 @@ def joint_load(robot: Robot, angles: Sequence[ArrayLike], index: int, gravity: f
 
 
 def mobilities(
-    robot: Robot, posture: Posture, point: BodyPoint | None = None
+    robot: Robot, posture: Posture, point: BodyPoint | Foot | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the acceleration of a point per force on it [1/kg] and those of the joints per torque [1/(kg*m^2)].
 
     Shapes (3, 3), forwards, to the left and up, and (joints, joints), 0 for locked joints; NaN where a joint turns
-    bodies without inertia. The point is the foot's of contact by default, and has no mobility without a foot.
+    bodies without inertia. The point of a sphere is its lowest; no point has no mobility.
     """
     still = at_rest(posture)
     tree = _tree(robot, posture, still)
@@ -260,11 +264,11 @@ def mobilities(
     free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
     joints, first = np.zeros((len(robot.joints),) * 2), size - len(free)
     joints[np.ix_(free, free)] = inverse[first:, first:]
-    touched, moved = point or robot.foot, np.zeros((size, 3))
-    if touched is not None:
-        body = tree.base + robot.frame_names.index(touched.body)
-        place = found[body].point(touched.place.vector)[0]
-        if point is None and robot.foot is not None:
-            place = place - Z.scaled(robot.foot.radius)
+    moved = np.zeros((size, 3))
+    if point is not None:
+        body = tree.base + robot.frame_names.index(point.body)
+        place = found[body].point(point.place.vector)[0]
+        if isinstance(point, Foot):
+            place = place - Z.scaled(point.radius)
         moved[:] = [tuple(map(float, one)) for one in _velocities(robot, tree, found, body, place)]
     return moved.T @ inverse @ moved, joints

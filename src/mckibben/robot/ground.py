@@ -9,9 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.component.base import Component
-from mckibben.numerics.spatial import Vector, Z, total
+from mckibben.errors import RangeError
+from mckibben.numerics.spatial import Vector, Z, total, unit_vector
+from mckibben.robot.bodies import Direction
 from mckibben.robot.dynamics import Contact
-from mckibben.units import Quantity, Share, Speed, mm
+from mckibben.units import Distance, Quantity, Share, Speed, mm
 
 Slope = Annotated[float, Quantity("rad", "deg", -60, 60)]
 ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
@@ -30,7 +32,7 @@ def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, dam
 
 
 class Ground(Component):
-    """Plane ground at the height 0 below the start: a compliant contact with friction.
+    """Plane ground below the start, or a wall: a compliant contact with friction.
 
     Parameters
     ----------
@@ -43,6 +45,9 @@ class Ground(Component):
         ground.
     slope, side_slope
         Angles [rad] by which the ground rises forwards and to the left. Default: level.
+    facing, distance
+        Direction out of the plane in place of slopes, such as [-1, 0, 0] of a wall in front, and its distance [m] from
+        the origin of the base, which then stays where it is. Default: the base starts above the ground.
     implicit_friction
         Whether integration steps are implicit in the slip velocity (`semi_implicit`), so that friction does not limit
         their length. Default: classical Runge-Kutta.
@@ -54,18 +59,32 @@ class Ground(Component):
     slip_speed: Speed = 100 * mm
     slope: Slope | None = None
     side_slope: Slope | None = None
+    facing: tuple[Direction, ...] | None = eqx.field(static=True, default=None)
+    distance: Distance | None = None
     implicit_friction: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if (self.facing is None) != (self.distance is None):
+            field = "distance" if self.distance is None else "facing"
+            remedy = "give both, or leave both out"
+            raise RangeError("a plane has its direction and its distance", field=field, value=None, remedy=remedy)
+        if self.facing is not None and (len(self.facing) != 3 or not any(self.facing)):
+            remedy = "give a direction in space, such as [-1, 0, 0] of a wall in front"
+            raise RangeError("the plane has no direction", field="facing", value=self.facing, remedy=remedy)
 
     @property
     def normal(self) -> Vector:
-        """Unit vector up from the ground; that of level ground is known when traced."""
+        """Unit vector out of the ground; that of level ground, or a given one, is known when traced."""
+        if self.facing is not None:
+            return unit_vector(self.facing)
         forward, left = (0.0 if one is None else -jnp.tan(one) for one in (self.slope, self.side_slope))
         if self.slope is None and self.side_slope is None:
             return Z
         return Vector(forward, left, 1.0).scaled(1 / jnp.sqrt(1 + forward * forward + left * left))
 
     def force(self, point: Contact) -> Vector:
-        """Return the force [N] on the foot: forwards, to the left, and up."""
+        """Return the force [N] on a sphere: forwards, to the left, and up."""
         pressed = self.normal_force(point)
         return self.normal.scaled(pressed) - self.along(point.velocity).scaled(self.drag(pressed, point.velocity))
 
@@ -73,10 +92,12 @@ class Ground(Component):
         """Return the force [N] normal to the ground."""
         normal = self.normal
         speed = point.velocity.dot(normal)
-        return compliant_force(-point.position.dot(normal), -speed, self.stiffness, self.damping)
+        height = point.position.dot(normal)
+        depth = -height if self.distance is None else -height - self.distance
+        return compliant_force(depth, -speed, self.stiffness, self.damping)
 
     def drag(self, pressed: Any, velocity: Vector) -> Any:
-        """Return the friction per slip velocity [N*s/m] at a normal force [N] and a velocity of the foot [m/s]."""
+        """Return the friction per slip velocity [N*s/m] at a normal force [N] and a velocity of a sphere [m/s]."""
         along = self.along(velocity)
         return self.friction * pressed / jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
 

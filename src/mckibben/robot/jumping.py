@@ -22,11 +22,11 @@ from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationErr
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import jit
-from mckibben.numerics.spatial import Z
+from mckibben.numerics.spatial import ZERO, Z
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.result import Column, Listing, Result
 from mckibben.robot.control import PressureSchedule
-from mckibben.robot.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
+from mckibben.robot.dynamics import acceleration, at_rest, contacts, frames, motion, posture_of
 from mckibben.robot.landing import EDGES
 from mckibben.robot.plant import RobotPlant, RobotStart
 from mckibben.robot.scenario import JumpSettings, RobotScenario
@@ -296,7 +296,8 @@ def _standing(plant: RobotPlant, angles: tuple[ArrayLike, ...]) -> Array:
     weight = robot.total_mass * plant.gravity
 
     def accelerations(torques: Array) -> Array:
-        found = acceleration(robot, posture, still, tuple(torques), Z.scaled(weight), plant.gravity)
+        forces = [Z.scaled(weight), *[ZERO] * len(robot.contacts)]
+        found = acceleration(robot, posture, still, tuple(torques), forces, plant.gravity)
         return jnp.stack(found.angles)
 
     free = jnp.array([joint.locked is None for joint in robot.joints])
@@ -437,9 +438,7 @@ def _standing_heights(plant: RobotPlant, drawn: RobotPlant) -> tuple[Floats, flo
         """Heights of the centre of mass and of the hip above the foot."""
         posture = posture_of(of.robot, angles)
         still = at_rest(posture)
-        touched = contact(of.robot, frames(of.robot, posture, still))
-        assert touched is not None  # else the file is refused
-        depth = touched.position.z
+        depth = contacts(of.robot, frames(of.robot, posture, still))[0].position.z
         return motion(of.robot, posture, still, of.gravity).height - depth, -depth
 
     ranges = [np.linspace(joint.lower, joint.upper, _POSTURES) for joint in plant.robot.joints]

@@ -47,6 +47,8 @@ class Robot(Component):
         and roll coincide.
     foot
         Sphere that touches the ground. Default: none.
+    contacts
+        Further spheres that touch it.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class Robot(Component):
     muscles: tuple[MuscleUnit, ...] = ()
     base: Freedom = eqx.field(static=True, default="fixed")
     foot: Foot | None = None
+    contacts: tuple[Foot, ...] = ()
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -141,9 +144,11 @@ class Robot(Component):
                     field = f"muscles.{number}.through.{place}.body"
                     message = f"{unit.names[0]}: the robot has no body {quoted(point.body)}"
                     yield message, field, point.body, f"name one of {', '.join(frames)}"
-        if self.foot is not None and self.foot.body not in frames:
-            message = f"the robot has no body {quoted(self.foot.body)}"
-            yield message, "foot.body", self.foot.body, f"name one of {', '.join(frames)}"
+        fields = (["foot"] if self.foot else []) + [f"contacts.{number}" for number in range(len(self.contacts))]
+        for field, sphere in zip(fields, self.spheres, strict=True):
+            if sphere.body not in frames:
+                message = f"the robot has no body {quoted(sphere.body)}"
+                yield message, f"{field}.body", sphere.body, f"name one of {', '.join(frames)}"
 
     def _check_paths(self) -> None:
         """Raise for paths that the domain of a muscle does not permit within the ranges of its joints."""
@@ -173,6 +178,11 @@ class Robot(Component):
 
     def __repr__(self) -> str:
         return f"Robot({', '.join(joint.name for joint in self.joints)}; {len(self.all_muscles)} muscles)"
+
+    @property
+    def spheres(self) -> tuple[Foot, ...]:
+        """All spheres that touch the ground, the foot first."""
+        return (*((self.foot,) if self.foot else ()), *self.contacts)
 
     @property
     def motions(self) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def outline(robot: Robot, angles: Sequence[float]) -> Outline:
     """
     placed = frames(robot, posture := posture_of(robot, angles), at_rest(posture))
     at = [_numbers(frame.position) for frame in placed]
-    tips = {robot.foot.body: point_of(robot.foot, robot, placed)} if robot.foot is not None else {}
+    tips = {sphere.body: point_of(sphere, robot, placed) for sphere in robot.spheres[::-1]}
     bodies, beyond = [], at.copy()
     for number, (name, body) in reversed([*enumerate(zip(robot.frame_names, robot.frame_bodies, strict=True))]):
         carried = [child for child, parent in enumerate(robot.parents, 1) if parent == number]

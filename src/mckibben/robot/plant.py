@@ -36,7 +36,7 @@ from mckibben.robot.dynamics import (
     Velocity,
     acceleration,
     at_rest,
-    contact,
+    contacts,
     frames,
     mobilities,
     motion,
@@ -118,7 +118,7 @@ class RobotSample(NamedTuple):
 
 
 class RobotForces(NamedTuple):
-    """Tensions [N] and contractions of the muscles, torques [N*m] of the joints, and the force of the ground [N].
+    """Tensions [N] and contractions of the muscles, torques [N*m] of the joints, forces [N] of the ground by sphere.
 
     Torques include disturbance, damping, friction and stops; `stops` are those of the stops alone.
     """
@@ -128,7 +128,7 @@ class RobotForces(NamedTuple):
     path_rates: tuple[Array, ...]
     torques: tuple[Array, ...]
     stops: tuple[Array, ...]
-    ground: Vector
+    contacts: tuple[Vector, ...]
 
 
 class RobotPlant(Plant[RobotState]):
@@ -184,7 +184,7 @@ class RobotPlant(Plant[RobotState]):
 
     def sample(self, state: RobotState, period: ArrayLike) -> tuple[RobotState, RobotMeasurement]:
         state, (angles, pressures) = super().sample(state, period)
-        return state, RobotMeasurement(cast(Any, angles), pressures, self.ground_force(state).z)
+        return state, RobotMeasurement(cast(Any, angles), pressures, self.ground_force(state).dot(self.ground.normal))
 
     def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
         return tuple(floating(one.torque(time)) for one in self.disturbances)
@@ -197,7 +197,7 @@ class RobotPlant(Plant[RobotState]):
             muscle.domain.contains_contraction(one)
             for muscle, one in zip(self.robot.all_muscles, forces.contractions, strict=True)
         ]
-        zero = jnp.zeros_like(state.posture.x)
+        zero, ground = jnp.zeros_like(state.posture.x), _sum(forces.contacts, state)
         return RobotSample(
             x=state.posture.x,
             y=zero if state.posture.y is None else state.posture.y,
@@ -212,9 +212,9 @@ class RobotPlant(Plant[RobotState]):
             tension=forces.tensions,
             contraction=forces.contractions,
             stop_torque=forces.stops,
-            ground_forward=forces.ground.x,
-            ground_left=forces.ground.y,
-            ground_up=forces.ground.z,
+            ground_forward=ground.x,
+            ground_left=ground.y,
+            ground_up=ground.z,
             mass_height=moving.height,
             mass_speed=moving.upward_speed,
             kinetic=moving.kinetic,
@@ -230,7 +230,8 @@ class RobotPlant(Plant[RobotState]):
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
         robot, ground = self.robot, self.ground
-        mobility, of_joints = mobilities(robot, posture_of(robot, angles))
+        posture = posture_of(robot, angles)
+        of_joints, points = mobilities(robot, posture)[1], [mobilities(robot, posture, one)[0] for one in robot.spheres]
         if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
             raise SimulationError(
                 "a joint turns bodies without inertia about its axis",
@@ -240,14 +241,15 @@ class RobotPlant(Plant[RobotState]):
         inertias = [robot.inertia_beyond(index) for index in range(len(robot.joints))]
         bodies = [pair for pair in zip(robot.joints, inertias, strict=True) if pair[0].locked is None]
         stiffnesses = {
-            "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],
+            "the ground": ground.stiffness * sum(np.linalg.eigvalsh(mobility)[-1] for mobility in points),
             "the stops": max((joint.stop_stiffness / inertia for joint, inertia in bodies), default=0.0),
             "the friction of the joints": max(
                 (joint.friction.steepest / inertia for joint, inertia in bodies if joint.friction), default=0.0
             ),
         }
         rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
-        weight, sideways = float(robot.total_mass) * self.gravity, np.linalg.eigvalsh(mobility[:2, :2])[-1]
+        weight = float(robot.total_mass) * self.gravity
+        sideways = max((np.linalg.eigvalsh(mobility[:2, :2])[-1] for mobility in points), default=0.0)
         if not ground.implicit_friction:
             rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
@@ -304,6 +306,14 @@ class RobotPlant(Plant[RobotState]):
                 value=start.upward_speed,
                 remedy="give the robot another `base`, such as vertical",
             )
+        distance = self.ground.distance
+        if distance is not None and all(isinstance(angle, Real) for angle in start.angles):
+            posture = posture_of(robot, start.angles)
+            points = self._contacts(posture, at_rest(posture))
+            nearest = min((float(point.position.dot(self.ground.normal)) for point in points), default=0.0)
+            if nearest < -distance:
+                remedy = "give other angles, or the plane a greater distance"
+                raise RangeError("the start is inside the plane", field="distance", value=distance, remedy=remedy)
 
     def begin(self, start: RobotStart) -> RobotState:
         self.check_start(start)
@@ -311,9 +321,10 @@ class RobotPlant(Plant[RobotState]):
         held = tuple(map(floating, robot.held(start.angles)))
         posture, normal = posture_of(robot, held), self.ground.normal
         velocity = at_rest(posture)._replace(z=floating(start.upward_speed))
-        touching = self._contact(posture, velocity)
-        depth = 0.0 if touching is None else touching.position.dot(normal)
-        posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
+        depths = [point.position.dot(normal) for point in self._contacts(posture, velocity)]
+        depth = functools.reduce(jnp.minimum, depths) if depths else 0.0
+        if self.ground.distance is None:
+            posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
         inside = tuple(map(floating, start.pressures))
         muscles = (MuscleState((), ()),) * len(inside)
         return self.complete_state(RobotState(posture, velocity, inside, muscles))
@@ -363,28 +374,32 @@ class RobotPlant(Plant[RobotState]):
             beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
             stops.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
         total = tuple(one + stop for one, stop in zip(torques, stops, strict=True))
-        ground = self.ground_force(state)
+        ground = self._contact_forces(state)
         return RobotForces(tuple(tensions), tuple(contractions), tuple(path_rates), total, tuple(stops), ground)
 
     def ground_force(self, state: RobotState) -> Vector:
-        """Return the force [N] of the ground on the foot: forwards, to the left, and up."""
-        touched, zero = self._contact(state.posture, state.velocity), jnp.zeros_like(state.posture.x)
-        return Vector(zero, zero, zero) if touched is None else self.ground.force(touched)
+        """Return the force [N] of the ground on all spheres: forwards, to the left, and up."""
+        return _sum(self._contact_forces(state), state)
 
-    def _contact(self, posture: Posture, velocity: Velocity) -> Contact | None:
-        """Point of the foot that is nearest to the ground."""
-        return contact(self.robot, frames(self.robot, posture, velocity), self.ground.normal)
+    def _contact_forces(self, state: RobotState) -> tuple[Vector, ...]:
+        return tuple(map(self.ground.force, self._contacts(state.posture, state.velocity)))
+
+    def _contacts(self, posture: Posture, velocity: Velocity) -> list[Contact]:
+        """Points of the spheres that are nearest to the ground."""
+        if not self.robot.spheres:
+            return []
+        return contacts(self.robot, frames(self.robot, posture, velocity), self.ground.normal)
 
     @property
     def integrator(self) -> Callable[..., Motion]:
-        return semi_implicit if self.ground.implicit_friction and self.robot.foot is not None else rk4
+        return semi_implicit if self.ground.implicit_friction and self.robot.spheres else rk4
 
     def rate(self, state: RobotState, ahead: tuple[Motion, ArrayLike] | None = None) -> Motion:
         """Return the time derivative of the motion; with implicit friction where `ahead` is that of `semi_implicit`."""
         forces, velocity = self.forces(state), state.velocity
         if ahead is None:
             moved = acceleration(
-                self.robot, state.posture, velocity, forces.torques, forces.ground, self.gravity, self.ground.normal
+                self.robot, state.posture, velocity, forces.torques, forces.contacts, self.gravity, self.ground.normal
             )
         else:
             velocity, moved = self._with_implicit_friction(state, forces.torques, ahead[0].velocity, ahead[1])
@@ -402,18 +417,21 @@ class RobotPlant(Plant[RobotState]):
         """Velocity ``begun + length * acceleration``, at which the ground's friction acts, and the acceleration."""
         robot, ground = self.robot, self.ground
 
-        def foot(velocity: Velocity) -> Contact:
-            touched = self._contact(state.posture, velocity)
-            assert touched is not None  # else `integrator` is explicit
-            return touched
+        def speeds(velocity: Velocity) -> list[Vector]:
+            return [point.velocity for point in self._contacts(state.posture, velocity)]
 
-        pressed, at_begun = ground.normal_force(foot(state.velocity)), foot(begun).velocity
+        pressed = list(map(ground.normal_force, self._contacts(state.posture, state.velocity)))
+        at_begun = list(map(ground.along, speeds(begun)))
 
         def reweighted(_: Any, found: tuple[Velocity, Velocity]) -> tuple[Velocity, Velocity]:
-            drag = ground.drag(pressed, foot(found[0]).velocity)
-            force = ground.normal.scaled(pressed) - ground.along(at_begun).scaled(drag)
+            drags = list(map(ground.drag, pressed, speeds(found[0])))
+            forces = [
+                ground.normal.scaled(push) - slip.scaled(drag)
+                for push, slip, drag in zip(pressed, at_begun, drags, strict=True)
+            ]
+            slips = [length * drag for drag in drags]
             moved = acceleration(
-                robot, state.posture, state.velocity, torques, force, self.gravity, ground.normal, length * drag
+                robot, state.posture, state.velocity, torques, forces, self.gravity, ground.normal, slips
             )
             return jax.tree.map(lambda one, change: one + length * change, begun, moved), moved
 
@@ -469,6 +487,12 @@ def muscle_air(
             by_pressure = value_and_derivative(lambda p, path=unit.path: volume(path, p), pressure)[1]
         volumes.append(AirVolume(at, slope * _path_rate(unit, rates), by_pressure))
     return volumes
+
+
+def _sum(forces: Sequence[Vector], state: RobotState) -> Vector:
+    """Sum of forces [N], of arrays."""
+    zero = jnp.zeros_like(state.posture.x)
+    return functools.reduce(operator.add, forces) if forces else Vector(zero, zero, zero)
 
 
 def _path_rate(unit: Routed, rates: Sequence[Array]) -> Array:

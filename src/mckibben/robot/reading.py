@@ -99,8 +99,8 @@ def read_mjcf(path: Path, muscle: Muscle | None = None) -> ReadRobot:
     """Return the robot of a file of MJCF or URDF.
 
     Carried over are bodies with their inertias, hinges with range, damping, armature and friction, spatial tendons
-    through sites, a base that is fixed, free or on slides along x, y and z, and the sphere `foot`, a geom of that name.
-    Axes are those of the world at the pose of the file.
+    through sites, a base that is fixed, free or on slides along x, y and z, and spheres (geoms) whose names
+    begin with ``foot``. Axes are those of the world at the pose of the file.
 
     Parameters
     ----------
@@ -203,7 +203,8 @@ class _Reader:
         if not joints:
             raise self._refuse("the model has no hinge", "give it one or more")
         self._note_rest()
-        return Robot(tuple(bodies), tuple(joints), (), freedom, self._foot())
+        spheres = tuple(self._spheres())
+        return Robot(tuple(bodies), tuple(joints), (), freedom, spheres[0] if spheres else None, spheres[1:])
 
     def _freedom(self, body: int) -> Freedom:
         """Kind of base, from the joints of the first body that moves in the world."""
@@ -277,14 +278,14 @@ class _Reader:
         inertia = (xx, yy, zz, *off) if any(off) else (xx, zz) if xx == yy else (xx, yy, zz)
         return Body(name, _rounded(mass), _place(centre - origin), inertia)
 
-    def _foot(self) -> Foot | None:
+    def _spheres(self) -> Iterator[Foot]:
+        """Yield the spheres whose names begin with foot, the first of which is the foot."""
         for number in range(self._model.ngeom):
             sphere = self._model.geom_type[number] == self._mujoco.mjtGeom.mjGEOM_SPHERE
-            if self._model.geom(number).name == "foot" and sphere:
+            if self._model.geom(number).name.startswith("foot") and sphere:
                 name, origin = self._origins[int(self._model.body_weldid[self._model.geom_bodyid[number]])]
                 radius = float(self._model.geom_size[number, 0])
-                return Foot(name, _place(self._data.geom_xpos[number] - origin), _rounded(radius))
-        return None
+                yield Foot(name, _place(self._data.geom_xpos[number] - origin), _rounded(radius))
 
     def tendons(self) -> Iterator[tuple[str, tuple[BodyPoint, ...]]]:
         """Yield name and points of each tendon that is a line through sites; note the others."""

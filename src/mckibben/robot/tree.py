@@ -9,7 +9,7 @@ after its parent. At the angles 0 the axes of all bodies are those of the base.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -207,7 +207,7 @@ def equations(
     bodies: Sequence[BodyInertia],  # of the base and on each hinge
     frames: Sequence[Frame],  # their frames
     gravity: Any,  # downwards [m/s^2]
-    forces: Mapping[int, tuple[Vector, Vector]],  # on bodies [N], each with its arm from the hinge [m]
+    forces: Sequence[tuple[int, Vector, Vector]] = (),  # body, force [N], and its arm from the hinge [m]
 ) -> Equations:
     r"""Return the equations of motion of a tree.
 
@@ -219,7 +219,7 @@ def equations(
     """
     moving = _velocity_accelerations(hinges, frames, gravity)
     beyond = [_Composite() for _ in frames]
-    for index, (force, arm) in forces.items():
+    for index, force, arm in forces:
         beyond[index] += _Composite(-force, -arm.cross(force))
     columns: list[list[Number]] = []
     bias: list[Number] = []
