@@ -203,19 +203,6 @@ def shut(tmp_path):
     return recorded(tmp_path / "shut.csv", time, pressure, np.full(time.size, 10.0))
 
 
-@pytest.fixture
-def steps(tmp_path):
-    """Steps at 100 N/bar, of which 8 % follow with 2 s."""
-    step = 0.05
-    time = np.arange(0, 60, step)
-    pressure = 1.0 + np.array([0, 1, 2, 1, 0, 2])[(time // 10).astype(int)]
-    behind = np.ones(time.size)
-    for k in range(1, time.size):
-        behind[k] = pressure[k - 1] + (behind[k - 1] - pressure[k - 1]) * np.exp(-step / 2)
-    force = 100 * (pressure + 0.08 * (behind - pressure)) + np.random.default_rng(2).normal(0, 0.1, time.size)
-    return recorded(tmp_path / "steps.csv", time, pressure, force)
-
-
 def recorded(path, *columns):
     np.savetxt(path, np.column_stack(columns), "%.5f", ",", header="time_s,pressure_bar,force_N", comments="")
     return path.name
@@ -238,13 +225,6 @@ def test_the_conductance_of_the_wall(cli, shut, tmp_path):
     assert table["columns"]["quantity"]["values"][0] == "wall_conductance"
     value, low, high = (table["columns"][name]["values"][0] for name in ("estimate", "lower", "upper"))
     assert low < value < high < 1.1 * low
-
-
-def test_share_and_time_constant_of_the_creep(cli, steps, tmp_path):
-    numbers = kept_numbers(cli, tmp_path, "identify", steps, "--of", "creep", "--read", "contraction=5 %")
-    assert numbers["scalars"]["share"]["value"] == pytest.approx(0.08, rel=0.03)
-    assert numbers["scalars"]["time_constant"]["value"] == pytest.approx(2.0, rel=0.05)
-    assert not numbers["remarks"]
 
 
 @pytest.mark.parametrize(

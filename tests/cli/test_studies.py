@@ -14,7 +14,6 @@ from mckibben.scenario import Scenario, list_parameters
 from mckibben.storage.store import STUDY
 from mckibben.study.sweep import sweep
 from mckibben.study.tune import read_trials
-from mckibben.study.tune.objective import TuningProblem
 
 MASS = ("--over", "load.mass2=0.2 kg..1.0 kg")
 
@@ -158,26 +157,3 @@ def test_a_search_from_beginning_to_end(cli, still, tmp_path, text, each_progres
     assert changed[0][1].startswith("start: {angle: ")
     margins = json.loads(cli("margins", "kept/s-tuned.yaml", "--json").out)
     assert tuned["least disk margin"] == pytest.approx(min(margins["columns"]["disk"]["values"]))
-
-
-@pytest.mark.slow
-def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, text, monkeypatch):
-    monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    (tmp_path / "a" / "reference.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
-    far = text.replace("angle: 2 deg", "angle: {class: samples_file, file: reference.csv}")
-    assert far != text
-    (tmp_path / "a" / "s.yaml").write_text(far, encoding="utf-8")
-    (tmp_path / "b" / "s.yaml").write_text(text, encoding="utf-8")
-    found = cli("tune", "a/s.yaml", "b/s.yaml", *SMALL)
-    assert found.code == 0, found.err
-    kept = tmp_path / "kept"
-    best = min(read_trials(kept / STUDY), key=lambda trial: (trial.cost, trial.point))
-    tuned = [Scenario.read(kept / name) for name in ("s-tuned.yaml", "s-tuned-2.yaml")]
-    before = [Scenario.read(tmp_path / name / "s.yaml") for name in "ab"]
-    for new, old in zip(tuned, before, strict=True):
-        assert new.model_copy(update={"start": old.start}) == old
-        assert new.start.stiffness == pytest.approx(11 * (20 / 11) ** best.point[1], rel=1e-5)
-    assert tuned[0].signals.angle.file == tmp_path / "a" / "reference.csv"
-    assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")

@@ -103,14 +103,10 @@ def test_every_scalar_of_an_example_can_be_edited_alone():
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "comparison/knee.yaml",
-        "robot/lei-leg.yaml",
-        "rig/paper-protocol.yaml",
-        "rig/joint-rig.yaml",
-        "your-muscle/fit/fit.yaml",
-        "your-muscle/fit/muscle.yaml",
-    ],
+    """
+        comparison/knee.yaml robot/lei-leg.yaml rig/paper-protocol.yaml rig/joint-rig.yaml your-muscle/fit/fit.yaml
+        your-muscle/fit/muscle.yaml
+    """.split(),
 )
 def test_a_file_of_another_kind_is_one_problem(name):
     with pytest.raises(ScenarioError) as caught:

@@ -235,11 +235,6 @@ class OneSignal(Signal):
     amplitude: SignalValue = 0.1
 
 
-class Root(OneSignal):
-    def __call__(self, time):
-        return self.amplitude * jnp.where(time > 0, jnp.sqrt(time), 0.0)
-
-
 class Stopped(OneSignal):
     def __call__(self, time):
         return self.amplitude * lax.stop_gradient(jnp.sin(time))
@@ -253,11 +248,6 @@ class NotANumber(OneSignal):
 class Branched(OneSignal):
     def __call__(self, time):
         return self.amplitude if time > 1.0 else 0.0 * time
-
-
-class OfTheBatch(OneSignal):
-    def __call__(self, time):
-        return self.amplitude * (time - jnp.mean(time))
 
 
 class Summed(OneSignal):
@@ -355,11 +345,9 @@ class Restless(Controller):
         (SecondOrderLag, [], {"composition"}),
         (WithState, [], set()),
         (Moving, [], {"rest"}),
-        (Root, [], {"derivatives"}),
         (Stopped, [], {"derivatives"}),
         (NotANumber, [], {"derivatives"}),
         (Branched, [], {"batch"}),
-        (OfTheBatch, [], {"batch"}),
         (Summed, [], {"batch"}),
         (Raising, [], {"batch"}),
         (Drawn, [], {"determinism"}),

@@ -137,6 +137,16 @@ def first_command(iterations, problem, start, pressures, costly=False):
     return improved(*floats((problem, start, pressures)), iterations, costly)[1]
 
 
+def optimum(problem, start, pressures, costly=False):
+    return minimize(
+        lambda plan: cost_and_margins(problem, start, pressures, plan, costly)[0],
+        np.tile(pressures, STAGES),
+        constraints={"type": "ineq", "fun": lambda plan: cost_and_margins(problem, start, pressures, plan)[1]},
+        method="SLSQP",
+        options={"ftol": 1e-13, "maxiter": 200},
+    )
+
+
 def floats(tree):
     return jax.tree.map(lambda number: jnp.asarray(number, float), tree)
 
@@ -182,13 +192,7 @@ def test_the_pressures_follow_from_the_state_by_the_implicit_function_theorem():
 def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, saturated, near):
     start = start_of(problem, error, rate, pressures)
     command = first_command(8, problem, start, pressures)
-    found = minimize(
-        lambda plan: cost_and_margins(problem, start, pressures, plan)[0],
-        np.tile(pressures, STAGES),
-        constraints={"type": "ineq", "fun": lambda plan: cost_and_margins(problem, start, pressures, plan)[1]},
-        method="SLSQP",
-        options={"ftol": 1e-13, "maxiter": 200},
-    )
+    found = optimum(problem, start, pressures)
     np.testing.assert_allclose(command.pressures, found.x[:2], atol=near)
     assert bool(command.limited[0] | command.limited[1]) == saturated
     assert (cost_and_margins(problem, start, pressures, found.x)[1][:4].min() < 1e-9) == saturated
@@ -206,13 +210,7 @@ def test_costs_of_a_user_enter_the_optimum():
     problem, pressures = joint_problem(), (3.0, 3.0)
     start = start_of(problem, 2.5, 1.2, pressures)
     command = first_command(30, problem, start, pressures, True)
-    found = minimize(
-        lambda plan: cost_and_margins(problem, start, pressures, plan, True)[0],
-        np.tile(pressures, STAGES),
-        constraints={"type": "ineq", "fun": lambda plan: cost_and_margins(problem, start, pressures, plan)[1]},
-        method="SLSQP",
-        options={"ftol": 1e-13, "maxiter": 200},
-    )
+    found = optimum(problem, start, pressures, True)
     np.testing.assert_allclose(command.pressures, found.x[:2], atol=1e-4)
     without = first_command(8, problem, start, pressures)
     assert abs(float(command.pressures[0] - without.pressures[0])) > 0.05

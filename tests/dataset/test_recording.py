@@ -89,17 +89,6 @@ def test_a_fixed_length_that_is_filled_and_vented_in_steps_has_phases_and_no_dir
     assert data.table["phase"].values.tolist() == ["", "filling", "filling", "venting", "venting"]
 
 
-def test_the_direction_is_that_of_the_last_motion_and_not_of_the_difference():
-    contraction = np.repeat([0.10, 0.15, 0.12], [400, 50, 400])
-    record = Recording.of(
-        time=np.arange(850) / RATE,
-        pressure=2 * bar + 0 * contraction,
-        force=50.0 + 0 * contraction,
-        contraction=contraction,
-    )
-    assert record.plateaus().dataset.table["direction"].values.tolist() == ["", "loading"]
-
-
 def test_the_ends_of_a_sensor_are_recognised_and_left_out():
     low, high = 5.0, 180.0
     record = RUN.record(force=np.clip(RUN.force, low, high), slack_force=1.0)
@@ -252,17 +241,6 @@ def test_arguments_without_a_meaning_are_refused(argument):
     with pytest.raises(RangeError) as error:
         RUN.record().plateaus(**argument)
     assert error.value.field in (*argument, "dwell_after_settle")
-
-
-def test_a_pressure_that_a_motion_disturbs_is_no_filling():
-    contraction = np.repeat([0.10, 0.12], 400)
-    pressure = 2 * bar + 10 * kPa * np.isin(np.arange(800) // 20, (20, 21))
-    record = Recording.of(
-        time=np.arange(800) / RATE, pressure=pressure, force=50.0 + contraction, contraction=contraction
-    )
-    table = record.plateaus().dataset.table
-    assert table["direction"].values.tolist() == ["", "unloading"]
-    assert "phase" not in table
 
 
 def test_what_is_held_without_noise_or_read_in_coarse_steps_is_no_end_of_a_channel():

@@ -83,13 +83,9 @@ int main(void) /* a sample in each row of the input; commands, status and fault 
 }
 """
 BAD = (np.nan, np.inf, -np.inf, 1.7e308, -1e7, 1e7)
-INPUTS = (
-    "setpoint.angle",
-    "setpoint.stiffness",
-    "measurement.angle",
-    "measurement.pressures_0",
-    "measurement.pressures_1",
-)
+INPUTS = """
+    setpoint.angle setpoint.stiffness measurement.angle measurement.pressures_0 measurement.pressures_1
+""".split()
 RUNNING, VENTED, FROZEN = FirmwareState.RUNNING, FirmwareState.VENTED, FaultCode.FROZEN
 
 

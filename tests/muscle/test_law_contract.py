@@ -123,6 +123,7 @@ def test_the_force_is_affine_in_the_linear_parameters(name):
     np.testing.assert_allclose(alone, at(start) - none, rtol=1e-11, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_stronger_muscle_has_so_many_times_every_force(law):
     """Also as a muscle, whose domain stays; a law that is affine in pressure stays so."""
     strong = adjusted_law(law, strength=1.07)

@@ -19,23 +19,11 @@ from mckibben.report.style import CONTROLLERS, robust_limits
 pytestmark = pytest.mark.slow
 
 
-NAMES = (
-    "fig2-test-rig",
-    "fig3-isobaric-curves",
-    "fig4-law-comparison",
-    "measured-muscles",
-    "fig1-leg",
-    "fig6-knee",
-    "attainable-stiffness",
-    "torque-stiffness-map",
-    "fig5-control-loop",
-    "fig7-control-results-as-printed",
-    "fig8-errors-as-printed",
-    "fig7-control-results-pre-contracted",
-    "fig8-errors-pre-contracted",
-    "controller-comparison",
-    "bp-gains",
-)
+NAMES = """
+    fig2-test-rig fig3-isobaric-curves fig4-law-comparison measured-muscles fig1-leg fig6-knee attainable-stiffness
+    torque-stiffness-map fig5-control-loop fig7-control-results-as-printed fig8-errors-as-printed
+    fig7-control-results-pre-contracted fig8-errors-pre-contracted controller-comparison bp-gains
+""".split()
 
 
 def panels(figure):

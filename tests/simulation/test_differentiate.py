@@ -17,35 +17,15 @@ SHORT = {"duration": 0.06, "substeps": 2}
 METRICS = ("angle_rmse", "angle_max", "stiffness_rmse", "coupling", "force_max")
 REFERENCE = Reference(angle=Sine(5 * deg, 4.0), stiffness=Step(13.0, 15.0, 0.0205))
 START = AtRest(1 * deg, 13.5)
-NAMES = (
-    "load.mass2",
-    "load.damping",
-    "load.hanging_angle",
-    "valve.time_constant",
-    "joint.geometry.joint_length",
-    "joint.geometry.joint_radius",
-    "joint.geometry.connector_length",
-    "joint.muscle1.law.a1",
-    "joint.muscle2.law.b2",
-    "joint.muscle2.law.c2",
-    "joint.muscle1.law.decay",
-    "joint.muscle1.specimen.initial_length",
-    "joint.muscle2.specimen.rated_force",
-    "controller.position.kp",
-    "controller.position.ki",
-    "controller.position.kd",
-    "controller.position.filter_time",
-    "controller.stiffness.kp",
-    "controller.model.muscle2.law.a2",
-    "reference.angle.amplitude",
-    "reference.angle.frequency",
-    "reference.angle.phase",
-    "reference.stiffness.before",
-    "reference.stiffness.after",
-    "reference.stiffness.at",
-    "initial.angle",
-    "initial.stiffness",
-)
+NAMES = """
+    load.mass2 load.damping load.hanging_angle valve.time_constant joint.geometry.joint_length
+    joint.geometry.joint_radius joint.geometry.connector_length joint.muscle1.law.a1 joint.muscle2.law.b2
+    joint.muscle2.law.c2 joint.muscle1.law.decay joint.muscle1.specimen.initial_length
+    joint.muscle2.specimen.rated_force controller.position.kp controller.position.ki controller.position.kd
+    controller.position.filter_time controller.stiffness.kp controller.model.muscle2.law.a2 reference.angle.amplitude
+    reference.angle.frequency reference.angle.phase reference.stiffness.before reference.stiffness.after
+    reference.stiffness.at initial.angle initial.stiffness
+""".split()
 
 
 def by_differences(plant, controller, reference, names, start, *, relative=3e-5, **options):

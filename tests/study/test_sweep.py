@@ -1,7 +1,6 @@
 """Sweeps in Python: the numbers are those of single runs, whoever computes them; their statistics and figure."""
 
 import json
-import re
 import signal
 import sys
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 import scipy.stats
 import xarray as xr
 
-from mckibben import report
 from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, ParameterError, SimulationError
 from mckibben.scenario import Scenario, run_scenario
@@ -275,24 +273,3 @@ def test_all_runs_failed(count):
     assert sum(tables(swept)["Outcomes"].columns["runs"][1]) == count
     assert f"{count} of them failed" in swept.verdict()
     swept.to_text(), to_json(swept.to_dict())
-
-
-@pytest.mark.parametrize(
-    ("made", "panels"),
-    [
-        ({"count": 400}, 4 * 4),
-        ({"count": 1, "inputs": 1, "lost": 1.1}, 1),
-    ],
-)
-@pytest.mark.slow
-def test_the_figure(made, panels, tmp_path):
-    figure = report.sweep(made_up(**made))
-    png, svg = report.save(figure, tmp_path, "sweep")
-    assert png.stat().st_size > 3000 and svg.stat().st_size < 3_000_000
-    assert len(figure.axes) == panels
-    for axes in figure.axes:
-        assert axes.lines or axes.collections, "an empty panel"
-        low, high = axes.get_ylim()
-        assert np.isfinite([low, high]).all() and low < high
-    labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
-    assert labels and all(re.search(r"\[.+\]$", label) for label in labels), labels

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, ParameterError, UnreachableError
 from mckibben.scenario import Scenario, Start
-from mckibben.storage.store import STUDY, read_store
+from mckibben.storage.store import STUDY
 from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
 from mckibben.study.tune import Cost, gain_ranges, parse_ranges, read_trials, tune
 from mckibben.study.tune.objective import TuningProblem
@@ -190,20 +189,6 @@ def test_a_trial_is_on_disk_before_the_search_goes_on(for_free, tmp_path):
     assert known == [1, 2, 3]
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_a_search_is_not_continued_by_another_engine(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("mckibben.simulation.engine.compiler", lambda: None)
-    with pytest.raises(FileError) as caught:
-        run(out=whole[1], resume=True)
-    assert "software engine" in [problem.field for problem in caught.value.problems]
-    first = run(out=tmp_path, iterations=2)
-    monkeypatch.undo()
-    assert numbers(run(out=tmp_path, iterations=2, resume=True)) == numbers(first)  # by XLA too
-    with read_store(tmp_path / STUDY) as store:
-        assert store.about()["software"]["engine"] == "xla"
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -242,17 +227,6 @@ def test_ranges_around_the_gains():
     assert gain_ranges(zero) == {}
     with pytest.raises(ParameterError, match="all gains are zero; give parameters"):
         parse_ranges([], zero)
-
-
-@pytest.mark.parametrize(
-    ("texts", "message"),
-    [
-        (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
-    ],
-)
-def test_ranges_that_are_none(texts, message):
-    with pytest.raises(ParameterError, match=message):
-        parse_ranges(texts, STILL)
 
 
 def test_a_whole_number_has_no_range_to_search():
