@@ -272,6 +272,10 @@ def test_an_outlier_is_named_and_can_be_kept():
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
+        (
+            "--over wider ranges or other parameters, more --iterations",
+            "wider ranges or other parameters, more iterations",
+        ),
         ("tuning reduced the least disk margin; --disk-margin 0.4 bounds it", "a disk margin of 0.4 bounds it"),
     ],
 )

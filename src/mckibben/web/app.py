@@ -94,6 +94,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
             storage_secret=secret,  # of this server alone: cookies of an earlier one are void
             show_welcome_message=False,
             timeout_graceful_shutdown=2,  # s for open requests
+            reconnect_timeout=20,  # s, as compiling may hold the server up for seconds
         )
     if signals:
         sys.exit(128 + signals[0])

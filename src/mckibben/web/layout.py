@@ -375,7 +375,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Col
         for i, name in enumerate(header)
     ]
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
-    made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
+    with ui.element("div").classes("w-full scrolled").props('tabindex=0 role="group" aria-label="table"'):
+        made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
     made.add_slot("body-cell", _BREAKS_AT_DOTS)
     return made.classes("w-full number").props("rows-per-page-options=[0]")
 

@@ -39,7 +39,6 @@ from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import session
 from mckibben.web.workbench import (
     SMALL_MOTION,
-    START,
     Curves,
     Workbench,
     compute,
@@ -49,8 +48,8 @@ from mckibben.web.workbench import (
 )
 
 _NEW_JOINT = (
-    "The joint is that of the page Joint, with another reference of the stiffness. Load, valve and gains are still "
-    "those of the scenario before: set them here, and tune the gains on the page Tune."
+    "The joint is that of the page Joint, with a stiffness that it can have. Load, valve and controller are {}: set "
+    "them here, and tune the gains on the page Tune."
 )
 _KEPT = (PURPLE, ORANGE, SKY)
 """Colours of kept runs, of which there are at most as many."""
@@ -136,9 +135,10 @@ class _Page(JobPage[Workbench]):
             text, state.waiting = state.waiting, ""
             self.apply_text(text)
         elif state.joint:
-            text = START if state.current is None else state.current.text
+            text = None if state.current is None else state.current.text
             joint, state.joint = state.joint, ""
-            self.change(lambda: with_joint(text, joint, folder), note=_NEW_JOINT)
+            note = _NEW_JOINT.format("still those of the scenario before" if text else "those of `mckibben new joint`")
+            self.change(lambda: with_joint(text, joint, folder), note=note)
         elif state.current is None and not state.jobs.busy:
             self.apply_text(state.text)
 

@@ -18,6 +18,8 @@ _INSTEAD = {
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     "--disk-margin": "a disk margin of",
+    "--over wider": "wider",
+    "--iterations": "iterations",
 }
 """Parts of texts that name calls and options, with those for the page."""
 

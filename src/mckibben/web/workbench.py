@@ -6,16 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, run_scenario
+from mckibben.scenario import UNKNOWN, Scenario, run_scenario, starting_stiffness, starting_text
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import in_shown_units
-from mckibben.units import deg
 from mckibben.web import resource
 from mckibben.web.results import Presented, Repetition
 from mckibben.web.session import JobState
@@ -151,23 +149,18 @@ def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
     return to_text(data)
 
 
-def with_joint(text: str, joint: str, folder: Path) -> Scenario:
-    """The scenario with a new joint and a stiffness reference inside its attainable range."""
-    data = plain(read_document(text).data)
+def with_joint(text: str | None, joint: str, folder: Path) -> Scenario:
+    """The scenario with a new joint, and a stiffness reference that it can hold; without a text, that of a new file.
+
+    Raises `RangeError` if the muscles cannot hold the load.
+    """
+    values = dict.fromkeys(("file", "muscle", "rest_length"), "") | UNKNOWN
+    data = plain(read_document(starting_text(values | {"name": "my joint"}) if text is None else text).data)
     data["joint"] = plain(read_document(joint).data)["joint"]
     scenario = parse(to_text(data), folder)
     plant = scenario.plant()
-    angles = jnp.linspace(-10.0, 10.0, 9) * deg
-    low, high = plant.supplied_joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
-    lowest, highest = float(jnp.max(low)), float(jnp.min(high))
-    if not lowest < highest:  # unchanged: the run reports the reason
-        return scenario
-    before, after = (lowest + part * (highest - lowest) for part in (0.3, 0.6))
-    data["reference"]["stiffness"] = {
-        "class": "step",
-        "before": f"{before:.3g} N*m/rad",
-        "after": f"{after:.3g} N*m/rad",
-        "at": f"{scenario.duration / 2:g} s",
-    }
-    data["start"] = {"angle": "0 deg", "stiffness": f"{before:.3g} N*m/rad"}
+    stiffness = starting_stiffness(plant.supplied_joint, plant.load)
+    before, after, at = stiffness["low"], stiffness["high"], f"{scenario.duration / 2:g} s"
+    data["reference"]["stiffness"] = {"class": "step", "before": before, "after": after, "at": at}
+    data["start"] = {"angle": "0 deg", "stiffness": before}
     return parse(to_text(data), folder)
