@@ -19,8 +19,9 @@ from PIL import Image
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
-from mckibben.report.palette import MEASURED, MUSCLES
-from mckibben.report.style import DESIRED, Look, draw_band, pressure_colours, robust_limits, styled
+from mckibben.report.palette import MEASURED
+from mckibben.report.style import Look, pressure_colours, robust_limits, styled
+from mckibben.report.tracking import TIME, draw_angle, draw_pressures, draw_stiffness
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
 
@@ -150,19 +151,14 @@ def _frames(result: SimulationResult, plant: JointPlant) -> list[Image.Image]:
 def _plots(figure: SubFigure, result: SimulationResult, times: NDArray[np.float64]) -> list[Line2D]:
     """Plot angle, stiffness and pressures over time; return their cursors."""
     rows = figure.subplots(3, 1, sharex=True)
-    rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)
-    rows[0].plot(times, result["angle"] / deg, color=MEASURED)
+    looks = {"run": {"color": MEASURED}}
+    draw_angle(rows[0], {"run": result}, looks)
+    draw_stiffness(rows[1], {"run": result}, looks)
+    draw_pressures(rows[2], result)
     rows[0].set_ylim(*robust_limits([result["angle"] / deg, result["desired_angle"] / deg]))
-    draw_band(rows[1], times, result["lowest_stiffness"], result["highest_stiffness"])
-    rows[1].plot(times, result["stiffness"], color=MEASURED)
-    rows[1].plot(times, result["desired_stiffness"], **DESIRED)
+    rows[1].set(ylabel="stiffness\n[N·m/rad]")
     rows[1].set_ylim(*robust_limits([result["stiffness"], result["desired_stiffness"]], margin=0.3))
-    for number, colour in enumerate(MUSCLES, 1):
-        rows[2].plot(times, result[f"pressure{number}"] / bar, color=colour, label=f"muscle {number}")
-    rows[2].legend(loc="upper right", ncols=2, fontsize=8, borderaxespad=0.0, handlelength=1.2)
-    rows[2].set_ylim(0, 1.35 * max(float(result[f"pressure{i}"].max()) for i in (1, 2)) / bar or 1.0)
-    for axes, label in zip(rows, ("angle [deg]", "stiffness\n[N·m/rad]", "pressure [bar]"), strict=True):
-        axes.set(ylabel=label, xlim=(0, times[-1]))
-    rows[2].set(xlabel="time [s]")
+
+    rows[2].set(xlabel=TIME, xlim=(0, times[-1]))
     figure.align_ylabels(list(rows))
     return [axes.axvline(0.0, color="#222222", linewidth=1.2, zorder=9) for axes in rows]

@@ -71,7 +71,7 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
     looks = {name: {"color": MEASURED} for name in results} if alone else looks_of(results)
     first = next(iter(results.values()))
     times = first.times
-    _angle(grid[0], results, looks)
+    draw_angle(grid[0], results, looks)
     grid[0].set_ylim(*robust_limits([line.get_ydata() for line in grid[0].lines]))
     errors = {name: _angle_error(result) for name, result in results.items()}
     for name, values in errors.items():
@@ -80,7 +80,7 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
     grid[1].set(ylabel="actual − desired\nangle [deg]")
     grid[1].set_ylim(*robust_limits(list(errors.values()), floor=1e-3))
     note_off_scale(grid[1], times, errors, "deg")
-    _stiffness(grid[2], results, looks)
+    draw_stiffness(grid[2], results, looks)
     grid[2].set_ylim(*_stiffness_limits(results.values()))
     note_off_scale(grid[2], times, {name: result["stiffness"] for name, result in results.items()}, "N·m/rad")
     for name, values in small.items():
@@ -89,11 +89,7 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
         grid[3].set(ylabel="small-motion\n" + STIFFNESS)
         grid[3].set_ylim(*robust_limits(list(small.values())))
     if alone:
-        for number, (colour, style) in enumerate(zip(MUSCLES, ("-", "--"), strict=True), 1):
-            pressure = first[f"pressure{number}"] / bar
-            grid[-1].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {number}")
-        grid[-1].set(ylabel="pressure [bar]")
-        grid[-1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+        draw_pressures(grid[-1], first)
     grid[-1].set(xlabel=TIME)
     figure.align_ylabels(list(grid))
     legend_above(figure, grid[0], grid[2])
@@ -120,8 +116,8 @@ def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figur
     results = [result for _, result in panels.values()]
     angles = robust_limits([result[column] / deg for result in results for column in ("angle", "desired_angle")])
     for i, (above, below, (title, (name, result))) in enumerate(zip(upper, lower, panels.items(), strict=False)):
-        _angle(above, {name: result}, looks)
-        _stiffness(below, {name: result}, looks)
+        draw_angle(above, {name: result}, looks)
+        draw_stiffness(below, {name: result}, looks)
         letter(above, i, title)
         above.set_ylim(*angles)
         below.set(xlabel=TIME, ylim=_stiffness_limits(results))
@@ -136,7 +132,7 @@ def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figur
     return figure
 
 
-def _angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
+def draw_angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
     """Draw the angle [deg] of runs, and their common reference."""
     first = next(iter(runs.values()))
     axes.plot(first.times, first["desired_angle"] / deg, label="desired", **DESIRED)
@@ -145,7 +141,7 @@ def _angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str,
     axes.set(ylabel=ANGLE)
 
 
-def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
+def draw_stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
     """Draw the stiffness [N*m/rad] of runs, their common reference, and the attainable range of the first one."""
     first = next(iter(runs.values()))
     draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
@@ -153,6 +149,15 @@ def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[
         axes.plot(first.times, result["stiffness"], label=name, **looks[name])
     axes.plot(first.times, first["desired_stiffness"], label="desired", **DESIRED)
     axes.set(ylabel=STIFFNESS)
+
+
+def draw_pressures(axes: Axes, result: SimulationResult) -> None:
+    """Draw the pressures [bar] of both muscles of a run, with a legend above the panel."""
+    for number, (colour, style) in enumerate(zip(MUSCLES, ("-", "--"), strict=True), 1):
+        pressure = result[f"pressure{number}"] / bar
+        axes.plot(result.times, pressure, color=colour, linestyle=style, label=f"muscle {number}")
+    axes.set(ylabel="pressure [bar]")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
 
 
 def _stiffness_limits(results: Iterable[SimulationResult]) -> tuple[float, float]:
