@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -132,6 +133,43 @@ def test_outliers_can_be_kept(cli, tmp_path):
     assert not any("left out:" in remark["text"] for remark in kept)
     text = cli("identify", "wrong.csv").out  # with the options of the command line in place of Python's
     assert "--keep-outliers" in text and "robust=False" not in text and "(command" not in text
+
+
+@pytest.fixture
+def measured(tmp_path, paper) -> dict[str, tuple[str, ...]]:
+    """Arguments for files whose errors and remarks recommend options."""
+    rows = [f"{p},{4 * eps},10,{w}" for p, eps in ((2, 1), (3, 2), (4, 3), (5, 4)) for w in ("loading", "unloading")]
+    (tmp_path / "one-load.csv").write_text(
+        "\n".join(["pressure_bar,contraction_percent,force_kgf,direction", *rows, ""])
+    )
+    rng, time, rows = np.random.default_rng(0), 0.0, ["time_s,pressure_bar,length_mm,force_N"]
+    for level in (3.0, 4.0, 5.0, 6.0):
+        for stop, side in [(eps, -1) for eps in range(9)] + [(eps, 1) for eps in range(7, -1, -1)]:
+            force = float(paper.eq3(stop / 100, level * 1e5)) + 12 * side
+            for _ in range(30):
+                rows.append(f"{time:.2f},{level},{180 * (1 - stop / 100):.3f},{force + rng.normal(0, 0.1):.3f}")
+                time += 0.05
+    (tmp_path / "stops.csv").write_text("\n".join([*rows, ""]))
+    rig = str(Path(__file__).parents[2] / "examples" / "rig.csv")
+    return {
+        "without friction": (rig, "--friction", "off"),
+        "a law that misfits": (rig, "--law", "reynolds"),
+        "one load": ("one-load.csv",),
+        "stop and go": ("stops.csv", "--initial-length", "180 mm"),
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["without friction", "a law that misfits", "one load", "stop and go"])
+def test_what_remarks_and_errors_recommend_is_accepted(cli, measured, case):
+    """Each command in them as it stands, and each option beside the arguments."""
+    given = measured[case]
+    said = " ".join((first := cli("identify", *given)).err.split() + first.out.split())
+    commands = [shlex.split(text)[1:] for text in re.findall(r"`(mckibben [^`]+)`", said)]
+    options = [shlex.split(text) for text in re.findall(r"(?<!`)--(?:friction|law|of) [a-z]+", said)]
+    assert len(commands) == 2 * (case == "stop and go") and bool(options) != bool(commands), said
+    for command in (*commands, *(["identify", given[0], *option] for option in options)):
+        assert cli(*command).code == 0, command
 
 
 @pytest.mark.slow

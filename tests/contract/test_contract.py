@@ -85,6 +85,7 @@ EXAMPLES = [
     *(muscle.adjusted_law(law, strength=1.1) for law in (CHOU, TONDU)),
     *(muscle.adjusted_law(law, correction=CORRECTION) for law in (CHOU, TONDU)),
     muscle.ThresholdLaw(CHOU, 3e4),
+    muscle.PiecewiseLaw((1e5, 3e5, 6e5), (200.0, 500.0, 1000.0), (2e3, 1e3, 2e3), BOX),
     CORRECTION,
     SLIP,
     BY_RATE,

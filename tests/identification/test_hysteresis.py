@@ -87,9 +87,10 @@ def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
 def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
     coarse = dataclasses.replace(PROTOCOL, step=5 * mm)
     found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(MUSCLE).run(coarse, seed=1))
-    assert np.isnan(found.standard_errors["presliding_length"]) and found.undetermined == ("presliding_length",)
-    assert found.friction.presliding_length < 5 * mm / 4
-    assert len(found.warnings) == 1 and "the presliding length is not determined (steps of 5 mm)" in found.warnings[0]
+    assert np.isnan(found.standard_errors["presliding_length"])
+    assert found.friction.presliding_length <= 1.25 * mm  # a quarter of a step
+    assert 0.5 * mm < found.undetermined["presliding_length"] < 2.5 * mm
+    assert [note.field for note in found.notes] == ["presliding_length"]
     assert found.friction.half_width == pytest.approx(12, rel=5e-3)
 
 
@@ -174,7 +175,10 @@ def test_the_jacobian_is_that_of_small_changes(model):
 @pytest.mark.parametrize("overshot", [True, False])
 @pytest.mark.slow
 def test_a_turning_point_measured_in_both_directions_may_have_been_passed(overshot):
-    """Between its two rows the muscle went farther and came back, or it rested: the forces tell."""
+    """Between its two rows the muscle went farther and came back, or it rested: the forces tell.
+
+    Where it rested, noise of the length is not taken for a presliding length.
+    """
     stroke, half_width, rows = np.linspace(0, 0.1, 12), 8.0, []
     for level in (4 * bar, 5 * bar, 6 * bar):
         out = [(level, eps, "unloading", -half_width) for eps in stroke]
@@ -183,14 +187,15 @@ def test_a_turning_point_measured_in_both_directions_may_have_been_passed(oversh
     pressure, contraction, direction, friction = (np.array(column) for column in zip(*rows, strict=True))
     rng = np.random.default_rng(0)
     force = forces(LAW, contraction, pressure) + friction + rng.normal(0, 0.2, len(friction))
-    contraction = contraction + rng.normal(0, 2e-6 / 0.25, len(friction))  # no travel of the friction
+    contraction = contraction + rng.normal(0, 1e-4, len(friction))
     data = IsobaricDataset.of(
         pressure=pressure, contraction=contraction, force=force, direction=direction, initial_length=0.25
     )
     found = identify_hysteresis(ExponentialLaw, data)
-    assert found.friction.half_width == pytest.approx(half_width, abs=0.1)
-    assert found.rmse == pytest.approx(0.2, rel=0.3)
-    assert fit_law(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(0.2, rel=0.3)
+    assert found.friction.half_width == pytest.approx(half_width, abs=0.2)
+    assert overshot or found.friction.presliding_length < found.undetermined["presliding_length"] < 1 * mm
+    assert found.rmse == pytest.approx(0.3, rel=0.3)
+    assert fit_law(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(found.rmse, rel=0.3)
 
 
 @pytest.mark.slow

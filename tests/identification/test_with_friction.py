@@ -67,6 +67,30 @@ def test_a_law_that_fits_worse_than_the_loops_are_wide_gets_no_friction(rig):
     assert float(identify_with_friction(ReynoldsLaw, rig, friction=True).friction.half_width) > 15.0
 
 
+def steps_of_pressure(half_width: float) -> mk.IsobaricDataset:
+    """Four pressures at each of ten lengths, which are reached from both sides."""
+    rng, law, rows = np.random.default_rng(0), catalog.law("lei-mas-10-180n"), []
+    for number, eps in enumerate(np.array([0, 2, 4, 6, 8, 10, 8, 6, 4, 2]) / 100):
+        side = 0 if not number else -1 if number < 6 else 1
+        for step, pressure in enumerate(np.array([3, 4, 5, 6]) * bar):
+            force = float(law.force(eps, pressure)) + side * half_width + rng.normal(0, 0.2)
+            word = "" if step else {0: "", -1: "unloading", 1: "loading"}[side]
+            rows.append((pressure, eps, force, word, "filling" if step else "", 5.0 * len(rows)))
+    names = "pressure", "contraction", "force", "direction", "phase", "time"
+    columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
+    return mk.IsobaricDataset.of(**columns, initial_length=180 * mm)
+
+
+def test_at_fixed_lengths_the_friction_stays_as_the_last_motion_left_it():
+    found = identify_with_friction(ExponentialLaw, steps_of_pressure(8.0))
+    error = found.hysteresis.standard_errors["half_width"]
+    assert abs(float(found.friction.half_width) - 8.0) < 2 * error < 1.0
+    truth = np.asarray(catalog.law("lei-mas-10-180n").force(0.05, np.array([3.5, 5.5]) * bar))
+    band = found.force_intervals(0.05, np.array([3.5, 5.5]) * bar).confidence
+    assert band.contains(truth).all() and np.all(band.upper - band.lower < 4.0)
+    assert identify_with_friction(ExponentialLaw, steps_of_pressure(0.0)).hysteresis is None
+
+
 def test_reversed_directions_are_named(rig):
     other = {"loading": "unloading", "unloading": "loading"}
     directions = [other[str(one)] for one in rig.table["direction"].to_numpy()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -26,15 +27,19 @@ class Reading(NamedTuple):
     """Reading options of a command."""
 
     recipe: Recipe
+    options: tuple[str, ...] = ()
 
     def data(self, names: list[str]) -> IsobaricDataset:
         """Data files or a dataset from the catalog; reading and preprocessing are reported on standard error."""
+        from mckibben.dataset.preprocessing import POINTS
         from mckibben.study.inputs import data_named
 
         dataset = data_named(names, self.recipe)
         _report(dataset.table.attrs)
+        command = f"`{shlex.join([*POINTS.split(), *names, *self.options, '--out', 'plateaus'])}` and "
         for note in dataset.table.attrs.get("preprocessing", "").splitlines():
-            echo(f"found in the data: {note}", err=True)
+            shown = note.replace(POINTS, f"{command}`mckibben identify plateaus/points.csv`")
+            echo(f"found in the data: {shown}", err=True)
         return dataset
 
     def recordings(self, paths: list[str]) -> list[Recording]:
@@ -87,11 +92,17 @@ def read_options(*, read: Texts = None, column: Texts = None, initial_length: st
     if accepted:
         options["accept"] = [*recipe.accept, *accepted]
     try:
-        return Reading(recipe.with_options(options))
+        said = (*_repeated("--read", read), *_repeated("--column", column))
+        return Reading(recipe.with_options(options), (*said, *_repeated("--initial-length", [initial_length])))
     except ScenarioError as error:
         shown = {"initial_length": "--initial-length", "columns": "--column"}
         problems = [replace(p, field=shown.get(p.field.split("[")[0], f"--read {p.field}=")) for p in error.problems]
         raise ScenarioError("options of reading", problems) from None
+
+
+def _repeated(option: str, texts: Texts) -> list[str]:
+    """An option before each of its texts."""
+    return [part for text in filter(None, texts or []) for part in (option, text)]
 
 
 def _report(attributes: Mapping[str, Any]) -> None:

@@ -28,6 +28,8 @@ Ints = NDArray[np.int_]
 _LEVEL = 10 * kPa  # pressures closer than this are of one level
 _MOST = 100  # points of a stroke
 _FEWEST = 3  # points of a level, and of a pass on average
+POINTS = "mckibben points"
+"""Command for samples most of which rest."""
 _NOISE = 4.0  # standard deviations of the noise that count as slack
 
 
@@ -190,7 +192,7 @@ def _rests(table: xr.Dataset) -> list[str]:
     signals = [(table["pressure"].to_numpy(), 2 * kPa), (table["contraction"].to_numpy(), 1e-3)]
     segments = steady_segments(signals, _restarts(table), int(rate))
     share = float(np.sum(segments.last - segments.first)) / table.sizes["point"]
-    text = f"{share:.0%} of the samples rest, in {len(segments.first)} plateaus: 'mckibben points' gives their means"
+    text = f"{share:.0%} of the samples rest, in {len(segments.first)} plateaus: identify their means, by {POINTS}"
     return [text] if share > 0.5 else []
 
 

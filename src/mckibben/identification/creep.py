@@ -208,9 +208,10 @@ class RecordedBins:
     def plateaus(self, number: int, *, steady: float = 2 * kPa) -> list[PressurePlateau]:
         """Plateaus of the pressure at one length, with the direction of the step before each.
 
-        In a plateau the pressure is within `steady` [Pa] of its middle.
+        In a plateau the pressure is within `steady` [Pa] of its middle. Of a recording of one plateau, into which the
+        muscle is filled or vented, the first sample is the level before.
         """
-        signals = [(self.pressure, steady), (self.contraction, _MOVED / 2)]
+        signals = [(self.pressure, steady), (self.contraction, _MOVED)]
         segments = steady_segments(signals, np.zeros(len(self.time), bool), _PARTS)
         before, plateaus = None, []
         for start, last in zip(segments.first.tolist(), segments.last.tolist(), strict=True):
@@ -221,6 +222,10 @@ class RecordedBins:
                 contraction = float(self.contraction[first:last].mean())
                 plateaus.append(PressurePlateau(number, first, last, contraction, float(np.sign(step))))
             before = pressure
+        start = PressurePlateau(number, 0, 1, float(self.contraction[0]), 0.0)
+        held = len(plateaus) == 1 and plateaus[0].first
+        if held and abs(jump := float(self.pressure[plateaus[0].first] - self.pressure[0])) >= _LEVEL:
+            return [start, plateaus[0]._replace(step=float(np.sign(jump)))]
         return plateaus
 
     def smoothed(self, plateaus: Sequence[PressurePlateau]) -> RecordedBins:

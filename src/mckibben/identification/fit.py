@@ -225,8 +225,8 @@ class Fit(Result, metaclass=CheckedCalls):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Texts of the notes that are not mere details."""
-        return tuple(warning_texts(self.notes))
+        """Texts of the remarks that are not mere details."""
+        return tuple(warning_texts(self.remarks()))
 
     def remarks(self) -> Iterable[Remark]:
         """Return the notes, and what the standard errors and the scatter are."""

@@ -12,18 +12,24 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors
+from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
 from mckibben.identification.fit import warning_texts
 from mckibben.identification.fitting import check_law_type, fit_law
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
-from mckibben.identification.grouping import held_values, measured_weights
+from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights
 from mckibben.identification.least_squares import UnitCube
-from mckibben.identification.loading_path import DriftBasis, LoadingPaths, loop_half_width
+from mckibben.identification.loading_path import (
+    TURN_TRAVELS,
+    DriftBasis,
+    LoadingPaths,
+    loop_half_width,
+    with_last_motion,
+)
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.summary import DatasetSummary, Outlier, domain_of, left_out
 from mckibben.muscle import ForceLaw, MaxwellSlip
 from mckibben.result import Column, Listing, Remark, Result, column, draw
-from mckibben.units import factor, mm, show
+from mckibben.units import factor, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,6 +77,8 @@ class HysteresisFit(Result):
         Number of slack points; summary of the data.
     outliers
         Points left out because they are off the smooth surface through the others.
+    undetermined
+        Upper bounds (95 %), in SI, of parameters of the friction that a simulation needs and the data do not determine.
     notes
         Reasons not to rely on the results.
     """
@@ -92,14 +100,14 @@ class HysteresisFit(Result):
     notes: tuple[Remark, ...]
     dataset: DatasetSummary
     outliers: tuple[Outlier, ...] = ()
+    undetermined: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def verdict(self) -> str:
         """Return half width and presliding length."""
         friction, names = self.friction, f"{type(self.law).__name__} with friction of the form {self.form.value!r}"
-        return (
-            f"{names}: half width {friction.half_width:.3g} N, presliding length "
-            f"{friction.presliding_length / mm:.3g} mm, RMSE {self.rmse:.3g} N"
-        )
+        most = self.undetermined.get("presliding_length")
+        length = show(friction.presliding_length, "mm", 3) if most is None else f"of at most {show(most, 'mm', 2)}"
+        return f"{names}: half width {friction.half_width:.3g} N, presliding length {length}, RMSE {self.rmse:.3g} N"
 
     def remarks(self) -> Iterable[Remark]:
         """Return the notes."""
@@ -138,11 +146,6 @@ class HysteresisFit(Result):
     def force(self) -> Floats:
         """Modelled force at each point [N], shape (points,)."""
         return self.tension + self.friction_force + self.offset
-
-    @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Parameters of the friction that a simulation needs and the data do not determine."""
-        return ("presliding_length",) if np.isnan(self.standard_errors["presliding_length"]) else ()
 
     def plot(self, data: IsobaricDataset) -> Figure:  # pyrefly: ignore[bad-override]
         """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
@@ -223,10 +226,10 @@ def identify_hysteresis(
     (12.0, 0.5)
     """
     check_law_type(law)
-    means = dataset.plateau_means()
+    means = with_last_motion(dataset.plateau_means())
     paths = LoadingPaths.of(means)
     taut = ~means.slack
-    half_gap = loop_half_width(means, taut)
+    half_gap, gap_error = loop_half_width(means, taut)
     bases = DriftBasis.candidates(paths, means)[: None if drift else 1]
     rate = paths.rate(means)
     # Friction that varies with the rate is not an outlier.
@@ -250,15 +253,21 @@ def identify_hysteresis(
         text = f"{name} is held at the bound of its range"
         notes.append(Remark.warning(name, text, "the law is probably misspecified: see how others fit"))
     comparison: Mapping[FrictionForm, float] = {}
+    free = set(FRICTION)
+    if at_fixed_lengths(means):  # a law would fit its misfit over the lengths by friction: the regression knows it
+        form, free = form or FrictionForm.COULOMB, free - {"half_width"}
+        start["half_width"] = half_gap
     if form is None:
         form, comparison, start = _compare_forms(dataclasses.replace(model, drift=bases[-1]), start, of_law)
     else:
         start = model.start(start, form)
-    model, solution = _with_drift(model, bases, start, (*of_law, *form.free))
-    solution, about_presliding = _presliding(model, solution)
+    model, solution = _with_drift(model, bases, start, (*of_law, *(name for name in form.free if name in free)))
+    solution, undetermined, about_presliding = _presliding(model, solution)
     result = _result(model, solution, taut, form, comparison)
+    if "half_width" not in free:
+        result.standard_errors["half_width"] = gap_error
     notes += [*about_presliding, *_doubts(model, solution, result, half_gap)]
-    return dataclasses.replace(result, notes=tuple(notes), outliers=outliers)
+    return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
 
 
 def _started(
@@ -281,8 +290,8 @@ def _started(
 def _branched(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
     """Best of the models: which branch paths start on, and whether the muscle rested at turning points or overshot."""
     models = [
-        dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, overshot=overshot))
-        for overshot in (False, True)[: 1 + bool(model.paths.turns.any())]
+        dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, turn_travel=travel))
+        for travel in (TURN_TRAVELS if model.paths.turns.any() else TURN_TRAVELS[:1])
         for side in (model.paths.side, -model.paths.side)
     ]
     solutions = [branch.fit(start, ("half_width", "log_presliding"), evaluations=20) for branch in models]
@@ -383,26 +392,43 @@ def _held_out_squares(solution: PathSolution, blocks: Floats | Ints, *, singular
     return np.array(squares)
 
 
-def _presliding(model: PathDependentModel, solution: PathSolution) -> tuple[PathSolution, list[Remark]]:
-    """Solution with the presliding length held if the points do not determine it, and a remark on it."""
-    name, step = "log_presliding", model.paths.step
+def _presliding(
+    model: PathDependentModel, solution: PathSolution, *, usual: float = 2e-3
+) -> tuple[PathSolution, dict[str, float], list[Remark]]:
+    """Solution with the presliding length held if the points do not determine it, its upper bound, and a remark.
+
+    The interval (95 %) is that of the likelihood, with the other parameters to first order. It is held at the lower
+    end or, where that reverses friction within half a step so that shorter ones are equivalent, at no more than a
+    `usual` share of the initial length, from which `calibrate` starts, too.
+    """
+    name, others = "log_presliding", tuple(free for free in solution.free if free != "log_presliding")
     if name in solution.free and solution.error(name) < _VAGUE:  # unknown at a bound
-        return solution, []
-    if name in solution.free:
-        value = min(max(solution.values[name], model.shortest), float(np.log(step)))
-        solution = model.solve({**solution.values, name: value}, tuple(free for free in solution.free if free != name))
+        return solution, {}, []
+    minimum, inside = solution.minimum, solution.inside & (np.array([*solution.free, *solution.offsets]) != name)
+    basis = np.linalg.qr(minimum.jacobian[:, inside])[0]
+    lengths, costs = np.linspace(model.shortest, float(model.bounds([name])[1][0]), 60), []
+    for length in lengths:
+        residuals = model.residuals({**solution.values, name: length}, solution.offsets)
+        costs.append(np.sum((residuals - basis @ (basis.T @ residuals)) ** 2))
+    freedom = len(basis) - basis.shape[1] - 1
+    inside_interval = lengths[costs <= np.min(costs) * (1 + float(t_quantile(0.95, freedom)) ** 2 / freedom)]
+    least, most = np.exp(inside_interval[[0, -1]])
+    if inside_interval[0] == lengths[0]:
+        least = min(least, usual * float(model.means.table.attrs["initial_length"]))
+    held = model.solve({**solution.values, name: float(np.log(least))}, others)
     text = (
-        f"the presliding length is not determined (steps of {show(step, 'mm', 3)}): no point lies where friction "
-        "reverses"
+        f"the presliding length is not determined (steps of {show(model.paths.step, 'mm', 3)}): at most "
+        f"{show(most, 'mm', 2)}, and {show(least, 'mm', 2)} in the muscle"
     )
-    return solution, [Remark.warning("presliding_length", text, "measure a reversal in smaller steps")]
+    remark = Remark.warning("presliding_length", text, "measure a reversal in smaller steps")
+    return held, {"presliding_length": float(most)}, [remark]
 
 
 def _doubts(
     model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float, *, misfit: float = 0.1
 ) -> Iterable[Remark]:
     """Remarks on the half width, parameters at a bound, the form, and the misfit of the law."""
-    half_width, error = solution.values["half_width"], solution.error("half_width")
+    half_width, error = solution.values["half_width"], result.standard_errors["half_width"]
     if not error < _VAGUE * half_width:
         text = f"the half width {half_width:.3g} N has a standard error of {error:.2g} N"
         why = "loading and unloading hardly differ, or the strokes are too short"

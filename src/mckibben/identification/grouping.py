@@ -40,6 +40,18 @@ def held_values(points: IsobaricDataset) -> Floats:
     return points.levels if loads is None else loads
 
 
+def at_fixed_lengths(points: IsobaricDataset) -> bool:
+    """Whether most points were filled or vented at a fixed length."""
+    phases = points.table["phase"].to_numpy() if "phase" in points.table else np.empty(0, "<U9")
+    return bool(2 * np.count_nonzero(phases != "") > len(points))
+
+
+def holds(points: IsobaricDataset, order: Ints) -> Ints:
+    """Number of the fixed length of each row in the order of the test, shape (points,)."""
+    moved = np.abs(np.diff(points.contraction[order], prepend=points.contraction[order[:1]])) > RESOLUTION
+    return np.cumsum(moved, dtype=np.int64)[np.argsort(order)]
+
+
 def neighbours_apart(errors: Floats, points: IsobaricDataset) -> float:
     """RMS part of errors [N] that neighbours on a path do not share: noise, as the misfit of a law is continuous.
 
@@ -47,7 +59,7 @@ def neighbours_apart(errors: Floats, points: IsobaricDataset) -> float:
     J. von Neumann, Annals of Mathematical Statistics 12 (1941) 367.
     """
     held, place = held_values(points), points.contraction
-    if "phase" in points.table and 2 * np.count_nonzero(points.table["phase"] != "") > len(points):
+    if at_fixed_lengths(points):
         held, place = np.round(place / RESOLUTION), points.levels
     order = np.lexsort((place, held))
     steps = np.diff(errors[order])[np.diff(held[order]) == 0]

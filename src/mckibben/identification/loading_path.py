@@ -1,4 +1,4 @@
-"""Loading paths of a test at constant pressures or loads, and the force along them."""
+"""Loading paths of a test at constant pressures, loads or lengths, and the force along them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import Bools, Floats, Ints
-from mckibben.identification.grouping import held_values
+from mckibben.identification.estimator import Bools, Floats, IndependentErrors, Ints, robust_errors
+from mckibben.identification.grouping import at_fixed_lengths, held_values, holds
 from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
-_FAR = 1.0  # m: exceeds any presliding length
+TURN_TRAVELS = (None, 0.0, 1.0)  # m: as measured, none, or farther than any presliding length
 _HELD_REMEDY = (
     "give the nominal pressure of each point (set_pressure), or the loads that were held (a column such as set_force_N)"
 )
@@ -28,6 +28,9 @@ class NoHysteresisError(IdentificationError):
 @dataclass(frozen=True, eq=False)
 class LoadingPaths:
     """Loading paths of a test: the points at constant pressure, or at a constant load, in temporal order.
+
+    At fixed lengths, at each of which the pressure is changed, all points are one path: friction stays as the last
+    motion left it.
 
     Attributes
     ----------
@@ -44,8 +47,9 @@ class LoadingPaths:
     turns
         1 or -1 at a loading or unloading row at the position of the row of the other direction before it, or behind
         that; else 0.
-    overshot
-        Whether the muscle overshot these points and came back, which reverses its friction.
+    turn_travel
+        Travel [m] of the friction to these rows: 0 if the muscle rested there, as a distance of noise would reverse
+        friction with a short presliding length; far if it overshot them and came back. None: the measured distance.
     """
 
     place: Ints = field(repr=False)
@@ -54,12 +58,15 @@ class LoadingPaths:
     length: Floats = field(repr=False)
     step: float
     turns: Floats = field(repr=False)
-    overshot: bool = False
+    turn_travel: float | None = None
 
     @property
     def travel(self) -> Floats:
         """Displacement [m] seen by the friction, shape (points, paths)."""
-        return self.displacement + _FAR * self.turns[self.place] if self.overshot else self.displacement
+        turns = self.turns[self.place]
+        if self.turn_travel is None:
+            return self.displacement
+        return np.where(turns == 0, self.displacement, self.turn_travel * turns)
 
     @property
     def displacement(self) -> Floats:
@@ -101,7 +108,7 @@ class LoadingPaths:
         Points that are means of samples were measured at rest. Speeds differ if the quotient of their quartiles exceeds
         `ratio`: else viscous friction looks like dry friction.
         """
-        if "time" not in means.table or "force_spread" in means.table:
+        if "time" not in means.table or "force_spread" in means.table or at_fixed_lengths(means):
             return None
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
         strokes = self.stroke(means)
@@ -129,7 +136,7 @@ class LoadingPaths:
 
         Paths of fewer than `fewest` points show no friction.
         """
-        table = means.table
+        table, fixed = means.table, at_fixed_lengths(means)
         if "direction" not in table or len(means.directions) < 2:
             which = f"{means.directions[0]} alone" if len(means.directions) else "no directions"
             raise IdentificationError(
@@ -142,8 +149,11 @@ class LoadingPaths:
                 remedy="give initial_length (command line: --initial-length '180 mm')",
             )
         length = table.attrs["initial_length"] * (1 - means.contraction)
-        order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
-        ends = np.flatnonzero(np.diff(held_values(means)[order])) + 1
+        order = in_time(means)
+        if fixed:
+            held = holds(means, order)
+            length = (np.bincount(held, length) / np.bincount(held))[held]
+        ends = [] if fixed else np.flatnonzero(np.diff(held_values(means)[order])) + 1
         paths = np.split(order, ends)
         if np.median(np.concatenate([np.full(len(path), len(path)) for path in paths])) < fewest:
             raise IdentificationError(
@@ -154,7 +164,8 @@ class LoadingPaths:
         measured = length
         length = _monotone(length, paths, loading)
         moves = np.concatenate([np.diff(length[path]) for path in paths])
-        _check_order(measured, length, paths, loading)
+        if not fixed:
+            _check_order(measured, length, paths, loading)
         longest = max(map(len, paths))
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
@@ -254,23 +265,53 @@ def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:
     return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, share * len(slack))
 
 
-def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, int]:
-    """Force of loading minus that of unloading [N], its standard error and degrees of freedom, by regression."""
-    powers = np.vander(means.contraction[taut], 4)
+def in_time(means: IsobaricDataset) -> Ints:
+    """Rows in the order of the test."""
+    table = means.table
+    return np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
+
+
+def with_last_motion(means: IsobaricDataset) -> IsobaricDataset:
+    """Points of a test at fixed lengths with the direction of the last motion; those of others as they are."""
+    if not at_fixed_lengths(means) or len(means.directions) < 2:
+        return means
+    direction, word = means.table["direction"].to_numpy().copy(), ""
+    for row in in_time(means):
+        direction[row] = word = direction[row] or word
+    return IsobaricDataset(means.table.assign(direction=("point", direction)))
+
+
+def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, float]:
+    """Force of loading minus that of unloading [N], its standard error and degrees of freedom, by regression.
+
+    Of points at fixed lengths, the errors of a length are common to its points, and the force is quadratic without
+    pressure, as lengths are few.
+    """
+    powers, fixed = np.vander(means.contraction[taut], 4), at_fixed_lengths(means)
     pressure, side = means.pressure[taut, None] / bar, np.where(loading[taut], 1.0, -1.0)
-    basis = np.concatenate([powers, powers * pressure, side[:, None]], axis=1)
+    basis = np.concatenate([powers[:, 1:] if fixed else powers, powers * pressure, side[:, None]], axis=1)
     freedom = len(basis) - basis.shape[1]
     if freedom < 1:
         remedy = f"measure at {basis.shape[1] + 1} points or more"
         raise NoHysteresisError(f"{len(basis)} taut points show no friction", value=len(basis), remedy=remedy)
     factor, residuals = np.linalg.qr(basis).R, means.force[taut]
     half = np.linalg.lstsq(basis, residuals, rcond=None)[0]
+    if fixed:
+        labels = np.unique(holds(means, in_time(means))[taut], return_inverse=True)[1]
+        model = robust_errors(basis, residuals - basis @ half, labels)
+        if isinstance(model, IndependentErrors):
+            remedy = "move to more lengths, from both sides"
+            raise NoHysteresisError(f"{labels.max() + 1} lengths show no friction", remedy=remedy)
+        variance, few = model.variance(np.eye(basis.shape[1])[-1:])
+        return 2 * float(half[-1]), 2 * float(np.sqrt(variance[0])), float(few[0])
     noise = float(np.sqrt(np.sum((residuals - basis @ half) ** 2) / freedom))
     return 2 * float(half[-1]), 2 * noise / abs(float(factor[-1, -1])), freedom
 
 
-def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.99865) -> float:
-    """Half-difference [N] between the directions at the same pressure and contraction.
+def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.99865) -> tuple[float, float]:
+    """Half-difference [N] between the directions at the same pressure and contraction, and its standard error.
+
+    The error is that of a normal distribution with the same interval for 95 %.
 
     It is the regression coefficient of the direction beside a force that is cubic in the contraction and affine in the
     pressure. Its significance is tested by the one-sided t quantile of a `level`: three standard errors of many points.
@@ -282,14 +323,14 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
     IdentificationError
         If loading is significantly below unloading.
     """
-    loading = means.table["direction"].to_numpy() == "loading"
-    middle, error, freedom = _gap_by_regression(means, taut, loading)
+    direction = means.table["direction"].to_numpy()
+    middle, error, freedom = _gap_by_regression(means, taut & (direction != ""), direction == "loading")
     from scipy.special import stdtrit
 
     if not abs(middle) > float(stdtrit(freedom, level)) * error:
         raise NoHysteresisError(
-            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N ({freedom} degrees of "
-            "freedom): the data show no hysteresis",
+            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N ({freedom:.3g} degrees "
+            "of freedom): the data show no hysteresis",
             value=middle,
             unit="N",
             remedy="fit the law alone (`identify`), or measure with less noise",
@@ -298,4 +339,4 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
         message = f"loading is {-middle:.2g} N below unloading, which friction cannot be"
         remedy = "exchange the directions: loading is being stretched, unloading is shortening"
         raise IdentificationError(message, value=middle, unit="N", remedy=remedy)
-    return middle / 2
+    return middle / 2, error / 2 * float(stdtrit(freedom, 0.975) / stdtrit(np.inf, 0.975))

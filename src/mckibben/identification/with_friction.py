@@ -6,14 +6,17 @@ from collections.abc import Iterable
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.fit import Fit, warning_texts
-from mckibben.identification.fitting import fit_law, fit_means
+from mckibben.identification.fit import Fit
+from mckibben.identification.fitting import WITH_FRICTION, fit_law, fit_means
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
-from mckibben.identification.loading_path import NoHysteresisError, loop_half_width
+from mckibben.identification.grouping import at_fixed_lengths
+from mckibben.identification.loading_path import NoHysteresisError, loop_half_width, with_last_motion
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.result import Listing, Remark
@@ -63,11 +66,6 @@ class FitWithFriction(Fit):
     def friction(self) -> MaxwellSlip | None:
         """Friction of the muscle, None without it."""
         return self.hysteresis.friction if self.hysteresis else None
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Texts of the remarks on law and friction that are not mere details."""
-        return tuple(warning_texts([*self.notes, *(self.hysteresis.notes if self.hysteresis else ())]))
 
     @checked_call
     def muscle(
@@ -155,11 +153,16 @@ def identify_with_friction(
         hysteresis = None
     if not hysteresis:
         fit = fit_law(law, dataset, robust=robust)
-        if note:  # it says why there is no friction
-            fit = replace(fit, notes=tuple(remark for remark in fit.notes if remark.field != "friction"))
+        if friction is None or not shows_hysteresis(dataset):  # a note says why there is none, or the points do not
+            notes = (one for one in fit.notes if one.field != "friction" or not (note or one.remedy == WITH_FRICTION))
+            fit = replace(fit, notes=tuple(notes))
         return FitWithFriction(**vars(fit), points=dataset, note=note)
     points = hysteresis.corrected(dataset)
     fit = replace(fit_means(law, points, ()), outliers=hysteresis.outliers)
+    if at_fixed_lengths(dataset) and (lopo := fit.leave_one_pressure_out):
+        # All points of a length have one direction: no pressure that is left out shows the error of the friction.
+        rmse = float(np.hypot(lopo.rmse, hysteresis.standard_errors["half_width"]))
+        fit = replace(fit, leave_one_pressure_out=replace(lopo, rmse=rmse))
     if gap:
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
@@ -180,8 +183,8 @@ def _half_gap(dataset: IsobaricDataset) -> float:
     """Half the difference between the directions [N], 0 if not significant; raises `loop_half_width`'s others."""
     if len(dataset.directions) < 2:
         return 0.0
-    means = dataset.plateau_means()
+    means = with_last_motion(dataset.plateau_means())
     try:
-        return loop_half_width(means, ~means.slack)
+        return loop_half_width(means, ~means.slack)[0]
     except NoHysteresisError:
         return 0.0

@@ -13,6 +13,7 @@ from mckibben.muscle.gaussian_process import GaussianProcessLaw
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
+from mckibben.muscle.piecewise import PiecewiseLaw
 from mckibben.muscle.smooth import SmoothLaw
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.spring import SpringLaw, return_spring
@@ -65,6 +66,7 @@ __all__ = [
     "NoCreep",
     "NoFriction",
     "Parameter",
+    "PiecewiseLaw",
     "PressureAffineLaw",
     "ReppergerLaw",
     "ReynoldsLaw",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +29,8 @@ _HEAD = """\
 # specimen. The stiffness beyond the points is then a guess, and results say so.
 """
 _UNDETERMINED = """\
-# The data do not determine {}: its value is a guess, of at most one step of the length. Stiffness for small
-# motion and the width of small loops depend on it; measure a reversal in smaller steps.
+# The data do not determine {} (at most {:.2g} mm): it has the least value that they allow. Stiffness for small motion
+# and the width of small loops depend on it; measure a reversal in smaller steps.
 """
 _VOLUME = """\
 # The volume is assumed: from that at contraction 0 and the law's work per pressure, mckibben.muscle.air.volume_terms.
@@ -51,7 +51,7 @@ def write_muscle(
     volume: float | None = None,
     law: str | dict[str, str] = "fit.yaml",
     friction: MaxwellSlip | None = None,
-    undetermined: Sequence[str] = (),
+    undetermined: Mapping[str, float] | None = None,
 ) -> bool:
     """Write the muscle file of an identified law, replacing a file.
 
@@ -74,7 +74,7 @@ def write_muscle(
     law
         Reference to the law, relative to the file, or its section.
     friction, undetermined
-        Friction of the muscle, and the names of its parameters that the data do not determine.
+        Friction of the muscle, and upper bounds [m] of its lengths that the data do not determine, by name.
     """
     name = specimen or "my muscle"
     known = catalog.specimen(name) if name in catalog.names("specimens") else None
@@ -84,7 +84,7 @@ def write_muscle(
     if known is None or initial_length not in (None, float(known.initial_length)):
         length = write(Specimen(name, initial_length or 0.0))["initial_length"]
         section = {"name" if known is None else "from": name, "initial_length": length}
-    head = _HEAD + (_UNDETERMINED.format(" and ".join(undetermined)) if undetermined else "")
+    head = _HEAD + "".join(_UNDETERMINED.format(key, 1e3 * bound) for key, bound in (undetermined or {}).items())
     if initial_length and volume is not None:
         terms = volume_terms(identified, initial_length, volume)
         section |= {"volume_terms": write(Specimen(name, initial_length, volume_terms=terms))["volume_terms"]}
@@ -139,6 +139,6 @@ def write_identified(
         initial_length=attributes.get("initial_length"),
         volume=volume,
         friction=loops.friction if loops else None,
-        undetermined=loops.undetermined if loops else (),
+        undetermined=loops.undetermined if loops else None,
     )
     return path if written else None
