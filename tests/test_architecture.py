@@ -94,7 +94,7 @@ BUDGET = {
     "actuator": 1050,
     "calibration": 1790,
     "catalog": 230,
-    "cli": 1550,
+    "cli": 1560,
     "codegen": 2620,
     "component": 1020,
     "config": 550,
