@@ -18,16 +18,9 @@ PID, BP = "examples/pre-contracted-step-pid.yaml", "examples/pre-contracted-step
 DATA, KNEE = "examples/rig.csv", "examples/calibration/knee.yaml"
 IMPORT = "python -c 'import jax'"
 UNSET = ("JAX_PLATFORMS", "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
-COMMANDS: tuple[tuple[str, ...], ...] = (
-    ("--help",),
-    ("catalog",),
-    ("simulate", PID),
-    ("simulate", PID, "--out"),
-    ("identify", DATA),
-    ("identify", DATA, "--out"),
-    ("envelope", PID),
-    ("calibrate", KNEE, "--weight", "0.5 kg, 200 mm", "--out"),
-)
+COMMANDS = [["--help"], ["catalog"]]
+COMMANDS += [[name, file, *out] for name, file in (("simulate", PID), ("identify", DATA)) for out in ([], ["--out"])]
+COMMANDS += [["envelope", PID], ["calibrate", KNEE, "--weight", "0.5 kg, 200 mm", "--out"]]
 """Commands of which all programs are in the user's cache; `--out` gets a new folder."""
 
 

@@ -18,8 +18,6 @@ import numpy as np
 from scipy.optimize import minimize
 
 import mckibben as mk
-from mckibben import catalog
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification.estimator import IntervalEstimate
 from mckibben.identification.outliers import find_outliers, without_outliers
@@ -33,7 +31,7 @@ STARTS = ((0.0, 0.0, -3.0), (-1.0, -1.0, -3.0), (0.0, 0.0, -6.0))
 BOUNDS = ((-3.0, 6.0), (-3.0, 4.0), (-3.0, 4.0), (-9.0, 1.0))  # logarithms of amplitude, two lengths and noise
 
 
-def gaussian_process(points: IsobaricDataset, new: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
+def gaussian_process(points: mk.IsobaricDataset, new: mk.IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
     """Force and standard deviation [N] at other points."""
     given, wanted = (np.column_stack([one.contraction, one.pressure]) for one in (points, new))
     middle, scale = given.mean(axis=0), given.std(axis=0)
@@ -62,7 +60,7 @@ def gaussian_process(points: IsobaricDataset, new: IsobaricDataset) -> tuple[np.
     return mean + spread * (target @ solved), spread * np.sqrt(np.maximum(variance, 0))
 
 
-def predicted(law: str, points: IsobaricDataset, new: IsobaricDataset) -> np.ndarray:
+def predicted(law: str, points: mk.IsobaricDataset, new: mk.IsobaricDataset) -> np.ndarray:
     """Error, half width and score of a 95 % interval [N], and whether it contains the force: shape (4, new points)."""
     if law == PLAIN:
         value, deviation = gaussian_process(points, new)
@@ -75,7 +73,7 @@ def predicted(law: str, points: IsobaricDataset, new: IsobaricDataset) -> np.nda
     return np.array([band.value - new.force, half, band.score(new.force), band.contains(new.force)])
 
 
-def left_out(data: IsobaricDataset, laws: list[str]) -> dict[str, dict[str, np.ndarray]]:
+def left_out(data: mk.IsobaricDataset, laws: list[str]) -> dict[str, dict[str, np.ndarray]]:
     """`predicted` at all left-out points, by group of blocks and by law."""
     means = data.plateau_means()
     points = without_outliers(means, find_outliers(means)).taut
@@ -103,10 +101,10 @@ def left_out(data: IsobaricDataset, laws: list[str]) -> dict[str, dict[str, np.n
 
 def main():
     warnings.simplefilter("ignore", McKibbenWarning)
-    print_table({name: catalog.dataset(name) for name in DATA}, [*COMPARED, PLAIN])
+    print_table({name: mk.catalog.dataset(name) for name in DATA}, [*COMPARED, PLAIN])
 
 
-def print_table(sets: dict[str, IsobaricDataset], laws: list[str]) -> None:
+def print_table(sets: dict[str, mk.IsobaricDataset], laws: list[str]) -> None:
     """Print errors, coverage and width by data set, block and law; the first law is the reference."""
     header = ("data", "left out", "points", "law", "RMSE", "relative", "inside of 95 %", "half width", "score")
     print(f"| {' | '.join(header)} |\n{'|---' * len(header)}|")

@@ -25,25 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import mckibben as mk
-from mckibben.actuator import FirstOrderValve
-from mckibben.control import (
-    DecouplingControl,
-    PolePlacement,
-    PredictiveControl,
-    Ramp,
-    RandomSteps,
-    Reference,
-    Sine,
-    Step,
-    predictive,
-)
+from mckibben.control import predictive
 from mckibben.control.base import with_preview
 from mckibben.control.ddp import FirstCommand
 from mckibben.export import export
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant
-from mckibben.scenario import Scenario
-from mckibben.simulation import sampled, simulate
+from mckibben.simulation import sampled
 from mckibben.units import deg, ms
 
 KNEE = eqx.tree_at(lambda j: j.geometry.connector_length, mk.catalog.joint("knee-table-2"), 0.208)
@@ -51,19 +38,21 @@ LOAD = mk.catalog.load("knee-table-2")
 SCENARIO = Path(__file__).resolve().parents[1] / "examples" / "pre-contracted-step-pid.yaml"
 PERIOD = 1 * ms
 REFERENCES = {
-    "sine of 10 deg, 1 Hz": Reference(Sine(10 * deg, 1.0, 0.0, np.pi / 2), 15.0),
-    "ramp of 20 deg in 0.5 s": Reference(Ramp(-10 * deg, 10 * deg, 0.1, 0.5), 15.0),
-    "step of 10 deg": Reference(Step(-5 * deg, 5 * deg, 0.2), 15.0),
-    "random steps": Reference(RandomSteps(-8 * deg, 8 * deg, 0.3, seed=2), RandomSteps(13.0, 17.0, 0.4, seed=1)),
+    "sine of 10 deg, 1 Hz": mk.Reference(mk.Sine(10 * deg, 1.0, 0.0, np.pi / 2), 15.0),
+    "ramp of 20 deg in 0.5 s": mk.Reference(mk.Ramp(-10 * deg, 10 * deg, 0.1, 0.5), 15.0),
+    "step of 10 deg": mk.Reference(mk.Step(-5 * deg, 5 * deg, 0.2), 15.0),
+    "random steps": mk.Reference(
+        mk.RandomSteps(-8 * deg, 8 * deg, 0.3, seed=2), mk.RandomSteps(13.0, 17.0, 0.4, seed=1)
+    ),
 }
 
 
 def controllers(lag, known):
     """Decoupling and predictive control of 80 rad/s, with a model of the valves."""
-    valve = FirstOrderValve(lag)
+    valve = mk.FirstOrderValve(lag)
     return (
-        DecouplingControl(KNEE, LOAD, PolePlacement(80.0), valve=valve, preview=0.1 if known else None),
-        PredictiveControl(KNEE, LOAD, valve=valve, preview=known),
+        mk.DecouplingControl(KNEE, LOAD, mk.PolePlacement(80.0), valve=valve, preview=0.1 if known else None),
+        mk.PredictiveControl(KNEE, LOAD, valve=valve, preview=known),
     )
 
 
@@ -80,12 +69,12 @@ def known_references(lags=(20 * ms,), duration=1.5, names=tuple(REFERENCES)):
     """RMS errors with the reference extrapolated and known ahead, by reference and valves."""
     print("| reference, valves | decoupling | known ahead | predictive | known ahead |\n|---|---|---|---|---|")
     for lag in lags:
-        plant = JointPlant(KNEE, LOAD, FirstOrderValve(lag))
+        plant = mk.JointPlant(KNEE, LOAD, mk.FirstOrderValve(lag))
         for name in names:
             reference = REFERENCES[name]
             pairs = zip(controllers(lag, False), controllers(lag, True), strict=True)
             runs = [
-                simulate(plant, one, reference, duration=duration, warn_infeasible=False) for p in pairs for one in p
+                mk.simulate(plant, one, reference, duration=duration, warn_infeasible=False) for p in pairs for one in p
             ]
             cells = [f"{angle:.2g} deg, {stiffness:.2g} N\\*m/rad" for angle, stiffness in map(errors, runs)]
             print(f"| {name}, {lag / ms:.0f} ms | " + " | ".join(cells) + " |", flush=True)
@@ -130,11 +119,8 @@ def optimal_control(stages, leaves):
             stiffness - problem.setpoints[k + 1],
         )
         rates = (y[2] - x[2]) / h, (stiffness - x[3] - problem.setpoints[k]) / h
-        cost += (
-            h
-            / 2
-            * (y[0] ** 2 + d * (d - 2) * (y[1] ** 2 + y[2] ** 2) + y[3] ** 2 + rates[0] ** 2 + rho * rates[1] ** 2)
-        )
+        squares = y[0] ** 2 + d * (d - 2) * (y[1] ** 2 + y[2] ** 2) + y[3] ** 2
+        cost += h / 2 * (squares + rates[0] ** 2 + rho * rates[1] ** 2)
         expected = casadi.vertcat(*y, u)
         variables += [x, u]
         following = casadi.SX.sym(f"x{k + 1}", 6)
@@ -147,16 +133,9 @@ def optimal_control(stages, leaves):
     variables.append(x)
     parameters = casadi.vertcat(first, *(casadi.reshape(symbol, -1, 1) for symbol in symbols))
     nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*constraints), "p": parameters}
-    options = {
-        "structure_detection": "auto",
-        "equality": equality,
-        "print_time": False,
-        "expand": True,
-        "fatrop": {"print_level": 0, "mu_init": 1e-3, "tol": 1e-8},
-        "jit": True,
-        "compiler": "shell",
-        "jit_options": {"flags": ["-O3", "-march=native"], "verbose": False},
-    }
+    options = {"structure_detection": "auto", "equality": equality, "print_time": False, "expand": True}
+    options |= {"fatrop": {"print_level": 0, "mu_init": 1e-3, "tol": 1e-8}, "jit": True, "compiler": "shell"}
+    options["jit_options"] = {"flags": ["-O3", "-march=native"], "verbose": False}
     solver = casadi.nlpsol("solver", "fatrop", nlp, options)
     bounds = np.zeros(len(equality)), np.where(equality, 0.0, np.inf)
     return solver, *bounds
@@ -219,7 +198,7 @@ def step_time(known):
     section = f"{{class: predictive, preview: {str(known).lower()}}}"
     text = SCENARIO.read_text(encoding="utf-8")
     edited = re.sub(r"controller:.*?(?=reference:)", f"controller: {section}\n", text, flags=re.S)
-    scenario = Scenario.parse(edited, folder=SCENARIO.parent)
+    scenario = mk.Scenario.parse(edited, folder=SCENARIO.parent)
     with tempfile.TemporaryDirectory() as folder:
         export(scenario, "c", folder)
         build = "cc", "-O3", "-march=native", "-std=c99", "replay.c", "controller.c", "-lm", "-o", "replay"
@@ -234,14 +213,14 @@ def against_fatrop(periods=1000, names=tuple(REFERENCES)[:3]):
     """Errors in closed loop and times, by reference: one Newton step, ten, and fatrop to its tolerance."""
     print("| reference | one step per period, ours | ten steps | fatrop | time of fatrop, median (99 %) | not solved |")
     print("|---|---|---|---|---|---|")
-    plant = JointPlant(KNEE, LOAD, FirstOrderValve(20 * ms))
+    plant = mk.JointPlant(KNEE, LOAD, mk.FirstOrderValve(20 * ms))
     for name in names:
         for known in (False, True):
             control, reference = controllers(20 * ms, known)[1], REFERENCES[name]
             cells, options = [], {"duration": periods * PERIOD, "warn_infeasible": False}
             for iterations in (1, 10):
                 once = dataclasses.replace(control, iterations=iterations)
-                run = simulate(plant, once, reference, initial=start_of(plant, reference), **options)
+                run = mk.simulate(plant, once, reference, initial=start_of(plant, reference), **options)
                 cells.append("{:.4g} deg, {:.2g}".format(*errors(run)))
             found, spent, failed = fatrop_loop(plant, control, reference, periods)
             median, late = np.percentile(spent, [50, 99]) * 1e6

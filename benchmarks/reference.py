@@ -14,18 +14,16 @@ import numpy as np
 from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from mckibben import catalog
-from mckibben.actuator import FirstOrderValve
-from mckibben.control import PID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
-from mckibben.joint import AntagonisticJoint, KneeGeometry
-from mckibben.plant import JointPlant, PlantState
+import mckibben as mk
+from mckibben.control import Controller, Setpoint
+from mckibben.plant import PlantState
 from mckibben.simulation import sampled
 from mckibben.units import bar, deg, mm, ms
 
 PERIODS, PERIOD, SUBSTEPS = 10_000, 1 * ms, 4
-REFERENCE = Reference(Sine(10 * deg, 0.5), Step(13.0, 17.0, 5.0))
-POSITION = PID(kp=2 * bar, ki=60 * bar, kd=0.4 * bar)
-STIFFNESS = PID(kp=0.08 * bar, ki=5 * bar, kd=0.0)
+REFERENCE = mk.Reference(mk.Sine(10 * deg, 0.5), mk.Step(13.0, 17.0, 5.0))
+POSITION = mk.PID(kp=2 * bar, ki=60 * bar, kd=0.4 * bar)
+STIFFNESS = mk.PID(kp=0.08 * bar, ki=5 * bar, kd=0.0)
 
 
 class Numbers(NamedTuple):
@@ -65,8 +63,8 @@ class Numbers(NamedTuple):
 class Problem:
     """A plant, its controllers and setpoints, and the state it starts from."""
 
-    plant: JointPlant
-    pid: PositionStiffnessControl
+    plant: mk.JointPlant
+    pid: mk.PositionStiffnessControl
     setpoints: Setpoint
     start: PlantState
 
@@ -98,25 +96,25 @@ class Problem:
 
 def reference_problem() -> Problem:
     """The knee with connectors of 208 mm; as in examples/pre-contracted-step-pid.yaml."""
-    printed = catalog.joint("knee-table-2")
-    geometry = KneeGeometry(printed.geometry.joint_length, printed.geometry.joint_radius, 208 * mm)
-    joint = AntagonisticJoint(geometry, printed.muscle1, printed.muscle2)
-    plant = JointPlant(joint, catalog.load("knee-table-2"), FirstOrderValve(20 * ms))
+    printed = mk.catalog.joint("knee-table-2")
+    geometry = mk.KneeGeometry(printed.geometry.joint_length, printed.geometry.joint_radius, 208 * mm)
+    joint = mk.AntagonisticJoint(geometry, printed.muscle1, printed.muscle2)
+    plant = mk.JointPlant(joint, mk.catalog.load("knee-table-2"), mk.FirstOrderValve(20 * ms))
     _, setpoints = sampled(REFERENCE, PERIODS * PERIOD, PERIOD)
     return Problem(
         plant,
-        PositionStiffnessControl(POSITION, STIFFNESS, model=joint),
+        mk.PositionStiffnessControl(POSITION, STIFFNESS, model=joint),
         setpoints,
         plant.equilibrium(0.0, stiffness=12.0),
     )
 
 
-def with_mass(plant: JointPlant, mass2: ArrayLike) -> JointPlant:
+def with_mass(plant: mk.JointPlant, mass2: ArrayLike) -> mk.JointPlant:
     """The plant with another external load [kg]."""
     return eqx.tree_at(lambda p: p.load.mass2, plant, mass2)
 
 
-def with_gains(controller: PositionStiffnessControl, gains: ArrayLike) -> PositionStiffnessControl:
+def with_gains(controller: mk.PositionStiffnessControl, gains: ArrayLike) -> mk.PositionStiffnessControl:
     """The controller with these kp, ki, kd of the position loop and kp, ki, kd of the stiffness loop."""
     return eqx.tree_at(
         lambda c: tuple(getattr(loop, name) for loop in (c.position, c.stiffness) for name in ("kp", "ki", "kd")),
@@ -125,15 +123,15 @@ def with_gains(controller: PositionStiffnessControl, gains: ArrayLike) -> Positi
     )
 
 
-def gains_of(controller: PositionStiffnessControl) -> NDArray[np.float64]:
+def gains_of(controller: mk.PositionStiffnessControl) -> NDArray[np.float64]:
     """What `with_gains` takes."""
     loops = (controller.position, controller.stiffness)
     return np.array([float(getattr(loop, name)) for loop in loops for name in ("kp", "ki", "kd")])
 
 
-def numbers(plant: JointPlant, controller: Controller) -> Numbers:
+def numbers(plant: mk.JointPlant, controller: Controller) -> Numbers:
     """What the other engines need to know of a knee, its load and its PID loops."""
-    assert isinstance(controller, PositionStiffnessControl)
+    assert isinstance(controller, mk.PositionStiffnessControl)
     law, specimen, domain = plant.joint.muscle1.law, plant.joint.muscle1.specimen, plant.joint.muscle1.domain
     geometry, load = plant.joint.geometry, plant.load
     loops = (controller.position, controller.stiffness)

@@ -17,31 +17,17 @@ from timing import Bench, inverted
 
 import mckibben as mk
 from mckibben import catalog
+from mckibben import robot as robots
 from mckibben.errors import SimulationError
-from mckibben.robot import (
-    Body,
-    Foot,
-    Ground,
-    Joint,
-    MusclePair,
-    Place,
-    PressureSchedule,
-    Robot,
-    RobotPlant,
-    RobotStart,
-    read_robot,
-    simulate_robot,
-    simulate_robots,
-)
 from mckibben.units import deg, mm, ms
 
 DURATION, PERIOD, STEP = 0.3, 2 * ms, 0.25 * ms
 SUBSTEPS = round(PERIOD / STEP)
 IN_SPACE = ", in space"
 GROUNDS = {
-    "friction 0.8 from 100 mm/s": Ground(friction=0.8, implicit_friction=True),
-    "friction 0.8 from 30 mm/s": Ground(friction=0.8, slip_speed=30 * mm, implicit_friction=True),
-    "no friction": Ground(friction=0.0),
+    "friction 0.8 from 100 mm/s": robots.Ground(friction=0.8, implicit_friction=True),
+    "friction 0.8 from 30 mm/s": robots.Ground(friction=0.8, slip_speed=30 * mm, implicit_friction=True),
+    "no friction": robots.Ground(friction=0.0),
 }
 ANGLES = {"": (2 * deg, -5 * deg), IN_SPACE: (2 * deg, 2 * deg, -5 * deg)}
 SPEEDS = 0.6, 1.2  # m/s, downwards at the touch
@@ -55,24 +41,26 @@ EQUAL = "equal accuracy"
 Force = Callable[[int], tuple[NDArray[np.float64], float]]
 
 
-def robot_plant(where: str) -> RobotPlant:
+def robot_plant(where: str) -> robots.RobotPlant:
     """Hip and knee with two muscles each, on a slider; or side swing, hip and knee of the catalog's robot."""
     valve = mk.FirstOrderValve(20 * ms)
     if where.endswith(IN_SPACE):
-        return RobotPlant(read_robot("lei-leg"), valve, GROUNDS[where.removesuffix(IN_SPACE)])
+        return robots.RobotPlant(robots.read_robot("lei-leg"), valve, GROUNDS[where.removesuffix(IN_SPACE)])
     muscle = mk.Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     pair = mk.AntagonisticJoint(mk.KneeGeometry(370 * mm, 30 * mm, 208 * mm), muscle, muscle)
     forwards = (0.0, -1.0, 0.0)
-    hip = Joint("hip", forwards, -15 * deg, 15 * deg, "thigh", damping=0.05)
-    knee = Joint("knee", forwards, -25 * deg, 30 * deg, "shank", None, Place(z=-0.4), -30 * deg, damping=0.05)
-    bodies = (
-        Body("trunk", 1.0),
-        Body("thigh", 0.5, Place(z=-0.19), (0.009, 0.0)),
-        Body("shank", 0.3, Place(z=-0.15), (0.005, 0.0)),
+    hip = robots.Joint("hip", forwards, -15 * deg, 15 * deg, "thigh", damping=0.05)
+    knee = robots.Joint(
+        "knee", forwards, -25 * deg, 30 * deg, "shank", None, robots.Place(z=-0.4), -30 * deg, damping=0.05
     )
-    pairs = tuple(MusclePair(name, pair.geometry, muscle, muscle) for name in ("hip", "knee"))
-    own = Robot(bodies, (hip, knee), pairs, "vertical", Foot("shank", Place(z=-0.37), 20 * mm))
-    return RobotPlant(own, valve, GROUNDS[where])
+    bodies = (
+        robots.Body("trunk", 1.0),
+        robots.Body("thigh", 0.5, robots.Place(z=-0.19), (0.009, 0.0)),
+        robots.Body("shank", 0.3, robots.Place(z=-0.15), (0.005, 0.0)),
+    )
+    pairs = tuple(robots.MusclePair(name, pair.geometry, muscle, muscle) for name in ("hip", "knee"))
+    own = robots.Robot(bodies, (hip, knee), pairs, "vertical", robots.Foot("shank", robots.Place(z=-0.37), 20 * mm))
+    return robots.RobotPlant(own, valve, GROUNDS[where])
 
 
 def robot(folder: Path, *, quick: bool) -> Table:
@@ -113,7 +101,7 @@ def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
         given = {"duration": DURATION, "control_period": PERIOD, "substeps": count, "workers": 1, "engine": engine}
         given["precision"] = precision
         over = {"start.upward_speed": -np.linspace(*SPEEDS, LANES)}
-        return lambda: simulate_robots(plant, controller, start, over=over, chunk=LANES, **given)
+        return lambda: robots.simulate_robots(plant, controller, start, over=over, chunk=LANES, **given)
 
     base = named("MuJoCo, RK4", SUBSTEPS)
 
@@ -159,21 +147,23 @@ def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
     bench.add(f"ours, {where}", ours)
 
 
-def traced(plant: RobotPlant, count: int) -> tuple[NDArray[np.float64], float]:
+def traced(plant: robots.RobotPlant, count: int) -> tuple[NDArray[np.float64], float]:
     """Angle of the knee [rad] over time and peak force [N] of our landing; NaN if the step is refused."""
     try:
-        run = simulate_robot(plant, *_given(plant), duration=DURATION, control_period=PERIOD, substeps=count)
+        run = robots.simulate_robot(plant, *_given(plant), duration=DURATION, control_period=PERIOD, substeps=count)
     except SimulationError:
         return np.full(round(DURATION / PERIOD), np.nan), np.nan
     return run["angle"][-1], float(run["ground_up"].max())
 
 
-def _given(plant: RobotPlant) -> tuple[PressureSchedule, RobotStart]:
+def _given(plant: robots.RobotPlant) -> tuple[robots.PressureSchedule, robots.RobotStart]:
     """Constant pressures, and a landing in the middle of the speeds."""
     angles = next(one for one in ANGLES.values() if len(one) == len(plant.robot.joints))
     others = len(angles) - 1
     pressures = plant.robot.pressures_for(angles, (0.0,) * len(angles), ((None,) * others) + (17.0,))
-    return PressureSchedule(tuple((one,) for one in pressures)), RobotStart(angles, pressures, 0.0, -sum(SPEEDS) / 2)
+    return robots.PressureSchedule(tuple((one,) for one in pressures)), robots.RobotStart(
+        angles, pressures, 0.0, -sum(SPEEDS) / 2
+    )
 
 
 def coarsest(traced: Force) -> tuple[int, float]:
@@ -192,7 +182,7 @@ def coarsest(traced: Force) -> tuple[int, float]:
 class _Mujoco:
     """The robot in MuJoCo."""
 
-    def __init__(self, plant: RobotPlant, start: RobotStart, folder: Path, name: str) -> None:
+    def __init__(self, plant: robots.RobotPlant, start: robots.RobotStart, folder: Path, name: str) -> None:
         import mujoco
 
         from mckibben.export.mjcf import mujoco_model
@@ -261,7 +251,7 @@ def main() -> None:
     over = {"start.upward_speed": -np.linspace(*SPEEDS, LANES)}
     begin = time.perf_counter()
     settings = {"duration": DURATION, "control_period": PERIOD, "substeps": SUBSTEPS}
-    simulate_robots(plant, controller, start, over=over, workers=1, **settings)
+    robots.simulate_robots(plant, controller, start, over=over, workers=1, **settings)
     print(time.perf_counter() - begin)
 
 
