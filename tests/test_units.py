@@ -1,5 +1,4 @@
 import math
-import time
 
 import numpy as np
 import pint
@@ -36,30 +35,12 @@ def test_a_number_and_a_unit_is_read_to_si(text, unit, expected):
     assert quantity(text, unit) == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "m",
-        "5",  # no unit
-        "4,5 m",
-        "1_000 mm",
-        "9**9**9 m",
-        "-1e400 m",
-        "1e308 kN*m/N*m/mm",
-        "nan m",
-        "0x10 m",
-        "5 m 5",
-        "5 m//s*s",
-        "5 m/1",
-        "5 m^0",
-        "5 m; import os",
-        "5 µm",
-        "٥ m",
-        "5 Mm",
-        "5 km",  # a unit, but not of the vocabulary
-    ],
-)
+# Without a unit, no plain number, more than one of them, and units that are none here.
+REFUSED = """|m|5|4,5 m|1_000 mm|9**9**9 m|-1e400 m|1e308 kN*m/N*m/mm|nan m|0x10 m|5 m 5|5 m//s*s|5 m/1|5 m^0|\
+5 m; import os|5 µm|٥ m|5 Mm|5 km"""
+
+
+@pytest.mark.parametrize("text", REFUSED.split("|"))
 def test_anything_else_is_refused_with_a_unit_error(text):
     with pytest.raises(UnitError):
         quantity(text, "m")
@@ -80,21 +61,6 @@ def test_megamolar_is_no_millimetre_and_the_known_units_are_listed():
         quantity("180 MM", "m")
 
 
-@pytest.mark.parametrize(
-    ("unit", "to", "expected"),
-    [
-        ("N/(bar*percent)", "", 1e-3),
-        ("1/(m*s)", "", 1.0),
-        ("kg*m^2/s^2", "N*m", 1.0),
-        ("bar*cm^2", "N", 10.0),
-        ("%", "1", 0.01),
-        ("1 / %", "1/ratio", 100.0),
-    ],
-)
-def test_factors_of_compound_units(unit, to, expected):
-    assert factor(unit, to) == pytest.approx(expected, rel=1e-14)
-
-
 _SHOWN = ["Pa", "kPa", "bar", "psi", "m", "mm", "deg", "%", "ratio", "N*m/rad", "N/(bar*percent)", "1/percent", "ms"]
 
 
@@ -103,27 +69,6 @@ def test_showing_and_reading_back_changes_nothing(value, unit):
     kind = {"psi": "Pa", "mm": "m", "deg": "rad", "%": "1", "ratio": "1", "ms": "s"}.get(unit, unit)
     back = quantity(show(value, unit, digits=17), kind) * factor(kind)
     assert back == pytest.approx(value, rel=1e-14, abs=1e-300)
-
-
-_PIECES = st.lists(
-    st.sampled_from(
-        [*"5 -+.e\tm/*^()·_µ\n'°%", *"4,5|9**9|1e400|bar|N|mm|rad|ratio|1/|**|^2|^-1|^1|nan|inf|5 m".split("|")]
-    ),
-    max_size=9,
-).map("".join)
-
-
-@given(st.one_of(st.text(max_size=40), _PIECES, _PIECES.map(lambda tail: f"5 {tail}")))
-def test_any_text_gives_a_finite_number_or_a_unit_error_and_quickly(text):
-    start = time.perf_counter()
-    try:
-        value = quantity(text, "m")
-    except UnitError as error:
-        assert str(error)
-    else:
-        assert isinstance(value, float)
-        assert math.isfinite(value)
-    assert time.perf_counter() - start < 5.0
 
 
 REGISTRY = pint.UnitRegistry()

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Mistakes of each command: one error with its place and remedy, before anything moves or is written."""
 
 import re
@@ -64,10 +65,7 @@ def files(tmp_path, shortened):
         (("sweep", "s.yaml", "--out", "x", "--force", *MASS), "continue it with --resume"),
         (("sweep", "s.yaml", "--out", "/proc/x", *MASS), "/proc/x: 1 problem\n  it cannot be made"),
         (START[:-2], "--out DIR"),
-        (
-            ("tune", "s.yaml", "--over", "controller.positon.kp"),
-            "did you mean 'controller.position.kp'",
-        ),  # before --out
+        (("tune", "s.yaml", "--over", "controller.positon.kp"), "did you mean 'controller.position.kp'"),  # before --out
         (("tune", "still.yaml", *START[2:], "--cost", "coupling"), "coupling is not defined"),
         ((*START, "--resume"), "no study to continue; leave out --resume"),
         ((*CONDITIONS, "--percentile", "50"), "--conditions"),
@@ -81,19 +79,13 @@ def files(tmp_path, shortened):
         (("calibrate", KNEE, "--out", "x", "--prior", "missing.yaml"), "missing.yaml"),
         (("calibrate", KNEE, "--out", "x", "--valves", *WEIGHT), "--valves"),
         (("rig", "control", "s.yaml"), "give one with --out DIR"),
-        (
-            ("rig", "control", "s.yaml", "--out", "x", "--rig", "wrong-rig.yaml"),
-            "line 2, rig.simulated.angle_step: unit 'bar'",
-        ),
-        (
-            ("rig", "control", "s.yaml", "--out", "x", "--rig", "no-rig.yaml"),
-            "rig: is missing; add it, such as `rig: simulated`",
-        ),
+        (("rig", "control", "s.yaml", "--out", "x", "--rig", "wrong-rig.yaml"), "line 2, rig.simulated.angle_step: unit 'bar'"),
+        (("rig", "control", "s.yaml", "--out", "x", "--rig", "no-rig.yaml"), "rig: is missing; add it, such as `rig: simulated`"),
         (("rig", "control", "s.yaml", "--out", "s.yaml"), "it is a file"),
         (("check", "missing.py"), "missing.py"),
         (("check", "good.py", "--with", "rate"), "--with"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_error_and_nothing_is_in_the_way_of_the_next_try(cli, files, arguments, words):
     before = {path: path.read_bytes() for path in files.iterdir()}
     found = cli(*arguments)

@@ -53,67 +53,27 @@ NAMES = "Pressure [bar],Length [mm],Force [N]"
 RECORDINGS: dict[str, str] = {
     "pandas timestamp": stamped(f"timestamp,{NAMES}", "2024-03-12 14:{m:02d}:{s:02d}.{ms:03d}000"),
     "ISO with zone": stamped(f"time,{NAMES}", "2024-03-12T14:{m:02d}:{s:02d}.{ms:03d}Z"),
-    "German date and time": stamped(
-        "Zeitstempel;Druck [bar];Länge [mm];Kraft [N]", "12.03.2024 14:{m:02d}:{s:02d},{ms:03d}", ";", ","
-    ),
+    "German date and time": stamped("Zeitstempel;Druck [bar];Länge [mm];Kraft [N]", "12.03.2024 14:{m:02d}:{s:02d},{ms:03d}", ";", ","),
     "time of day": stamped(f"Time,{NAMES}", "14:{m:02d}:{s:02d}.{ms:03d}"),
     "epoch in seconds": table(f"__time,{NAMES}", SAMPLES, [f"{1710252120 + t:.3f}" for t in TIME]),
     "epoch in nanoseconds": table(f"timestamp,{NAMES}", SAMPLES, [f"{int((1710252120 + t) * 1e9)}" for t in TIME]),
-    "ROS": table(
-        "%time,field.pressure_bar,field.length_mm,field.force_N",
-        SAMPLES,
-        [f"{1710252120000000000 + round(t * 1e9)}" for t in TIME],
-    ),
+    "ROS": table("%time,field.pressure_bar,field.length_mm,field.force_N", SAMPLES, [f"{1710252120000000000 + round(t * 1e9)}" for t in TIME]),
     "Arduino millis": table("millis,pressure_bar,length_mm,force_N", SAMPLES, [f"{round(1000 * t)}" for t in TIME]),
     "Simulink tout": table("tout,pressure_bar,length_mm,force_N", SAMPLES, [f"{t:.3f}" for t in TIME]),
-    "Arduino IDE": "".join(
-        f"14:{2 + int(t) // 60:02d}:{int(t) % 60:02d}.{round(1000 * (t % 1)):03d} -> {line}\n"
-        for t, line in zip([0.0, *TIME], table("pressure_bar,length_mm,force_N", SAMPLES).splitlines(), strict=True)
-    ),
-    "catman": "Druckversuch\nAufnahmebeginn 12.03.2024\nDevice: MGCplus\n"
-    + table(
-        "Zeit  1 - Standardmessrate [s]\tDruck [bar]\tLänge [mm]\tKraft [N]",
-        SAMPLES,
-        [f"{t:.4f}".replace(".", ",") for t in TIME],
-        "\t",
-        ",",
-    ),
-    "PicoLog": stamped(
-        ",Pressure (bar) Ave,Length (mm) Ave,Force (N) Ave", '"2024-03-12T14:{m:02d}:{s:02d}.{ms:03d}+01:00"'
-    ),
-    "Campbell TOA5": '"TOA5","rig","CR1000X","1234","CR1000X.Std.03","CPU:rig.CR1X","1","Table1"\n'
-    + stamped(
-        '"TIMESTAMP","RECORD","Pressure","Length","Force"\n"TS","RN","bar","mm","N"\n"","","Smp","Smp","Smp"',
-        '"2024-03-12 14:{m:02d}:{s:02d}.{ms:03d}",1',
-    ),
-    "Keysight BenchVue": "Name:,Rig\nOwner:,lab\n"
-    + stamped(
-        "Scan,Time,101 <Pressure> (bar),102 <Length> (mm),103 <Force> (N)", "1,03/12/2024 14:{m:02d}:{s:02d}:{ms:03d}"
-    ),
-    "dSPACE CSV": table(
-        "Time [s],Model Root/Pressure [bar]/In1,Model Root/Length [mm]/In1,Model Root/Force [N]/In1",
-        SAMPLES,
-        [f"{t:.3f}" for t in TIME],
-    ),
+    "Arduino IDE": "".join(f"14:{2 + int(t) // 60:02d}:{int(t) % 60:02d}.{round(1000 * (t % 1)):03d} -> {line}\n" for t, line in zip([0.0, *TIME], table("pressure_bar,length_mm,force_N", SAMPLES).splitlines(), strict=True)),
+    "catman": "Druckversuch\nAufnahmebeginn 12.03.2024\nDevice: MGCplus\n" + table("Zeit  1 - Standardmessrate [s]\tDruck [bar]\tLänge [mm]\tKraft [N]", SAMPLES, [f"{t:.4f}".replace(".", ",") for t in TIME], "\t", ","),
+    "PicoLog": stamped(",Pressure (bar) Ave,Length (mm) Ave,Force (N) Ave", '"2024-03-12T14:{m:02d}:{s:02d}.{ms:03d}+01:00"'),
+    "Campbell TOA5": '"TOA5","rig","CR1000X","1234","CR1000X.Std.03","CPU:rig.CR1X","1","Table1"\n' + stamped('"TIMESTAMP","RECORD","Pressure","Length","Force"\n"TS","RN","bar","mm","N"\n"","","Smp","Smp","Smp"', '"2024-03-12 14:{m:02d}:{s:02d}.{ms:03d}",1'),
+    "Keysight BenchVue": "Name:,Rig\nOwner:,lab\n" + stamped("Scan,Time,101 <Pressure> (bar),102 <Length> (mm),103 <Force> (N)", "1,03/12/2024 14:{m:02d}:{s:02d}:{ms:03d}"),
+    "dSPACE CSV": table("Time [s],Model Root/Pressure [bar]/In1,Model Root/Length [mm]/In1,Model Root/Force [N]/In1", SAMPLES, [f"{t:.3f}" for t in TIME]),
     "Graphtec": "Vendor,GRAPHTEC Corporation\nModel,GL240\nAMP settings\nCH,Signal name,Input,Range,Filter,Span\n"
-    'CH1,"Pressure",DC,10V,Off,10.00,0.00,bar\nCH2,"Length",DC,10V,Off,300.0,0.0,mm\nCH3,"Force",DC,10V,Off,500.0,0.0,N\nData\n'
-    + stamped("Number,Date&Time,CH1,CH2,CH3\nNO.,Time,bar,mm,N", "1,2024/03/12 14:{m:02d}:{s:02d}.{ms:03d}"),
+    'CH1,"Pressure",DC,10V,Off,10.00,0.00,bar\nCH2,"Length",DC,10V,Off,300.0,0.0,mm\nCH3,"Force",DC,10V,Off,500.0,0.0,N\nData\n' + stamped("Number,Date&Time,CH1,CH2,CH3\nNO.,Time,bar,mm,N", "1,2024/03/12 14:{m:02d}:{s:02d}.{ms:03d}"),
     "LabVIEW": "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t.\n***End_of_Header***\t\n\t\n"
-    "Channels\t3\nY_Unit_Label\tbar\tmm\tN\nX_Dimension\tTime\tTime\tTime\nDelta_X\t0.05\t0.05\t0.05\n***End_of_Header***\t\n"
-    + table("X_Value\tPressure\tLength\tForce\tComment", SAMPLES, [f"{t:.3f}" for t in TIME], "\t"),
-    "Excel export": table(
-        "Zeit (s);Druck (bar);Weg ignoriert;Länge (mm);Kraft (N)".replace("Weg ignoriert;", ""),
-        SAMPLES,
-        [f"{t:.2f}".replace(".", ",") for t in TIME],
-        ";",
-        ",",
-    ),
-    "oscilloscope": table(
-        "Time (ms),Pressure (kPa),Length (mm),Force (N),Temperature (°C)",
-        np.column_stack([1000 * TIME, 100 * PRESSURE, LENGTH, FORCE, 0 * TIME + 21.5]),
-    ),
+    "Channels\t3\nY_Unit_Label\tbar\tmm\tN\nX_Dimension\tTime\tTime\tTime\nDelta_X\t0.05\t0.05\t0.05\n***End_of_Header***\t\n" + table("X_Value\tPressure\tLength\tForce\tComment", SAMPLES, [f"{t:.3f}" for t in TIME], "\t"),
+    "Excel export": table("Zeit (s);Druck (bar);Weg ignoriert;Länge (mm);Kraft (N)".replace("Weg ignoriert;", ""), SAMPLES, [f"{t:.2f}".replace(".", ",") for t in TIME], ";", ","),
+    "oscilloscope": table("Time (ms),Pressure (kPa),Length (mm),Force (N),Temperature (°C)", np.column_stack([1000 * TIME, 100 * PRESSURE, LENGTH, FORCE, 0 * TIME + 21.5])),
     "blanks": table("# time_s pressure_bar length_mm force_N", np.column_stack([TIME, SAMPLES]), sep=" "),
-}
+}  # fmt: skip
 
 
 def simulink() -> bytes:
@@ -219,47 +179,19 @@ SHEETS: dict[str, tuple[str, bytes]] = {
     for name, text, encoding in (
         ("English", table("Pressure [bar],Contraction [%],Force [N]", POINTS), "utf-8"),
         ("German", table("Druck [bar];Kontraktion [%];Kraft [N]", POINTS, sep=";", decimal=","), "utf-8"),
-        (
-            "German of Windows",
-            table("Überdruck in bar;Verkürzung in %;Zugkraft in N", POINTS, sep=";", decimal=","),
-            "cp1252",
-        ),
+        ("German of Windows", table("Überdruck in bar;Verkürzung in %;Zugkraft in N", POINTS, sep=";", decimal=","), "cp1252"),
         ("UTF-16 of Excel", table("Druck (bar)\tKontraktion (%)\tKraft (N)", POINTS, sep="\t", decimal=","), "utf-16"),
         ("SI", table("pressure_Pa,contraction_ratio,force_N", POINTS * [1e5, 0.01, 1]), "utf-8"),
         ("other units", table("p / kPa,eps / -,F / kN", GAUGE, digits=7), "utf-8"),
         ("row of units", table("Pressure;Contraction;Force\nbar;%;N", POINTS, sep=";"), "utf-8"),
-        (
-            "row numbers",
-            table("No.,Pressure [bar],Contraction [%],Force [N]", POINTS, [str(i) for i in range(1, 19)]),
-            "utf-8",
-        ),
-        (
-            "temperature",
-            table("Pressure [bar],Contraction [%],Force [N],Temperature [°C]", np.column_stack([POINTS, 21 + 0 * P])),
-            "utf-8",
-        ),
-        (
-            "preamble",
-            "Rig 3\nOperator: A. B.\nDate: 12.03.2024\n\n" + table("Pressure [bar],Contraction [%],Force [N]", POINTS),
-            "utf-8",
-        ),
-        (
-            "set and actual",
-            table(
-                "Druck soll [bar];Druck ist [bar];Kontraktion [%];Kraft [N]",
-                np.column_stack([P.round(), POINTS]),
-                sep=";",
-            ),
-            "utf-8",
-        ),
+        ("row numbers", table("No.,Pressure [bar],Contraction [%],Force [N]", POINTS, [str(i) for i in range(1, 19)]), "utf-8"),
+        ("temperature", table("Pressure [bar],Contraction [%],Force [N],Temperature [°C]", np.column_stack([POINTS, 21 + 0 * P])), "utf-8"),
+        ("preamble", "Rig 3\nOperator: A. B.\nDate: 12.03.2024\n\n" + table("Pressure [bar],Contraction [%],Force [N]", POINTS), "utf-8"),
+        ("set and actual", table("Druck soll [bar];Druck ist [bar];Kontraktion [%];Kraft [N]", np.column_stack([P.round(), POINTS]), sep=";"), "utf-8"),
         ("numpy", table("# pressure_bar contraction_percent force_N", POINTS, sep=" "), "utf-8"),
-        (
-            "gram-force",
-            table("Pressure (mmHg),Contraction (%),Force (gf)", POINTS * [750.0616827, 1, 101.9716213], digits=6),
-            "utf-8",
-        ),
+        ("gram-force", table("Pressure (mmHg),Contraction (%),Force (gf)", POINTS * [750.0616827, 1, 101.9716213], digits=6), "utf-8"),
     )
-} | {"workbook": (".xlsx", workbook()), "NetCDF of xarray": (".nc", netcdf()), "MATLAB": (".mat", matrix())}
+} | {"workbook": (".xlsx", workbook()), "NetCDF of xarray": (".nc", netcdf()), "MATLAB": (".mat", matrix())}  # fmt: skip
 
 
 @pytest.mark.parametrize("sheet", SHEETS)

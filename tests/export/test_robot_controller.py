@@ -19,10 +19,7 @@ from tests.robot.test_control import DECOUPLING, ONE
 FILE = "examples/robot/lei-leg-control.yaml"
 
 
-@pytest.mark.parametrize(
-    ("scenario", "single"),
-    [("leg", False), ("leg", True), ("joint", False)],
-)
+@pytest.mark.parametrize(("scenario", "single"), [("leg", False), ("leg", True), ("joint", False)])
 @pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
 @pytest.mark.slow
 def test_it_repeats_the_recorded_run(scenario, single, tmp_path):

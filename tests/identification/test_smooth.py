@@ -6,13 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import fit_law
-from mckibben.muscle import (
-    ExponentialLaw,
-    GaussianProcessLaw,
-    SmoothLaw,
-    TonduLopezVariableLaw,
-    forces,
-)
+from mckibben.muscle import ExponentialLaw, GaussianProcessLaw, SmoothLaw, TonduLopezVariableLaw, forces
 from mckibben.muscle.slopes import unphysical
 from mckibben.units import bar, percent
 

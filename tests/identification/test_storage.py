@@ -130,10 +130,7 @@ class LinearLaw(PressureAffineLaw):
 
     equation = "F = a p - k eps"
     source = "a test"
-    linear_parameters = (
-        Parameter("a", "N/Pa", "N/bar", "force per pressure"),
-        Parameter("k", "N", "N", "stiffness"),
-    )
+    linear_parameters = (Parameter("a", "N/Pa", "N/bar", "force per pressure"), Parameter("k", "N", "N", "stiffness"))
 
     def pressure_terms(self, contraction):
         return -self.k * contraction, self.a

@@ -259,11 +259,7 @@ def test_cams_pulleys_locked_joints_and_air(tmp_path):
     plant = plant_of("free", valve=mk.FlowValve(conductance=1e-9, supply=6e5))
     cams = PairedPaths(Cam(0.025, 0.165, arm_slope=0.004), Pulley(0.03, 0.165))
     hip, knee, ankle = plant.robot.joints
-    joints = (
-        hip,
-        dataclasses.replace(knee, locked=5 * deg),
-        dataclasses.replace(ankle, locked=0.0),
-    )
+    joints = (hip, dataclasses.replace(knee, locked=5 * deg), dataclasses.replace(ankle, locked=0.0))
     muscles = pair_over("hip", pair(cams)), *plant.robot.muscles[1:3], OTHER
     plant = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=joints, muscles=muscles))
     start = plant.init_state(ANGLES, PRESSURES)

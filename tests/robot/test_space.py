@@ -184,22 +184,3 @@ def test_files_of_a_robot_in_space():
             RobotScenario.parse(head + text)
         problem = caught.value.problems[0]
         assert (problem.line, problem.field) == (line, field) and problem.remedy
-
-
-@pytest.mark.parametrize("written", ["[1, 0, 7]", "[1, 0]", "up"])
-def test_a_wrong_axis_is_reported_with_its_line(written):
-    text = f"""name: x
-robot:
-  bodies:
-    - {{name: trunk, mass: 1 kg}}
-    - {{name: arm, mass: 0.5 kg, centre: [0 mm, 0 mm, -190 mm], inertia: [0.009 kg*m^2, 0.0004 kg*m^2]}}
-  joints:
-    - name: side
-      axis: {written}
-      lower: -5 deg
-      upper: 5 deg
-      body: arm
-"""
-    with pytest.raises(ScenarioError) as caught:
-        RobotScenario.parse(text)
-    assert {one.line for one in caught.value.problems if (one.field or "").startswith("robot.joints[0].axis")} == {8}

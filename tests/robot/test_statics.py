@@ -78,14 +78,6 @@ def test_an_attainable_stiffness_is_exact(name, force):
     np.testing.assert_allclose(robot.torques(angles, found.pressures), torques, atol=1e-7)
 
 
-@pytest.mark.slow
-def test_a_force_is_held_by_the_muscles():
-    robot, angles = read_robot("lei-leg-planar"), POSTURES["lei-leg-planar"]
-    found = pressures_for_point_stiffness(robot, angles, stiffness_matrix((40.0, 600.0), -0.2), force=(2.0, 15.0))
-    jacobian, _ = point_jacobian(robot, angles)
-    np.testing.assert_allclose(robot.torques(angles, found.pressures), -jacobian.T @ [2.0, 15.0], atol=1e-7)
-
-
 @pytest.mark.parametrize(
     ("principal", "direction"),
     [((25.0, 800.0), -0.15), ((200.0, 300.0), 1.0), ((15.0, 3000.0), 0.3), ((60.0, 70.0), 0.0)],

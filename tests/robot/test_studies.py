@@ -207,13 +207,8 @@ def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypa
     monkeypatch.setattr(robots.landing.Landings, "compute", counted)
     with pytest.raises(KeyboardInterrupt):
         robots.study_landing(scenario, out=tmp_path)
-    with pytest.raises(FileError):  # it exists
-        robots.study_landing(scenario, out=tmp_path)
     with file_lock(tmp_path / ".study.sqlite.lock", "computing this study"), pytest.raises(FileError):
         robots.study_landing(scenario, out=tmp_path, resume=True)
-    with pytest.raises(FileError) as caught:
-        robots.study_landing(scenario.model_copy(update={"control_period": 0.2e-3}), out=tmp_path, resume=True)
-    assert caught.value.problems
     before = len(runs)
     again = robots.study_landing(scenario, out=tmp_path, resume=True)
     assert 1 <= len(runs) - before < 6  # of six blocks, the finished ones are kept

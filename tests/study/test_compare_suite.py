@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Suite files, with the line and field of each mistake; and their runs, each of which is that of its scenario."""
 
 import dataclasses
@@ -94,52 +95,20 @@ def test_a_wrapper_starts_at_the_gains_of_the_loops_within_at_any_depth():
 
 
 MISTAKES = [
-    (
-        [("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad")],
-        *("conditions[0]", "load.mass2", "not a parameter of the plant"),
-    ),
+    ([("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad")], "conditions[0]", "load.mass2", "not a parameter of the plant"),
     ([("sensors.delay=0, 1", "load.mass2=1..2 kg")], "conditions", "conditions:", "varied twice"),
-    (
-        [("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]")],
-        *("references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
-    ),
-    (
-        [("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:")],
-        *("tuning.over.PID 4", "untuned:", "did you mean 'PID 3'"),
-    ),
-    (
-        [("untuned:", "over: {PID 3: [load.mass2=1..2 kg]}, untuned:")],
-        *("tuning.over.PID 3", "untuned:", "not a parameter of the controller"),
-    ),
+    ([("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]")], "references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
+    ([("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:")], "tuning.over.PID 4", "untuned:", "did you mean 'PID 3'"),
+    ([("untuned:", "over: {PID 3: [load.mass2=1..2 kg]}, untuned:")], "tuning.over.PID 3", "untuned:", "not a parameter of the controller"),
     ([("untuned: [as it is]", "untuned: [as it iss]")], "tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
     ([("seed: 1}", "seed: 99}")], "evaluation", "evaluation:", "seed of the tuning"),
-    (
-        [("tuning: {runs: 8", "tuning: {cost: coupling, runs: 8")],
-        *("tuning.cost", "untuned:", "coupling is defined for stiffness steps"),
-    ),
-    (
-        [("feedback: {bandwidth: 40", "friction_compensation: true\n    feedback: {bandwidth: 40")],
-        *("controllers.decoupling", "  decoupling:", "no muscle of its model has friction"),
-    ),
-    (
-        [("  as it is:", "  pid-3:"), ("untuned: [as it is]", "untuned: [pid-3]")],
-        *("controllers.pid-3", "  as it is:", "the same file as 'PID 3'"),
-    ),
+    ([("tuning: {runs: 8", "tuning: {cost: coupling, runs: 8")], "tuning.cost", "untuned:", "coupling is defined for stiffness steps"),
+    ([("feedback: {bandwidth: 40", "friction_compensation: true\n    feedback: {bandwidth: 40")], "controllers.decoupling", "  decoupling:", "no muscle of its model has friction"),
+    ([("  as it is:", "  pid-3:"), ("untuned: [as it is]", "untuned: [pid-3]")], "controllers.pid-3", "  as it is:", "the same file as 'PID 3'"),
     ([("  longer:", f"  {NOMINAL_JOINT}:")], "other_joints.nominal", "  longer:", "the suite's own joint"),
-    (
-        [
-            (
-                "  longer:\n",
-                "  longer:\n    valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}\n",
-            )
-        ],
-        *("other_joints.longer", "  longer:", "commands pressures"),
-    ),
-    (
-        [("  longer:\n    joint:\n", "  longer:\n    share: 2\n  short:\n    joint:\n")],
-        *("other_joints.longer", "  longer:", "the suite's own plant"),
-    ),
-]
+    ([("  longer:\n", "  longer:\n    valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}\n")], "other_joints.longer", "  longer:", "commands pressures"),
+    ([("  longer:\n    joint:\n", "  longer:\n    share: 2\n  short:\n    joint:\n")], "other_joints.longer", "  longer:", "the suite's own plant"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("pairs", "field", "marked", "said"), MISTAKES)
