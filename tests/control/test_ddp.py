@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """The plan within limits against SciPy's, on the problem written anew in plain NumPy; without limits, closed forms."""
 
 import functools
@@ -172,23 +173,17 @@ def test_the_pressures_follow_from_the_state_by_the_implicit_function_theorem():
     ("problem", "error", "rate", "pressures", "saturated", "near"),
     [
         pytest.param(joint_problem(), 2.5, 1.2, (3.0, 3.0), False, 1e-6, id="free"),
-        pytest.param(
-            joint_problem(reference=(3.0, 2.0, -0.3, 0.1)), -3.0, -3.2, (2.3, 3.3), False, 1e-6, id="along a reference"
-        ),
+        pytest.param(joint_problem(reference=(3.0, 2.0, -0.3, 0.1)), -3.0, -3.2, (2.3, 3.3), False, 1e-6, id="along a reference"),
         pytest.param(joint_problem(steps=(8.0, 4.0)), 0.1, 0.0, (3.0, 3.0), False, 1e-6, id="steps known ahead"),
         pytest.param(joint_problem(highest=2.5), 0.5, 0.2, (2.4, 2.4), True, 1e-6, id="stiffness above the attainable"),
         pytest.param(joint_problem(lowest=3.2), 4.0, 1.2, (3.3, 3.3), True, 1e-6, id="stiffness below the attainable"),
         pytest.param(joint_problem(highest=2.5, lowest=2.2), -6.0, 1.0, (2.4, 2.4), True, 1e-6, id="in a corner"),
-        pytest.param(
-            joint_problem(sign=-1, highest=3.1), 2.5, 1.2, (3.0, 3.0), True, 1e-6, id="springs: softer with pressure"
-        ),
+        pytest.param(joint_problem(sign=-1, highest=3.1), 2.5, 1.2, (3.0, 3.0), True, 1e-6, id="springs: softer with pressure"),
         # What a valve can do hangs on the pressure before, which is told from the state but for a part in a thousand.
         pytest.param(joint_problem(), -40.0, 1.2, (3.0, 3.0), True, 5e-3, id="as fast as valves can"),
-        pytest.param(
-            joint_problem(highest=2.5), 0.5, 0.2, (4.0, 4.0), True, 1e-6, id="back within limits, as valves can"
-        ),
+        pytest.param(joint_problem(highest=2.5), 0.5, 0.2, (4.0, 4.0), True, 1e-6, id="back within limits, as valves can"),
     ],
-)
+)  # fmt: skip
 def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, saturated, near):
     start = start_of(problem, error, rate, pressures)
     command = first_command(8, problem, start, pressures)

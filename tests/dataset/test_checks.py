@@ -135,16 +135,13 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "full scales": (row(0, 10, 30, 5000), "order"),
     "zeros after a restart": (row(20, 0, 0, 0), "rows"),
     "a force of a lost sample": (changed(force=lambda f: np.where(np.arange(len(f)) == 31, 0.0, f)), "order"),
-    "a force that stands still": (
-        changed(force=lambda f: np.where((np.arange(len(f)) > 31) & (np.arange(len(f)) < 37), f[31], f)),
-        "order",
-    ),
+    "a force that stands still": (changed(force=lambda f: np.where((np.arange(len(f)) > 31) & (np.arange(len(f)) < 37), f[31], f)), "order"),
     "a digit lost": (changed(force=lambda f: np.where(np.arange(len(f)) == 47, f - 300, f)), "order"),
     "rows of two muscles": (changed(force=lambda f: f * np.where(np.arange(len(f)) % 2, 0.5, 1.0)), "order"),
     "sorted forces": (changed(force=np.sort), "order"),
     "pressures counted up": (changed(pressure=lambda p: 1e5 + 7e3 * np.arange(len(p))), "rows"),
     "a block pasted twice": (lambda arrays: tuple(np.r_[values, values[:9]] for values in arrays), "rows"),  # type: ignore[return-value]
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -23,27 +23,7 @@ validation = pytest.importorskip("fmpy.validation", reason="needs the extra fmu"
 build = pytest.importorskip("fmpy.build", reason="needs the extra fmu")
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler, for the FMU's binary")
 
-TEXT = """
-name: knee with friction
-joint:
-  geometry: {from: knee-table-2, connector_length: 208 mm}
-  muscle:
-    specimen: MAS-10-180N-AA-MC-O
-    law: lei-mas-10-180n
-    friction: {half_width: 7.5 N, presliding_length: 0.5 mm, viscous: 20 N*s/m}
-    creep: {stiffness: 0.5 N/mm, time_constant: 8 s}
-load: knee-table-2
-valve: {time_constant: 20 ms}
-controller:
-  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}
-  stiffness: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
-reference:
-  angle: {class: sine, amplitude: 10 deg, frequency: 2 Hz}
-  stiffness: {class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 0.2 s}
-start: {angle: 0 deg, stiffness: 12 N*m/rad}
-duration: 0.5 s
-control_period: 1 ms
-"""
+TEXT = Path(__file__).with_name("knee-with-friction.yaml").read_text(encoding="utf-8")
 PERIOD = 1e-3
 STATE = ("angle", "velocity", "pressure1", "pressure2")
 

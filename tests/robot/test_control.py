@@ -25,29 +25,7 @@ from mckibben.scenario import run_many, with_values
 from mckibben.study.tune import tune
 from mckibben.units import bar, deg
 
-ONE = """
-name: one joint
-robot:
-  bodies:
-    - {name: thigh, mass: 1 kg}
-    - {name: shank, mass: 0.5 kg, centre: [0 mm, 0 mm, -180 mm], inertia: [0.004 kg*m^2, 0 kg*m^2]}
-  joints:
-    - {name: knee, axis: [0, -1, 0], body: shank, lower: -20 deg, upper: 20 deg, damping: 0.05 N*m*s/rad}
-  muscles:
-    - over: knee
-      geometry: {joint_length: 370 mm, joint_radius: 30 mm, connector_length: 208 mm}
-      muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-valve: {time_constant: 20 ms}
-sensors: {encoder: 0.022 deg, pressure_noise: 2 kPa}
-command_delay: 3 ms
-reference:
-  knee:
-    angle: {class: sine, amplitude: 5 deg, frequency: 0.5 Hz}
-    stiffness: {class: step, before: 14 N*m/rad, after: 16 N*m/rad, at: 0.2 s}
-duration: 0.4 s
-control_period: 2 ms
-substeps: 4
-"""
+ONE = Path(__file__).with_name("one-joint.yaml").read_text(encoding="utf-8")
 LAG = "{time_constant: 20 ms}"
 AIR = "{class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, dead_volume: 3 cm^3}"
 PID = """

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Files of a robot, landing and jump studies, and the commands."""
 
 import dataclasses
@@ -88,22 +89,13 @@ def test_bad_files_name_line_and_remedy(text, line, word):
 @pytest.mark.parametrize(
     ("text", "fields"),
     [
-        (
-            "robot: {from: lei-leg-planar, bodies: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
-            ["robot.bodies", "landing.time_constants", "landing.drop[0]"],
-        ),
+        ("robot: {from: lei-leg-planar, bodies: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n", ["robot.bodies", "landing.time_constants", "landing.drop[0]"]),
         ("robot: {from: lei-leg-planar, joints: {knee: {lower: null}}}\n", ["robot.joints.knee.lower"]),
         ("robot: null\n", ["robot"]),
-        (
-            "robot: lei-leg-planar\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
-            ["landing.drop[0]", "landing.drop[1]"],
-        ),
-        (
-            "robot: lei-leg-planar\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n",
-            ["landing.stiffness"],
-        ),
+        ("robot: lei-leg-planar\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n", ["landing.drop[0]", "landing.drop[1]"]),
+        ("robot: lei-leg-planar\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n", ["landing.stiffness"]),
     ],
-)
+)  # fmt: skip
 def test_what_follows_from_another_mistake_is_not_said(text, fields):
     with pytest.raises(ScenarioError) as caught:
         robots.RobotScenario.parse("name: x\n" + text)

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Many runs at once are the single runs: every metric, every outcome, whatever differs and however they are chunked."""
 
 import dataclasses
@@ -124,17 +125,13 @@ SPECIAL = {
     "constant": {"reference.stiffness.after": 13.0},
     "step too small for 32 bits": {"reference.stiffness.after": 13.0 + 1e-7},
     "saturated": {"controller.position.kp": 40 * bar, "reference.angle.offset": 15 * deg, "angle": 0.0},
-    "overloaded": {
-        "joint.muscle1.specimen.rated_force": 60.0,
-        "reference.stiffness.before": 25.0,
-        "reference.stiffness.after": 30.0,
-    },
+    "overloaded": {"joint.muscle1.specimen.rated_force": 60.0, "reference.stiffness.before": 25.0, "reference.stiffness.after": 30.0},
     "swung over": {"reference.angle.offset": 2.0, "angle": 0.0},
     "diverged": {"load.damping": 5000.0},
     "too heavy": {"load.mass2": 50.0},
     "too stiff a start": {"stiffness": 500.0},
     "stretched": {"joint.geometry.connector_length": 0.15},
-}
+}  # fmt: skip
 
 
 def varied() -> list[dict[str, float]]:

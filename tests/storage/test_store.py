@@ -127,13 +127,6 @@ def test_a_full_disk_loses_nothing_and_is_reported(path, monkeypatch):
     assert records(path) == {number: content_of(number) for number in range(20)}
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(FileError), open_store(tmp_path / STUDY):
-        pytest.fail("written")
-
-
 def test_a_file_that_disappears_is_not_written_on_in_silence(path):
     with open_store(path, resume=True) as store:
         job = store.job(ABOUT)

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """The numbers of a scenario by name, in one or many scenarios, and in its text: no forbidden value comes through."""
 
 import functools
@@ -267,15 +268,10 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
 
 FORBIDDEN = [
     (PID, {"joint.geometry.connector_length": [0.2, 0.36]}, 1, "outside 0..0.34"),
-    (
-        PID,
-        {"joint.geometry.joint_length": [0.37, 0.4], "joint.geometry.connector_length": [0.39, 0.39]},
-        0,
-        "connector_length 390 mm.* outside",
-    ),
+    (PID, {"joint.geometry.joint_length": [0.37, 0.4], "joint.geometry.connector_length": [0.39, 0.39]}, 0, "connector_length 390 mm.* outside"),
     (PID, {"controller.position.kp": [1e5, -1e5, 2e5]}, 1, "differ in sign"),
     (PID, {"load.inertia": [0.0], "load.mass1": [0.0], "load.mass2": [0.0]}, 0, "total_inertia is 0"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("scenario", "table", "row", "why"), FORBIDDEN, indirect=["scenario"])
@@ -341,14 +337,9 @@ def test_two_equal_muscles_are_changed_where_they_stand():
         (BLOCK, {"load.mass2": 0.8}, "  from: knee-table-2\n  # a", "  from: knee-table-2\n  mass2: 0.8 kg\n  # a"),
         (BLOCK, {"controller.position.tracking_time": 0.1}, "rad,}", "rad, tracking_time: 100 ms,}"),
         (BLOCK, {"controller.stiffness.filter_time": 0.0}, "# none\n", "# none\n    filter_time: 0 ms\n"),
-        (
-            BLOCK,
-            {"start.stiffness": 13.0, "start.angle": 0.0},
-            "# the last line",
-            "# the last line\nstart: {stiffness: 13 N*m/rad, angle: 0 deg}",
-        ),
+        (BLOCK, {"start.stiffness": 13.0, "start.angle": 0.0}, "# the last line", "# the last line\nstart: {stiffness: 13 N*m/rad, angle: 0 deg}"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_only_what_was_asked_for_changes(text, values, old, new, newline):
     assert text.count(old) == 1
