@@ -17,7 +17,7 @@ class Report(Result):
         "robot.yaml",
         *(
             f"{name}.{end}"
-            for name in ("fit", "bands", "loops", "ranking", "point_stiffness")
+            for name in ("fit", "bands", "loops", "ranking", "posture", "point_stiffness")
             for end in ("png", "svg")
         ),
     )

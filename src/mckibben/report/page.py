@@ -34,15 +34,10 @@ EmbeddedFigure = tuple[ReportFigure, str]
 """Figure of a page, and its image as a data URI."""
 
 
-def template_of(name: str) -> jinja2.Template:
-    """Jinja template of this package, with autoescaping; an undefined name is an error.
+def _template() -> jinja2.Template:
+    """Template of the page, with autoescaping; an undefined name is an error.
 
     Control characters in texts, which may come from a user's files, are escaped.
-
-    Parameters
-    ----------
-    name
-        File name, such as "report.html.jinja".
     """
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_resource),
@@ -53,12 +48,7 @@ def template_of(name: str) -> jinja2.Template:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
-    return environment.get_template(name)
-
-
-def style_sheet() -> markupsafe.Markup:
-    """Style sheet of all pages."""
-    return markupsafe.Markup(_resource("report.css"))
+    return environment.get_template("report.html.jinja")
 
 
 def typeset(text: str) -> markupsafe.Markup:
@@ -111,7 +101,9 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
         drawn[figure.section].append(embedded(figure, folder, preview=reproduction.quick))
-    return write_page(folder / _PAGE, render(reproduction, drawn))
+    with atomic_write(folder / _PAGE, overwrite=True) as part:
+        part.write_text(render(reproduction, drawn), encoding="utf-8")
+    return folder / _PAGE
 
 
 def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> EmbeddedFigure:
@@ -123,20 +115,12 @@ def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> Em
     return figure, address_of(*save(figure.figure, folder / "figures", figure.name, preview=preview))
 
 
-def write_page(path: Path, text: str) -> Path:
-    """Write the text of a page atomically, replacing a file; return its path."""
-    with atomic_write(path, overwrite=True) as part:
-        part.write_text(text, encoding="utf-8")
-    return path
-
-
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
     """HTML text of the report of the paper; `drawn` has the figures by section, a key of `SECTIONS`."""
     results = reproduction.to_dict()
-    template = template_of("report.html.jinja")
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
-    return template.render(
-        style=style_sheet(),
+    return _template().render(
+        style=markupsafe.Markup(_resource("report.css")),
         results=results,
         seconds=reproduction.seconds,
         claims=reproduction.paper_claims,
@@ -147,7 +131,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         fit=tables.fit_table(results),
         parameters=(parameters := tables.parameter_table(results)),
         published={row[0].split()[0]: row[1] for row in parameters.rows},
-        hardware=tables.hardware_table(),
+        hardware=tables.HARDWARE,
         warnings={name_of(n): _warnings(fit) for n, fit in reproduction.identification.fits.items()},
         validation=tables.validation_tables(results),
         joint=tables.joint_table(results),

@@ -191,9 +191,8 @@ def parameter_table(results: Numbers) -> Table:
     return _table("parameters", rows, *map(name_of, fits))
 
 
-def hardware_table() -> Table:
-    """Table 1 of the paper, with what stands for it here."""
-    return _table("hardware", _TEXTS["hardware"]["rows"])
+HARDWARE = _table("hardware", _TEXTS["hardware"]["rows"])
+"""Table 1 of the paper, with what stands for it here."""
 
 
 def validation_tables(results: Numbers) -> list[Table]:
