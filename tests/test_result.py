@@ -77,6 +77,11 @@ def test_no_line_is_longer_than_the_terminal_and_nothing_is_lost(width):
     assert max(map(len, text.splitlines())) <= width
     assert set(sentence.split()) <= set(text.split())
     assert text.split().count("1.5") == 8
+    heading = f"share of {sentence}"
+    scalars = {"share": (Column("1", heading), [0.1234]), "sum": (Column("N*m/rad", "sum"), [123.4])}
+    text = Listing("", scalars, vertical=True).to_text(width)
+    assert max(map(len, text.splitlines())) <= width
+    assert {"0.1234", "N*m/rad", *heading.split()} <= set(text.split())
 
 
 def test_a_long_table_says_how_much_it_leaves_out():

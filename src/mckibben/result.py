@@ -318,12 +318,16 @@ def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
 
 
 def _pairs(header: Sequence[tuple[str, str]], values: Sequence[str], width: int) -> list[str]:
-    """Lines of title, value and unit, one below the other."""
-    widest = max((len(title) for title, _ in header), default=0)
+    """Lines of title, value and unit, one below the other; a value of less than half of the width is in one line."""
+    texts = [
+        f"{value} {unit}" if unit not in ("", "1") else value for (_, unit), value in zip(header, values, strict=True)
+    ]
+    room = width - 3 - max((min(len(text), width // 2) for text in texts), default=0)
+    widest = min(max((len(title) for title, _ in header), default=0), room)
     lines = []
-    for (title, unit), value in zip(header, values, strict=True):
-        text = f"{value} {unit}" if unit not in ("", "1") else value
-        lines += textwrap.wrap(text, width, initial_indent=f"{title:{widest}}   ", subsequent_indent=" " * (widest + 3))
+    for (title, _), text in zip(header, texts, strict=True):
+        parts = textwrap.wrap(title, widest), textwrap.wrap(text, width - widest - 3)
+        lines += [f"{left:{widest}}   {right}".rstrip() for left, right in itertools.zip_longest(*parts, fillvalue="")]
     return lines
 
 
