@@ -90,7 +90,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 820,
+    "top": 830,
     "actuator": 1050,
     "calibration": 1790,
     "catalog": 230,
@@ -113,14 +113,14 @@ BUDGET = {
     "paper": 740,
     "plant": 530,
     "reachability": 1120,
-    "report": 2330,
+    "report": 2320,
     "rig": 4590,
     "scenario": 870,
     "serial_protocol": 160,
     "simulation": 2850,
     "storage": 570,
     "study": 2920,
-    "web": 2830,
+    "web": 2820,
 }
 
 MOST_ANY = 710  # uses of `Any`
