@@ -107,7 +107,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3760,
     "joint": 1200,
-    "robot": 4620,
+    "robot": 4770,
     "muscle": 1620,
     "numerics": 840,
     "paper": 740,

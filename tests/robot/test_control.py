@@ -13,14 +13,15 @@ from typer.testing import CliRunner
 
 import mckibben as mk
 from mckibben.cli import app
-from mckibben.errors import ParameterError, RangeError, ScenarioError
+from mckibben.errors import ParameterError, RangeError, ScenarioError, UnreachableError
 from mckibben.export import export
 from mckibben.export.mujoco import load_mujoco
 from mckibben.plant import PerfectSensors
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
 from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
 from mckibben.robot.dynamics import joint_equations, joint_load
-from mckibben.robot.statics import HeldPosture
+from mckibben.robot.point_stiffness import place_of, point_jacobian, point_of
+from mckibben.robot.statics import HeldPosture, stiffness_matrix
 from mckibben.scenario import run_many, with_values
 from mckibben.study.tune import tune
 from mckibben.units import bar, deg
@@ -85,6 +86,10 @@ def test_a_file_of_a_controlled_robot_reads_back():
         (ONE + PID.replace("kp: 2 bar/rad", "kp: 2 kg"), "controllers.knee.position.kp"),
         (ONE + PID.replace("knee", "kne"), "controllers.kne"),
         (ONE.replace("duration: 0.4 s", "") + PID, None),
+        (
+            "name: a\nrobot: {from: lei-leg-planar}\nreference: {position: [0 mm, 0 mm], principle: 3 N/m}",
+            "reference.principle",
+        ),
         (ONE.replace("  knee:", "  hip:") + TORQUE, "reference.hip"),
     ],
 )
@@ -142,6 +147,48 @@ def test_a_robot_is_tuned_with_its_disk_margin(tmp_path):
         np.testing.assert_allclose(many.metrics[name][:, 1], one.metrics[name], rtol=1e-6)
     for name in ("air", "time_saturated"):
         np.testing.assert_allclose(many.metrics[name][1], one.metrics[name], rtol=1e-6)
+
+
+POINT = """
+name: the foot presses on soft ground
+robot: {from: lei-leg-planar, base: fixed}
+valve: {time_constant: 20 ms, supply: 7 bar}
+reference:
+  position: [-90 mm, {class: ramp, before: -696 mm, after: -705 mm, start: 0.2 s, duration: 0.5 s}]
+  principal: [22.7 N/m, 835 N/m]
+  direction: -11.77 deg
+ground: {friction: 0.9, slip_speed: 1 mm/s, implicit_friction: true, stiffness: 3000 N/m}
+start: {angles: {knee: -17 deg}, clearance: 4 mm}
+controller: {feedback: {bandwidth: 60 rad/s}, impedance: true}
+duration: 1.5 s
+control_period: 2 ms
+"""
+
+
+@pytest.mark.slow
+def test_a_point_is_a_spring_of_its_stiffness_about_its_reference():
+    scenario = RobotScenario.parse(POINT)
+    run = run_tracking(scenario)
+    robot, point = scenario.robot, point_of(scenario.robot, None)
+    at, reference = (
+        np.array(place_of(robot, point, jnp.asarray(run[name][:, -1]))) for name in ("angle", "desired_angle")
+    )
+    np.testing.assert_allclose(reference, [-0.09, -0.705], atol=1e-8)
+    pressed = np.array([run["ground_forward"][-1], run["ground_up"][-1]])
+    wanted = stiffness_matrix((22.7, 835.0), np.radians(-11.77))
+    assert at[1] - reference[1] > 1e-3 and pressed[1] > 1
+    np.testing.assert_allclose(pressed, wanted @ (at - reference), rtol=0.05)
+    jacobian, _ = point_jacobian(robot, run["angle"][:, -1])
+    springs = run["desired_stiffness"][:, -1] * (run["angle"] - run["desired_angle"])[:, -1]
+    np.testing.assert_allclose(jacobian.T @ pressed, springs, atol=0.02)
+
+
+def test_positions_out_of_reach_are_named_before_the_run():
+    with pytest.raises(UnreachableError) as caught:
+        RobotScenario.parse(POINT.replace("-705 mm", "-830 mm")).references()
+    assert caught.value.field == "reference" and caught.value.remedy
+    scenario = RobotScenario.parse(POINT)
+    assert RobotScenario.parse(scenario.dumps()).dumps() == scenario.dumps()
 
 
 def test_the_cost_of_a_robot_has_its_metrics():

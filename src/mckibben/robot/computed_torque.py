@@ -91,6 +91,9 @@ class ComputedTorque(TrackingControl):
         file, by default, those of the plant. No joint is locked.
     minimum_tension
         Lower limit of each muscle's tension [N].
+    impedance
+        Whether each joint is a critically damped spring of its stiffness about its reference, for contact (Hogan 1985),
+        in place of feedback that rejects every disturbance.
 
     References
     ----------
@@ -114,6 +117,7 @@ class ComputedTorque(TrackingControl):
     )
     gravity: Gravity = eqx.field(kw_only=True, default=9.81)
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
+    impedance: bool = eqx.field(kw_only=True, default=False, static=True)
     periods: int = eqx.field(kw_only=True, default=0, static=True)
 
     def __check_init__(self) -> None:
@@ -174,13 +178,18 @@ class ComputedTorque(TrackingControl):
         valves = self._valves(coming)
         lower, upper, swings = self._window(terms.tension, valves, period)
         torques, feedback = list(made.bias), []
-        for i, reference in enumerate(ahead):
+        for i, (reference, setpoint) in enumerate(zip(ahead, setpoints, strict=True)):
             error, rate = reference.angle - coming.angles[i], reference.velocity - coming.velocities[i]
             torque_rate = sum(jnp.abs(gain) * swings[m] for m, (_, gain) in terms.torque[i].items()) / (2 * lag)
             jerk = torque_rate / (2 * made.matrix[i][i])  # half of it is for the feedback
             held, correction = self.feedback.step(state.feedback[i], error, rate, jerk, period)
             feedback.append(held)
-            acceleration = reference.acceleration_after(lead, period) + correction - motions[i].disturbance
+            acceleration = reference.acceleration_after(lead, period)
+            if self.impedance:
+                damping = 2 * jnp.sqrt(setpoint.stiffness * made.matrix[i][i])
+                torques[i] = torques[i] + setpoint.stiffness * error + damping * rate
+            else:
+                acceleration = acceleration + correction - motions[i].disturbance
             torques[i] = torques[i] + self.robot.joints[i].damping * coming.velocities[i]
             torques = [torque + row[i] * acceleration for torque, row in zip(torques, made.matrix, strict=True)]
         allocation = bounded_least_squares(

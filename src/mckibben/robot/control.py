@@ -131,15 +131,17 @@ class TrackingControl(RobotController):
     reference: RobotReference | PyTree = eqx.field(kw_only=True, default=None)  # not in a section of a file
 
     def step(
-        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+        self, state: PyTree, time: PyTree, measurement: RobotMeasurement, period: ArrayLike
     ) -> tuple[PyTree, tuple[Array, ...]]:
+        if isinstance(time, tuple):  # setpoints that were sampled before the run, see `setpoints_over`
+            return self.step_toward(state, time, measurement, period)
         held, setpoints = self.reference.step(state.reference, time, measurement, period)
         return self.step_toward(state._replace(reference=held), setpoints, measurement, period)
 
-    def setpoints_at(self, time: ArrayLike) -> tuple[Setpoint, ...]:
-        """Return the setpoints of the joints at a time [s], of a `TimedReference`."""
+    def setpoints_at(self, time: PyTree) -> tuple[Setpoint, ...]:
+        """Return the setpoints of the joints at a time [s], of a `TimedReference`, or those sampled."""
         timed: PyTree = self.reference
-        return tuple(reference(time) for reference in timed.references)
+        return time if isinstance(time, tuple) else tuple(reference(time) for reference in timed.references)
 
     def desired_angle(self, setpoint: PyTree) -> PyTree:
         return tuple(each.angle for each in self.setpoints_at(setpoint))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -156,11 +157,7 @@ def point_jacobian(
     It moves in the plane, or in space. `RangeError` unless the force has one number per direction, and for a point of
     an unknown body, or none if the robot has no foot.
     """
-    point = point or robot.foot
-    if point is None or point.body not in robot.frame_names:
-        remedy = f"name a point of {', '.join(robot.frame_names)}"
-        value = None if point is None else point.body
-        raise RangeError("the robot has no such point, and no foot", field="point.body", value=value, remedy=remedy)
+    point = point_of(robot, point)
     directions = 2 if robot.is_planar else 3
     pushed = (0.0,) * directions if force is None else tuple(force)
     if len(pushed) != directions:
@@ -170,8 +167,26 @@ def point_jacobian(
             value=list(pushed),
             remedy="give it forwards and up" if robot.is_planar else "give it forwards, to the left and up",
         )
-    jacobian, geometric = _jacobian(robot, BodyPoint(point.body, point.place), tuple(angles), pushed)
+    jacobian, geometric = _jacobian(robot, point, tuple(angles), pushed)
     return np.asarray(jacobian), np.asarray(geometric)
+
+
+def point_of(robot: Robot, point: BodyPoint | Foot | None) -> BodyPoint:
+    """Return a point, or the foot; `RangeError` for one of an unknown body, or none if the robot has no foot."""
+    point = point or robot.foot
+    if point is None or point.body not in robot.frame_names:
+        remedy = f"name a point of {', '.join(robot.frame_names)}"
+        value = None if point is None else point.body
+        raise RangeError("the robot has no such point, and no foot", field="point.body", value=value, remedy=remedy)
+    return BodyPoint(point.body, point.place)
+
+
+def place_of(robot: Robot, point: BodyPoint, angles: Array) -> Array:
+    """Return the place [m] of a point from the base, in the plane or in space, at angles [rad] of shape (joints,)."""
+    posture = posture_of(robot, tuple(angles))
+    frame = frames(robot, posture, at_rest(posture))[robot.frame_names.index(point.body)]
+    place, _ = frame.point(point.place.vector)
+    return jnp.stack([jnp.asarray(each) for each in ((place.x, place.z) if robot.is_planar else place)])
 
 
 @jit
@@ -179,13 +194,7 @@ def _jacobian(
     robot: Robot, point: BodyPoint, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
 ) -> tuple[Float[Array, "d n"], Float[Array, "n n"]]:
     """Jacobian of a point, and the derivative of the torques that balance a force."""
-
-    def placed(q: Array) -> Array:
-        posture = posture_of(robot, tuple(q))
-        frame = frames(robot, posture, at_rest(posture))[robot.frame_names.index(point.body)]
-        place, _ = frame.point(point.place.vector)
-        return jnp.stack([jnp.asarray(one) for one in ((place.x, place.z) if robot.is_planar else place)])
-
+    placed = functools.partial(place_of, robot, point)
     q = jnp.stack([jnp.asarray(one) for one in angles])
     pushed = jnp.stack([jnp.asarray(one) for one in force])
     return jax.jacfwd(placed)(q), jax.jacfwd(lambda x: jax.jacfwd(placed)(x).T @ pushed)(q)

@@ -15,7 +15,15 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer, model_validator
+from pydantic import (
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
@@ -29,6 +37,7 @@ from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors
+from mckibben.result import Remark
 from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.control import JointwiseControl, TimedReference, TrackingControl, check_pairs
 from mckibben.robot.dynamics import joint_load
@@ -36,7 +45,8 @@ from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import TrackingMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
-from mckibben.robot.simulate import RobotProblem, RobotResult, simulate_robot, simulate_robots
+from mckibben.robot.reaching import PointReference, PointStiffnessValue
+from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
 from mckibben.robot.statics import holding_torques, is_affine, pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
     ControllerPart,
@@ -67,7 +77,6 @@ from mckibben.units import (
     mm,
 )
 
-PointStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
 DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Spread = Annotated[float, Percent("1", "%", 0, 50)]
 Correlation = Annotated[float, Quantity("1", "1", -1, 1)]
@@ -76,6 +85,7 @@ _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the robot."""
 
 
+_JOINTS = TypeAdapter(dict[str, ReferencePart])
 Angles = dict[str, Angle]
 """Angles [rad] by the name of the joint."""
 
@@ -189,7 +199,10 @@ class StiffnessSettings(ConfigModel):
 
 
 class StartSettings(ConfigModel):
-    """Start of a run, at rest: angles by joint (default: those of the references), and clearance of the foot [m]."""
+    """Start of a run, at rest: angles by joint (default: those of the references), and clearance of the foot [m].
+
+    With a reference of a point the run starts there; the angles are where its inverse kinematics begins.
+    """
 
     angles: Angles = Field(default_factory=dict)
     clearance: DropHeight = 0.0
@@ -231,7 +244,7 @@ class RobotScenario(StudiedScenario):
     jump: JumpSettings | None = None
     stiffness: StiffnessSettings | None = None
     uncertainty: DrawSettings = DrawSettings()
-    reference: dict[str, ReferencePart] = Field(default_factory=dict)
+    reference: dict[str, ReferencePart] | PointReference = Field(default_factory=dict)
     controllers: dict[str, ControllerPart] = Field(default_factory=dict)
     controller: Annotated[TrackingControl, ComponentField(TrackingControl)] | None = None
     start: StartSettings = StartSettings()
@@ -244,6 +257,16 @@ class RobotScenario(StudiedScenario):
     def _write(self, handler: Any) -> Any:
         written, empty = super()._write(handler), {"angles": {}, "clearance": "0 mm"}
         return {key: value for key, value in written.items() if value not in (None, {}, empty)}
+
+    @field_validator("reference", mode="wrap")
+    @classmethod
+    def _of_joints_or_a_point(cls, value: Any, handler: Any, info: ValidationInfo) -> Any:
+        of_a_point = isinstance(value, PointReference) or (isinstance(value, dict) and "position" in value)
+        validate = PointReference.model_validate if of_a_point else _JOINTS.validate_python
+        try:
+            return validate(value, context=info.context)
+        except ValidationError as error:
+            raise located_below(error, ()) from None
 
     @field_validator("controllers", mode="wrap")
     @classmethod
@@ -392,6 +415,8 @@ class RobotScenario(StudiedScenario):
             fail_validation("has references, and no controller", remedy)
         for field in ("reference", "controllers") if self.controllers else ("reference",):
             given = getattr(self, field)
+            if isinstance(given, PointReference):
+                continue
             for name in given:
                 if name not in joints:
                     fail_validation(*_unknown_joint(self.robot, name), field=f"{field}.{name}")
@@ -428,7 +453,8 @@ class RobotScenario(StudiedScenario):
 
     def control(self) -> TrackingControl:
         """Return the controller of all joints with its reference; what its models lack is that of the plant."""
-        reference = TimedReference(tuple(self.reference[joint.name] for joint in self.robot.joints))
+        references = self.references()
+        reference = TimedReference(tuple(references[joint.name] for joint in self.robot.joints))
         whole = self.with_model()
         if whole.controller is not None:
             return dataclasses.replace(whole.controller, reference=reference)
@@ -446,7 +472,22 @@ class RobotScenario(StudiedScenario):
         return tuple(joint.name for joint in self.robot.joints)
 
     def references(self) -> dict[str, Reference]:
-        return self.reference
+        return self._joint_references[0]
+
+    @functools.cached_property
+    def _joint_references(self) -> tuple[dict[str, Reference], list[Remark]]:
+        """References of the joints, also of those of a point, and what is not exact in them."""
+        if not isinstance(self.reference, PointReference):
+            return self.reference, []
+        times = sampling_times(self._length, self.control_period)
+        start = self.robot.posture_angles(self.start.angles)
+        tension = getattr(self.controller, "minimum_tension", 1.0)
+        return self.reference.of_joints(self.robot, start, times, self.supply, tension)
+
+    @property
+    def reference_notes(self) -> list[Remark]:
+        """Remarks on references of the joints that follow from that of a point."""
+        return self._joint_references[1]
 
     def with_model(self, *, fixed: bool = False) -> RobotScenario:
         change = independent if fixed else (lambda part: part)
@@ -484,18 +525,19 @@ class RobotScenario(StudiedScenario):
         problem = single_run(self._linearisable(self.initial()), period, "disk_margins")
         start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start))
         chosen = evenly_spaced(times.size, points)
-        return margins_along(
-            problem, start, times, times[chosen], chosen, period, self.needed_substeps(), self.robot.muscle_names
-        )
+        setpoints, names = setpoints_over(problem.controller, times), self.robot.muscle_names
+        return margins_along(problem, start, setpoints, times[chosen], chosen, period, self.needed_substeps(), names)
 
     def disk_margins(self, points: int) -> NDArray[np.float64]:
         times, (first, exists) = sampling_times(self._length, self.control_period), self._starts()
         lanes, shared, count = split_runs(self._linearisable(first), {}, self.control_period, "margins")
 
-        def starting(some: RobotProblem) -> tuple[RobotStart, NDArray, NDArray]:
+        setpoints = setpoints_over(shared.controller, times, lanes.controller)
+
+        def starting(some: RobotProblem) -> tuple[RobotStart, NDArray, PyTree]:
             size = jax.tree.leaves(some)[0].shape[-1]
             start = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), eqx.combine(some.start, shared.start))
-            return start, np.ones(size, bool), times
+            return start, np.ones(size, bool), setpoints
 
         margins = least_disk_margins(
             lanes,
@@ -521,7 +563,7 @@ class RobotScenario(StudiedScenario):
 
     def _starts(self) -> tuple[RobotStart, NDArray[np.bool_]]:
         """Starts of the runs of a batch, and whether they exist: those of other runs are in the place of others."""
-        parts = {"robot": self.robot, "valve": self.valve, "reference": self.reference}
+        parts = {"robot": self.robot, "valve": self.valve, "reference": self.references()}
         count, varying = lanes_of(parts)
         if count is None:
             return self.initial(), np.ones((), bool)
@@ -546,8 +588,9 @@ class RobotScenario(StudiedScenario):
 
         Raises `McKibbenError` if the muscles cannot hold the posture.
         """
-        first = {name: reference(0.0) for name, reference in self.reference.items()}
-        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | self.start.angles
+        first = {name: reference(0.0) for name, reference in self.references().items()}
+        given = {} if isinstance(self.reference, PointReference) else self.start.angles
+        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | given
         angles, robot = self.robot.posture_angles(wanted), self.robot
         stiffness = [float(first[joint.name].stiffness) for joint in robot.joints]
         torques = holding_torques(robot, angles, RobotPlant.gravity)

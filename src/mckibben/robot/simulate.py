@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
+from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import Label, attributes, declare, labels_of
@@ -19,7 +20,7 @@ from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import jit
-from mckibben.robot.control import RobotController, TrackingControl, check_pairs
+from mckibben.robot.control import RobotController, TimedReference, TrackingControl, check_pairs
 from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, measure
 from mckibben.robot.plant import RobotPlant, RobotSample, RobotStart
 from mckibben.simulation.accuracy import (
@@ -40,7 +41,7 @@ from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import LoopState, Record, control_period, initial_loop, of_any_length, positions_over_time
 from mckibben.simulation.outcome import outcomes
-from mckibben.simulation.problem import float_type, sampling_times, single_run, split_runs
+from mckibben.simulation.problem import float_type, sampled_reference, sampling_times, single_run, split_runs
 from mckibben.simulation.result import RunResult
 
 
@@ -109,7 +110,7 @@ _LABELS = labels_of(RobotSample) | _COMMAND
 
 
 def robot_metrics(
-    plant: RobotPlant, controller: RobotController, start: RobotStart, times: Array, period: ArrayLike, substeps: int
+    plant: RobotPlant, controller: RobotController, start: RobotStart, times: PyTree, period: ArrayLike, substeps: int
 ) -> RobotMetrics:
     """Run a robot and return its metrics alone; a pure function, whose memory does not grow with the duration."""
 
@@ -120,11 +121,12 @@ def robot_metrics(
 
     loop = initial_loop(plant, controller, start)
     sums = MetricSums.of(plant.observe(loop[0]))
-    return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(times.shape[0]), period)
+    count = jax.tree.leaves(times)[0].shape[0]
+    return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(count), period)
 
 
 def tracked_samples(
-    plant: RobotPlant, controller: TrackingControl, start: RobotStart, times: Array, period: ArrayLike, substeps: int
+    plant: RobotPlant, controller: TrackingControl, start: RobotStart, times: PyTree, period: ArrayLike, substeps: int
 ) -> TrackingSample:
     """Run a robot that follows references over time, and return its samples; a pure function."""
 
@@ -141,6 +143,17 @@ def tracked_samples(
         )
 
     return lax.scan(advance, initial_loop(plant, controller, start), times)[1]
+
+
+def setpoints_over(controller: PyTree, times: NDArray[np.float64], varying: PyTree = None) -> PyTree:
+    """Return the setpoints at times [s] of a controller whose reference is over time, which is computed before the run.
+
+    The times themselves for other references, and for those that vary over runs: parts of the controller that do.
+    """
+    reference = getattr(controller, "reference", None)
+    if not isinstance(reference, TimedReference) or jax.tree.leaves(getattr(varying, "reference", None)):
+        return times
+    return tuple(sampled_reference(own, times) for own in reference.references)
 
 
 @checked_call
@@ -189,7 +202,7 @@ def simulate_robot(
     check_pairs(plant.robot, controller)
     run = single_run(RobotProblem(plant, controller, start), control_period, "simulate_robots")
     plant.check_start(start)
-    rows = of_any_length(controller, times)
+    rows = of_any_length(controller, setpoints_over(run.controller, times))
     solutions: dict[int, tuple[tuple[Any, Record], str]] = {}
 
     def solve(number: int, _: Any = None) -> Positions:
@@ -281,7 +294,8 @@ def simulate_robots(
     first = eqx.combine(jax.tree.map(lambda leaf: leaf[0], lanes), shared)
 
     every = spacing(times.size)
-    given = shared, of_any_length(controller, times, every), np.asarray(control_period)
+    rows = setpoints_over(shared.controller, times, lanes.controller)
+    given = shared, of_any_length(controller, rows, every), np.asarray(control_period)
 
     def refine_runs(runs: Runs) -> Refinement:
         some = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes)

@@ -87,14 +87,16 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
         raise ScenarioError(source, [Problem("the robot has no controller", field="controller", remedy=remedy)])
     period = scenario.control_period
     try:
-        for name, reference in scenario.reference.items():
+        references = scenario.references()
+        for name, reference in references.items():
             check_frequencies(reference, period, f"reference.{name}")
-        parts = [sampled(scenario.reference[joint.name], scenario.duration, period) for joint in scenario.robot.joints]
+        parts = [sampled(references[joint.name], scenario.duration, period) for joint in scenario.robot.joints]
         desired = {
             "desired_angle": np.stack([np.asarray(setpoints.angle) for _, setpoints in parts]),
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
-        notes = tuple(_unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"]))
+        found = _unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"])
+        notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, duration=scenario.duration, **scenario.steps)
     except FileError:
