@@ -260,7 +260,7 @@ class RobotScenario(StudiedScenario):
 
     @field_validator("reference", mode="wrap")
     @classmethod
-    def _of_joints_or_a_point(cls, value: Any, handler: Any, info: ValidationInfo) -> Any:
+    def _of_joints_or_a_point(cls, value: PyTree, handler: PyTree, info: ValidationInfo) -> PyTree:
         of_a_point = isinstance(value, PointReference) or (isinstance(value, dict) and "position" in value)
         validate = PointReference.model_validate if of_a_point else _JOINTS.validate_python
         try:
