@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import importlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from types import SimpleNamespace
 from typing import Annotated, Any, cast
 
@@ -403,7 +403,6 @@ class RobotScenario(StudiedScenario):
 
     @model_validator(mode="after")
     def _controlled(self) -> RobotScenario:
-        joints = [joint.name for joint in self.robot.joints]
         if not (self.controllers or self.controller or self.reference):
             return self
         if self.controllers and self.controller:
@@ -413,15 +412,10 @@ class RobotScenario(StudiedScenario):
         if not (self.controllers or self.controller):
             remedy = "give `controller: {class: computed_torque, ...}`, or `controllers` by joint"
             fail_validation("has references, and no controller", remedy)
-        for field in ("reference", "controllers") if self.controllers else ("reference",):
-            given = getattr(self, field)
-            if isinstance(given, PointReference):
-                continue
-            for name in given:
-                if name not in joints:
-                    fail_validation(*_unknown_joint(self.robot, name), field=f"{field}.{name}")
-            if missing := [name for name in joints if name not in given]:
-                fail_validation(f"lacks {', '.join(missing)}", "give one for each joint", field=field)
+        if isinstance(self.reference, dict):
+            _check_each(self.robot, "reference", self.reference)
+        if self.controllers:
+            _check_each(self.robot, "controllers", self.controllers)
         if self.duration is None:
             fail_validation("lacks the duration of the run", "give one, such as `duration: 5 s`", field="duration")
         if self.controllers:
@@ -616,6 +610,16 @@ def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: i
 
 def _unknown_joint(robot: Robot, name: str) -> tuple[str, str]:
     return f"there is no joint {quoted(name)}", suggest(name, [joint.name for joint in robot.joints])
+
+
+def _check_each(robot: Robot, field: str, given: Collection[str]) -> None:
+    """Refuse parts by joint of unknown joints, and of fewer than all."""
+    joints = [joint.name for joint in robot.joints]
+    for name in given:
+        if name not in joints:
+            fail_validation(*_unknown_joint(robot, name), field=f"{field}.{name}")
+    if missing := [name for name in joints if name not in given]:
+        fail_validation(f"lacks {', '.join(missing)}", "give one for each joint", field=field)
 
 
 def _check_posture(robot: Robot, angles: Angles, field: str) -> None:
