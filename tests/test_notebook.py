@@ -45,6 +45,7 @@ def test_the_bar_shows_the_step_as_text_and_is_removed_at_the_end(cell):
     assert cell[1:] == [""]
 
 
+@pytest.mark.slow
 def test_long_computations_show_it_unless_they_are_given_another(cell):
     data, laws = catalog.dataset("dmsp-10-250-martens2017"), (ReynoldsLaw, ExponentialLaw)
     rank(data, laws)

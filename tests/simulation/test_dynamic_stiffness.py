@@ -49,6 +49,7 @@ def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
     assert (found.loss[:, 1:] > 1.0).all()
 
 
+@pytest.mark.slow
 def test_damping_of_the_muscles_is_the_loss_over_the_rate(knee, load):
     """K'' = 2 pi f sum of c r^2 at small amplitudes, with a half width of almost nothing."""
     friction = MaxwellSlip(

@@ -199,6 +199,7 @@ class TestTuning:
         assert len({trial.point for trial in found[:40]}) == 40
         assert np.mean([trial.point for trial in found[40:44]]) == pytest.approx(best.point[0], abs=0.35)
 
+    @pytest.mark.slow
     def test_runs_that_cannot_begin_are_no_fault_of_anyone(self, contest):
         lags = contest.runs.conditions["valve.time_constant"]
         assert np.array_equal(contest.started, lags <= 0.048)

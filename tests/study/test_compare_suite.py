@@ -85,6 +85,7 @@ def test_what_is_tuned(suite):
     assert gain.distribution.bounds == pytest.approx((1e5, 2e5))
 
 
+@pytest.mark.slow
 def test_a_wrapper_starts_at_the_gains_of_the_loops_within_at_any_depth():
     rival = "PID, feedforward and delay compensated"
     valves = Suite.read(EXAMPLES / "valves.yaml").of_setup("SMC ITV0050")
