@@ -22,6 +22,7 @@ pytest.importorskip("nicegui")
 from nicegui import ui
 from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import user_simulation
+from nicegui.testing.user_interaction import UserInteraction
 
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
@@ -290,23 +291,26 @@ def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_fi
         async with visitor() as user:
             await user.open("/identify")
             await give(
-                user, "p_bar,eps_percent,F_N,<b>x\n" + "".join(f"2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9))
+                user, "p_bar,eps_percent,F_N,<b>x [mm]\n" + "".join(f"2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9))
             )
             kept = state(identify.IdentificationState)
             await until(lambda: there(user, "question"))
-            await user.should_see("<b>x", kind=ui.label)
+            await user.should_see("<b>x [mm]", kind=ui.label)
+            answers = {answer.text: answer for answer in user.find(marker="answer").elements}
             shown, asked = len(charts(user)), [question.problem.field for question in kept.questions]
             user.find(marker="fit").click()
             await user.should_see("answer the questions about the file first")
-            user.find(marker="answer").click()
+            UserInteraction(user, {answers["not used"]}, None).click()
             await until(lambda: not kept.questions and not kept.jobs.busy)
             the(user, ui.select, "unit-F_N").set_value("kN")
             await until(lambda: kept.data is not None and kept.data.force.max() == 1e5)
-            return shown, asked, kept.reading.columns
+            return shown, asked, answers.keys(), kept.reading.columns
 
-    shown, asked, columns = asyncio.run(visit())
-    assert shown == 1 and asked == ["<b>x"]  # points are drawn before the questions are answered
-    assert columns == {"<b>x": "ignore", "F_N": "force_kN"}
+    shown, asked, answers, columns = asyncio.run(visit())
+    assert shown == 1 and asked == ["<b>x [mm]"]  # points are drawn before the questions are answered
+    ways = ("length", "displacement, + = shorter", "displacement, + = longer")  # of a column in mm
+    assert answers == {*(f"take it as {way}" for way in ways), "not used"}
+    assert columns == {"<b>x [mm]": "ignore", "F_N": "force_kN"}
 
 
 def test_a_search_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):

@@ -108,7 +108,9 @@ class ColumnPicker:
         unused = {"not used": pick(ColumnChoice(""))}
         if choice.quantity in self.table.columns:  # its numbers cannot be those of a muscle
             return {"reverse its sign": pick(choice.changed(turned=not choice.turned)), **unused}
-        return {f"take it as {WORDS[choice.quantity]}": pick(choice), **unused} if choice.unit else unused
+        names = [choice.quantity] if choice.quantity else [name for name in WORDS if name != "displacement"]
+        fitting = [name for name in names if choice.unit in QUANTITIES.get(name, ())]
+        return {f"take it as {WORDS[name]}": pick(choice.changed(quantity=name)) for name in fitting} | unused
 
     def accepting(self, question: Question) -> dict[str, Callable[[], None]]:
         """The answer "yes" to a question with a topic."""
