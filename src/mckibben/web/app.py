@@ -20,6 +20,7 @@ from mckibben.errors import ParameterError
 from mckibben.storage.files import handle_signals
 from mckibben.web import identify, joint, rig, robot, run, tune
 from mckibben.web import start as start_page
+from mckibben.web.layout import PAGES
 from mckibben.web.security import LOCAL, Access, Guard
 from mckibben.web.session import collect_warnings, end_sessions
 
@@ -30,13 +31,8 @@ def pages() -> None:
     """Register the pages."""
     collect_warnings()
     app.on_delete(forget_routes)
-    ui.page("/")(start_page.page)
-    ui.page("/joint")(joint.page)
-    ui.page("/identify")(identify.page)
-    ui.page("/run")(run.page)
-    ui.page("/tune")(tune.page)
-    ui.page("/rig")(rig.page)
-    ui.page("/robot")(robot.page)
+    for path, module in zip(PAGES, (start_page, identify, joint, run, tune, rig, robot), strict=True):
+        ui.page(path)(module.page)
 
 
 def forget_routes() -> None:
