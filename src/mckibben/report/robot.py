@@ -26,7 +26,7 @@ from mckibben.report.style import (
 )
 from mckibben.robot.attainable import attainable_point_stiffness
 from mckibben.robot.landing import EDGES, LandingStudy
-from mckibben.robot.outline import outline
+from mckibben.robot.outline import outline, stiffness_ellipsoid
 from mckibben.robot.point_stiffness import stiffness_of
 from mckibben.units import bar, deg, mm, ms
 
@@ -159,7 +159,14 @@ def _ellipses(
 
 
 @styled
-def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | None = None) -> Figure:
+def posture(
+    robot: Robot,
+    angles: Sequence[float],
+    pressures: Sequence[float] | None = None,
+    *,
+    stiffness: np.ndarray | None = None,
+    point: BodyPoint | Foot | None = None,
+) -> Figure:
     """Bodies and muscles of a robot in space [mm]; muscles have the colour of their pressure [bar].
 
     Parameters
@@ -168,6 +175,8 @@ def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | 
         Robot, and the angles of its joints [rad].
     pressures
         Gauge pressures [Pa] of all muscles. Default: unknown, muscles are grey.
+    stiffness, point
+        Stiffness matrix [N*m/rad] of the joints, for the ellipsoid of a point (default: the foot). Default: none.
     """
     figure = blank(0.75 * DOUBLE, 0.6 * DOUBLE)
     axes = figure.add_subplot(projection="3d", proj_type="ortho", computed_zorder=False)
@@ -187,8 +196,15 @@ def posture(robot: Robot, angles: Sequence[float], pressures: Sequence[float] | 
         figure.colorbar(scale, ax=axes, label="pressure [bar]", shrink=0.6, pad=0.12)
     points = np.concatenate([*lines.bodies, *lines.muscles.values()]) / mm
     middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0).max() / 2
+    if stiffness is not None and (point := point or robot.foot) is not None:
+        shape = stiffness_ellipsoid(robot, angles, stiffness, point, 0.3 * half * mm)
+        turn, rise = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
+        ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
+        surface = np.einsum("ij,j,jkl->ikl", shape.axes, shape.lengths, ball) + shape.centre[:, None, None]
+        axes.plot_wireframe(*(surface / mm), color=MEASURED, linewidth=0.5)
+        axes.text2D(0.0, 0.98, f"ellipsoid: displacement under {shape.force:g} N", transform=axes.transAxes)
     axes.set(xlabel="forwards [mm]", ylabel="to the left [mm]", zlabel="up [mm]")
-    axes.set_box_aspect((1, 1, 1), zoom=1.15)
+    axes.set_box_aspect((1, 1, 1), zoom=1.05)
     for limit, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         limit(at - half, at + half)
     for axis in (axes.xaxis, axes.yaxis):

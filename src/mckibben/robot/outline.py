@@ -12,6 +12,7 @@ from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.dynamics import at_rest, frames, posture_of
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.muscles import MusclePair
+from mckibben.robot.point_stiffness import point_stiffness
 from mckibben.robot.tree import Frame
 
 Floats = NDArray[np.float64]
@@ -34,6 +35,49 @@ class Outline(NamedTuple):
     bodies: list[Floats]
     hinges: list[Floats]
     muscles: dict[str, Floats]
+
+
+class Ellipsoid(NamedTuple):
+    """Displacements of a point under forces of one size in all directions.
+
+    Attributes
+    ----------
+    force
+        Size of the forces [N].
+    centre
+        Place [m] of the point.
+    axes, lengths
+        Principal axes as columns, right-handed, and half the length [m] along each; 0 across the plane of a planar one.
+    """
+
+    force: float
+    centre: Floats
+    axes: Floats
+    lengths: Floats
+
+
+def stiffness_ellipsoid(
+    robot: Robot, angles: Sequence[float], stiffness: Floats, point: BodyPoint | Foot, longest: float
+) -> Ellipsoid:
+    """Return the ellipsoid of a point by the stiffness matrix [N*m/rad] of the joints.
+
+    Raises `RangeError` if the posture is not stable.
+
+    Parameters
+    ----------
+    longest
+        Most that half its length may be [m]; the force has one digit.
+    """
+    found = point_stiffness(robot, angles, stiffness, point=point)
+    axes, compliance = found.axes, 1 / np.array(found.principal)
+    if robot.is_planar:
+        axes, compliance = np.insert(axes, 1, 0.0, axis=0), np.append(compliance, 0.0)
+    axes = np.column_stack([axes[:, :2], np.cross(axes[:, 0], axes[:, 1])])
+    exact = longest / max(float(compliance.max()), np.finfo(float).tiny)
+    digit = 10.0 ** np.floor(np.log10(exact))
+    force = float(np.floor(exact / digit) * digit)
+    posture = posture_of(robot, angles)
+    return Ellipsoid(force, point_of(point, robot, frames(robot, posture, at_rest(posture))), axes, force * compliance)
 
 
 def outline(robot: Robot, angles: Sequence[float]) -> Outline:

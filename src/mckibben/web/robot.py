@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,11 +14,11 @@ from nicegui import events, ui
 from mckibben import catalog
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
-from mckibben.errors import McKibbenError, printable
+from mckibben.errors import McKibbenError, RangeError, printable
 from mckibben.muscle import Muscle
-from mckibben.report.palette import GREY
+from mckibben.report.palette import BLUE, GREY
 from mckibben.result import Listing, Remark
-from mckibben.robot.outline import Outline, outline
+from mckibben.robot.outline import Ellipsoid, Outline, outline, stiffness_ellipsoid
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.statics import (
     attainable_listing,
@@ -81,6 +82,8 @@ class Posed(NamedTuple):
         Its outline.
     pressures
         Gauge pressures [Pa] nearest to the middle of their ranges that hold it against gravity; None if none do.
+    ellipsoid
+        That of the stiffness of its point, or foot, at these pressures; None without one, or if it is not stable.
     tables
         What is attainable at each joint, and the pressures.
     error
@@ -89,6 +92,7 @@ class Posed(NamedTuple):
 
     lines: Outline
     pressures: np.ndarray | None
+    ellipsoid: Ellipsoid | None
     tables: tuple[Listing, ...]
     error: McKibbenError | None
 
@@ -125,9 +129,21 @@ def pose(scenario: RobotScenario, angles: tuple[float, ...]) -> Posed:
         any_stiffness = [None] * len(angles)
         solved = pressures_for_joint_stiffness(robot, angles, any_stiffness, torques=held, supply=scenario.supply)
     except McKibbenError as error:
-        return Posed(lines, None, (), error)
+        return Posed(lines, None, None, (), error)
     holding = replace(solved.listing(), title="Pressures that hold this posture", detail=True)
-    return Posed(lines, np.array(solved.pressures), (attainable_listing(ranges), holding), None)
+    point = (scenario.stiffness.point if scenario.stiffness else None) or robot.foot
+    ellipsoid = None
+    if point is not None:
+        with contextlib.suppress(RangeError):
+            ellipsoid = stiffness_ellipsoid(robot, angles, solved.joint_stiffness, point, 0.15 * extent(lines)[1])
+    return Posed(lines, np.array(solved.pressures), ellipsoid, (attainable_listing(ranges), holding), None)
+
+
+def extent(lines: Outline) -> tuple[np.ndarray, float]:
+    """Middle and size [m] of an outline."""
+    points = np.concatenate([*lines.bodies, *lines.muscles.values()])
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (low + high) / 2, float(np.max(high - low)) or 1.0
 
 
 def page() -> None:
@@ -171,6 +187,7 @@ class _Page:
                     "Drag to turn, scroll to zoom. Muscles have the colour of the pressure that holds the posture: "
                     "dark at 0, light at the highest. Those given by moment arms are drawn beside the bodies."
                 )
+                self.force = quiet("")
             with panel("Attainable at each joint"):
                 self.results = ui.column().classes("w-full")
         ui.timer(0.0, self.begin, once=True)
@@ -221,10 +238,7 @@ class _Page:
             for index, joint in enumerate(robot.joints):
                 if joint.locked is None:
                     self.slider(index, joint.name, (joint.lower / deg, joint.upper / deg))
-        lines = outline(robot, [angle * deg for angle in state.angles])
-        points = np.concatenate([*lines.bodies, *lines.muscles.values()])
-        low, high = points.min(axis=0), points.max(axis=0)
-        self.size, middle = float(np.max(high - low)) or 1.0, (low + high) / 2
+        middle, self.size = extent(outline(robot, [angle * deg for angle in state.angles]))
         x, y, z = (middle + np.array([0.4, -0.9, 0.2]) * self.size).tolist()
         look_at = dict(zip(("look_at_x", "look_at_y", "look_at_z"), middle.tolist(), strict=True))
         self.view.move_camera(x, y, z, **look_at, duration=0.0)
@@ -247,7 +261,7 @@ class _Page:
     def show(self, posed: Posed) -> None:
         """Draw the robot, and show its tables."""
         assert self.state.scenario is not None
-        robot = self.state.scenario.robot
+        robot, shape = self.state.scenario.robot, posed.ellipsoid
         shades = dict.fromkeys(robot.muscle_names, GREY)
         if posed.pressures is not None:
             rated = max(float(muscle.domain.pressure_max) for muscle in robot.all_muscles)
@@ -259,6 +273,9 @@ class _Page:
             for name, points in posed.lines.muscles.items():
                 for start, end in itertools.pairwise(points):
                     self.tube(start, end, 0.01, shades[name])
+            if shape is not None:
+                self.ellipsoid(shape)
+        self.force.text = "" if shape is None else f"Ellipsoid: displacement under {shape.force:g} N."
         self.results.clear()
         with self.results:
             if posed.error is not None:
@@ -271,6 +288,12 @@ class _Page:
         """A straight tube of a radius that is a part of the robot's size."""
         ends = start.tolist(), ((start + end) / 2).tolist(), end.tolist()
         self.view.quadratic_bezier_tube(*ends, tubular_segments=1, radius=part * self.size).material(colour)
+
+    def ellipsoid(self, shape: Ellipsoid) -> None:
+        """The displacements of the point by its stiffness."""
+        lengths = np.maximum(shape.lengths, 0.003 * self.size).tolist()
+        solid = self.view.sphere(1.0).scale(*lengths).rotate_R(shape.axes.tolist()).move(*shape.centre.tolist())
+        solid.material(BLUE, opacity=0.45)
 
     def fail(self, error: Exception) -> None:
         """Show why a file is no robot."""
