@@ -26,6 +26,12 @@ from mckibben.units import deg
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
 CORTEX_M7 = ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
+PROCESSORS = {
+    "M7": CORTEX_M7,
+    "M4F": ("-O2", "-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
+    "M0+": ("-O2", "-mcpu=cortex-m0plus", "-mthumb"),
+}
+"""Options by processor: with a floating-point unit of 64 bits, of 32, and without one."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 ROOT = Path(__file__).parents[1]
 LIMITS = Limits(lowest_angle=-0.7, highest_angle=0.7)  # the gains of BP are not tuned, and its run is unstable
@@ -73,6 +79,17 @@ def footprint(folder: Path, name: str = "controller") -> Footprint:
     return Footprint(int(sizes.splitlines()[1].split()[0]), max(own) + max(helpers, default=0))
 
 
+def linked(folder: Path, processor: str, name: str = "controller") -> int:
+    """Code and constants [B] of a controller with what it needs of the libraries: `math.h`, and numbers in software."""
+    kept = [f"-Wl,-u,{name}_{function}" for function in ("defaults", "init", "step", "hold")]
+    options = (*PROCESSORS[processor], "-std=c99", "-nostartfiles", "-specs=nosys.specs", "-Wl,--gc-sections", *kept)
+    files = (f"-Wl,-e,{name}_step", "-ffunction-sections", f"{name}.c", "-o", "linked.elf", "-lm")
+    subprocess.run((COMPILER, *options, *files), cwd=folder, check=True, capture_output=True)
+    sizes = ("arm-none-eabi-size", "linked.elf")
+    done = subprocess.run(sizes, cwd=folder, check=True, capture_output=True, text=True)
+    return int(done.stdout.splitlines()[1].split()[0])
+
+
 def replayed(folder: Path, name: str = "controller", steps: int = 200_000) -> Replayed:
     """Replay a recorded run on an emulated Cortex-M7; an instruction is a nanosecond of its clock."""
     (folder / "startup.c").write_text(STARTUP)
@@ -106,8 +123,8 @@ def main() -> int:
     if shutil.which(COMPILER) is None:
         print(f"there is no {COMPILER}", file=sys.stderr)
         return 1
-    print("| controller | numbers | code [kB] | stack [B] | memory [B] | instructions per step | deviation |")
-    print("|---|---|---:|---:|---:|---:|---:|")
+    title = "| controller | numbers | code [kB] | stack [B] | linked, M7, M4F, M0+ [kB] | memory [B] |"
+    print(f"{title} instructions per step | deviation |\n|---|---|---:|---:|---:|---:|---:|---:|")
     for name, scenario in (scenarios() | {"BP": scenarios(0.3)["BP"]}).items():
         for single in (False, True):
             with tempfile.TemporaryDirectory() as made:
@@ -115,6 +132,7 @@ def main() -> int:
                 export(scenario, "c", folder, name="controller", hardware=Hardware(single=single, limits=LIMITS))
                 size = footprint(folder)
                 row = [name, "float" if single else "double", f"{size.code / 1000:.1f}", f"{size.stack}"]
+                row.append(", ".join(f"{linked(folder, processor) / 1000:.1f}" for processor in PROCESSORS))
                 if shutil.which(EMULATOR):
                     run = replayed(folder)
                     row += [f"{run.memory}", f"{run.instructions}", f"{run.deviation:.0e}"]

@@ -192,6 +192,11 @@ def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
     size = board.footprint(tmp_path, "knee")
     assert 1000 < size.code < 16_000
     assert 8 < size.stack < 1024
+    double = {processor: board.linked(tmp_path, processor, "knee") for processor in board.PROCESSORS}
+    export(scenarios["PID"], "c", tmp_path, name="knee", hardware=Hardware(single=True), overwrite=True)
+    single = {processor: board.linked(tmp_path, processor, "knee") for processor in board.PROCESSORS}
+    assert all(single[processor] < 0.85 * double[processor] for processor in ("M4F", "M0+")), (single, double)
+    export(scenarios["PID"], "c", tmp_path, name="knee", overwrite=True)
     if shutil.which(board.EMULATOR):
         assert board.replayed(tmp_path, "knee", steps=20_000).deviation < 1e-12
 

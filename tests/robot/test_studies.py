@@ -323,9 +323,9 @@ def test_draws_of_the_mass_scale_every_inertia():
 @pytest.mark.slow
 def test_standing_is_the_highest_posture(scenario):
     plant, drawn = scenario.plant(), drawn_plant(scenario)
-    standing, hip = robots.jumping._standing_heights(plant, drawn)
+    standing = robots.jumping._standing_heights(plant, drawn)
     assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
-    assert 0.75 < hip < 0.79 and np.ptp(standing) > 0
+    assert np.ptp(standing) > 0
 
 
 @pytest.fixture(scope="module")
@@ -345,14 +345,33 @@ def jumps(scenario, short_searches):
 def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
     assert jumps.timed.heights[0] >= jumps.constant.heights[0] - 1e-9 > 0
     assert 0 < jumps.timed.work < jumps.timed.air_energy
-    assert (jumps.timed.rises[0] > 0) and jumps.timed.work < 20
+    assert jumps.timed.work < 20
     assert jumps.constant.run.engine == "native"
     record = jumps.to_dict()
     for jump in (record["constant"], record["timed"]):
         assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
         assert jump["integration"]["substeps"] >= 1
-    assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
-    assert len(next(jumps.listings()).rows()) == 2
+    total = record["timed"]["height_mm"] - record["constant"]["height_mm"]
+    assert sum(record["gains_mm"].values()) == pytest.approx(total)
+    assert len(next(jumps.listings()).rows()) == 2 + (jumps.deeper is not None)
+
+
+@pytest.mark.slow
+def test_the_jump_is_that_of_its_generation_which_most_draws_reach(scenario, jumps, short_searches):
+    """The quantile of a jump over the draws, from single runs of the drawn plants."""
+    plant, drawn = scenario.plant(), drawn_plant(scenario)
+    variables = robots.jumping.ScheduleVariables((1e5,) * len(plant.muscles), 0.0, 6e5, 0.15, False)
+    start = robots.RobotStart(
+        plant.robot.posture_angles(scenario.jump.squat), tuple(jumps.constant.run["pressure"][:, 0].tolist())
+    )
+    steps = 0.5, scenario.control_period, jumps.constant.substeps
+    runs = robots.jumping.JumpRuns(plant, drawn, scenario.uncertainty.draws, start, variables, *steps)
+    columns = np.random.default_rng(0).uniform(size=(variables.size, 3))
+    columns[:, 0] = np.array(jumps.constant.controller.levels)[:, 0] / 6e5
+    sure = runs.sure_heights(columns)
+    apex = jumps.constant.heights[1:] + robots.jumping._standing_heights(plant, drawn)[1:]
+    assert sure[0] == pytest.approx(np.percentile(apex, 5), abs=1e-6)
+    assert sure[0] > sure[1:].max()
 
 
 @pytest.mark.slow

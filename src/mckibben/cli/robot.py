@@ -85,9 +85,9 @@ def _stiffness(read: RobotScenario, source: str) -> Report:
     def write(folder: Path) -> None:
         read.to_yaml(folder / "robot.yaml")
         angles = read.robot.posture_angles({} if read.stiffness is None else read.stiffness.posture)
-        held = {} if solved is None else {"pressures": solved.pressures, "stiffness": solved.joint_stiffness}
+        pressures, stiffness = (None, None) if solved is None else (solved.pressures, solved.joint_stiffness)
         point = None if read.stiffness is None else read.stiffness.point
-        report.save(posture(read.robot, angles, **held, point=point), folder, "posture")
+        report.save(posture(read.robot, angles, pressures, stiffness=stiffness, point=point), folder, "posture")
         if solved is not None and read.stiffness is not None and solved.stiffness is not None:
             drawn = point_ellipses(read.robot, angles, found=solved, point=read.stiffness.point)
             report.save(drawn, folder, "point_stiffness")

@@ -1,7 +1,9 @@
-"""Jumps from a squat: the best constant and the best timed pressures for the highest jump."""
+"""Jumps from a squat: the constant and the timed pressures whose jumps are highest over the draws."""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
 import itertools
 import math
@@ -12,8 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
-from mckibben.numerics.compiled import jit
-from mckibben.numerics.spatial import ZERO, Z
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.result import Column, Listing, Result
 from mckibben.robot.control import PressureSchedule
-from mckibben.robot.dynamics import acceleration, at_rest, contacts, frames, motion, posture_of
+from mckibben.robot.dynamics import at_rest, contacts, frames, motion, posture_of
 from mckibben.robot.landing import EDGES
 from mckibben.robot.plant import RobotPlant, RobotStart
-from mckibben.robot.scenario import JumpSettings, RobotScenario
+from mckibben.robot.point_stiffness import movable, point_jacobian
+from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot, simulate_robots
-from mckibben.robot.uncertainty import drawn_plant
+from mckibben.robot.statics import holding_torques
+from mckibben.robot.uncertainty import drawn_plant, take
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import STUDY, Job, open_store
@@ -79,6 +79,8 @@ class JumpRuns(NamedTuple):
     """Jumps of a plant from a start: heights to which the centre of mass rises."""
 
     plant: RobotPlant
+    drawn: RobotPlant  # over the draws, of which the first is nominal
+    draws: int
     start: RobotStart
     variables: ScheduleVariables
     duration: float
@@ -86,16 +88,22 @@ class JumpRuns(NamedTuple):
     substeps: int  # those that the first schedule needs, so that all jumps have the same
     engine: str = "auto"
 
-    def simulate(self, variables: Floats) -> Batch:
-        """Metrics of jumps for columns of variables."""
+    def simulate(self, variables: Floats, plant: RobotPlant | None = None) -> Batch:
+        """Metrics of jumps for columns of variables, of the nominal plant or of one per column."""
         steps = {"control_period": self.step, "substeps": self.substeps, "engine": self.engine}
         schedule = self.variables.schedule(np.asarray(variables))
-        return simulate_robots(self.plant, schedule, self.start, duration=self.duration, **steps)
+        return simulate_robots(plant or self.plant, schedule, self.start, duration=self.duration, **steps)
 
     def heights(self, variables: Floats) -> Floats:
         """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
-        found = self.simulate(variables)["apex"]
-        return np.where(np.isfinite(found), found, 0.0)
+        return np.nan_to_num(self.simulate(variables)["apex"])
+
+    def sure_heights(self, variables: Floats) -> Floats:
+        """Height [m] that 95 % of the draws reach, for columns of variables."""
+        count = variables.shape[1]
+        draw, column = np.divmod(np.arange(self.draws * count), count)
+        found = self.simulate(variables[:, column], take(self.drawn, draw + 1))["apex"]
+        return np.percentile(np.nan_to_num(found).reshape(self.draws, count), EDGES[0], axis=0)
 
 
 class Evaluations:
@@ -118,18 +126,13 @@ class Evaluations:
 def highest(
     runs: JumpRuns, guess: Floats | None, seed: int, evaluations: Evaluations, report: Callable[[float], object]
 ) -> Floats:
-    """Return the variables of the highest jump found."""
+    """Return the variables of the jump of the last generation whose height is greatest for 95 % of the draws."""
     from scipy.optimize import differential_evolution
 
     size, generation = runs.variables.size, iter(range(1, 10_000))
 
-    def lost_heights(x: Floats) -> Any:
-        if x.ndim > 1:
-            return -evaluations(runs.heights, x)
-        return -evaluations(runs.heights, np.tile(x[:, None], LANES))[0]
-
     found = differential_evolution(
-        lost_heights,
+        lambda x: -evaluations(runs.heights, x),
         [(0.0, 1.0)] * size,
         maxiter=_GENERATIONS,
         popsize=_POPULATION,
@@ -140,8 +143,9 @@ def highest(
         updating="deferred",
         callback=lambda *_, **__: report(0.9 * next(generation) / _GENERATIONS) and None,
     )
+    sure = evaluations(runs.sure_heights, found.population.T) if runs.draws else -found.population_energies
     report(1.0)
-    return np.asarray(found.x)
+    return np.asarray(found.population[np.argmax(sure)])
 
 
 @dataclass(frozen=True)
@@ -152,9 +156,10 @@ class Jump:
     run: RobotResult  # of the nominal jump, with its `resolution`
     substeps: int  # of the jumps of the draws
     heights: Floats  # of the centre of mass at the apex above that of the standing robot of the same draw [m]
-    rises: Floats  # of the centre of mass after take-off [m]
     push_force: float  # largest force of the ground before the apex [weight of the robot]; nominal
     landing_force: Floats  # the same after the flight, over the draws
+    lowest: tuple[float, ...]  # angles [rad] where the centre of mass is lowest before the apex; nominal
+    depth: float  # by which it is lower there than at the start [m]
     work: float  # of the muscles until take-off [J]; nominal
     stop_energy: float  # that the stops absorb until then [J]
     air_energy: float  # exergy at room temperature of the air in the muscles at the start, and of the inflow [J]
@@ -166,8 +171,7 @@ class Jump:
         found: dict[str, Any] = {
             "height_mm": float(self.heights[0] / mm),
             "height_interval_mm": interval(self.heights / mm),
-            "rise_mm": float(self.rises[0] / mm),
-            "rise_interval_mm": interval(self.rises / mm),
+            "depth_mm": self.depth / mm,
             "push_off_force_weights": self.push_force,
             "landing_force": float(self.landing_force[0]),
             "landing_force_interval": interval(self.landing_force),
@@ -192,53 +196,54 @@ def interval(values: Floats) -> list[float]:
 
 
 class JumpStudy(Result):
-    """The best jump with constant pressures from the start on, and the best with timed ones.
+    """The best jumps with constant pressures from the start on, and with timed ones.
 
     Attributes
     ----------
     scenario
         File of the robot.
     constant, timed
-        The jumps.
+        The jumps from the squat.
+    deeper
+        That with constant pressures from the lowest posture of the timed one, for what timing adds to depth; None where
+        the muscles cannot hold it.
     standing
         Greatest height [m] of the centre of mass with the foot on the ground, over the ranges of the joints; nominal.
-    robot_length
-        Height of the hip [m] in that posture.
     """
 
     figures = ("jump_traces",)
-    files = ("robot.yaml", "constant.nc", "timed.nc")
+    files = ("robot.yaml", "constant.nc", "deeper.nc", "timed.nc")
 
     scenario: RobotScenario
     constant: Jump
+    deeper: Jump | None
     timed: Jump
     standing: float
-    robot_length: float
 
     @property
     def jumps(self) -> dict[str, Jump]:
         """The jumps by name."""
-        return {"constant": self.constant, "timed": self.timed}
+        return {"constant": self.constant} | ({"deeper": self.deeper} if self.deeper else {}) | {"timed": self.timed}
 
-    def gain(self) -> tuple[float, float, float]:
-        """Height [m] that timing adds: nominal, and 5 to 95 % over the same draws."""
-        added = self.timed.heights - self.constant.heights
-        low, high = interval(added)
-        return float(added[0]), low, high
+    def gains(self) -> dict[str, tuple[float, list[float]]]:
+        """Heights [m] that depth and timing add: nominal, and 5 to 95 % over the same draws."""
+        names, jumps = (("depth", "timing"), self.jumps) if self.deeper else (("depth and timing",), self.jumps)
+        pairs = zip(names, itertools.pairwise(jumps.values()), strict=True)
+        added = {name: after.heights - before.heights for name, (before, after) in pairs}
+        return {name: (float(heights[0]), interval(heights)) for name, heights in added.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """The results as plain data; intervals are 5 to 95 % of the draws."""
         assert self.scenario.jump is not None
-        gain = self.gain()
+        gains = self.gains().items()
         return {
             "scenario": self.scenario.name,
             "squat_deg": {name: angle / deg for name, angle in self.scenario.jump.squat.items()},
             "standing_mass_height_mm": self.standing / mm,
-            "robot_length_mm": self.robot_length / mm,
             "muscles": list(self.scenario.plant().robot.muscle_names),
             **{name: jump.record() for name, jump in self.jumps.items()},
-            "gain_mm": gain[0] / mm,
-            "gain_interval_mm": [gain[1] / mm, gain[2] / mm],
+            "gains_mm": {name: gain / mm for name, (gain, _) in gains},
+            "gain_intervals_mm": {name: [low / mm, high / mm] for name, (_, (low, high)) in gains},
         }
 
     def listings(self) -> Iterator[Listing]:
@@ -255,7 +260,7 @@ class JumpStudy(Result):
         columns: dict[str, tuple[Column, Any]] = {
             "pressures": (Column(), list(self.jumps)),
             "height": (Column("mm", "height"), intervals("height", "_mm")),
-            "rise": (Column("mm", "rise after take-off"), intervals("rise", "_mm")),
+            "depth": (Column("mm", "sinks by", digits=2), values("depth_mm")),
             "push_off": (Column("1", "weights at push-off", digits=2), values("push_off_force_weights")),
             "landing": (Column("1", "weights at landing"), intervals("landing_force")),
             "work": (Column("J", "work of muscles", digits=3), values("muscle_work_J")),
@@ -271,40 +276,23 @@ class JumpStudy(Result):
             jump.run.to_netcdf(folder / f"{name}.nc")
 
     def verdict(self) -> str:
-        """Return the gain in height by timing."""
-        gain, low, high = (height / mm for height in self.gain())
-        return f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
+        """Return the gains in height."""
+        gains = {name: _with_interval(gain / mm, np.array(ends) / mm) for name, (gain, ends) in self.gains().items()}
+        return ", ".join(f"{name} adds {gain} mm" for name, gain in gains.items())
 
 
-def _with_interval(value: float, bounds: list[float]) -> str:
+def _with_interval(value: float, bounds: Sequence[float] | Floats) -> str:
     return f"{value:.1f} ({bounds[0]:.1f} to {bounds[1]:.1f})"
 
 
 def standing_torques(plant: RobotPlant, angles: tuple[float, ...]) -> Floats:
     """Return the torques [N*m] of the joints that hold a robot at rest on its foot; those of locked joints are 0.
 
-    The ground carries the weight, without friction.
+    The ground carries the weight, without friction; the base does not turn.
     """
-    return np.asarray(_standing(plant, tuple(angles)))
-
-
-@jit
-def _standing(plant: RobotPlant, angles: tuple[ArrayLike, ...]) -> Array:
-    robot = plant.robot
-    posture = posture_of(robot, angles)
-    still = at_rest(posture)
-    weight = robot.total_mass * plant.gravity
-
-    def accelerations(torques: Array) -> Array:
-        forces = [Z.scaled(weight), *[ZERO] * len(robot.contacts)]
-        found = acceleration(robot, posture, still, tuple(torques), forces, plant.gravity)
-        return jnp.stack(found.angles)
-
-    free = jnp.array([joint.locked is None for joint in robot.joints])
-    offset = accelerations(jnp.zeros(len(angles)))
-    gain = jax.jacfwd(accelerations)(jnp.zeros(len(angles)))
-    matrix = jnp.where(free[:, None] & free[None, :], gain, jnp.eye(len(angles)))
-    return jnp.linalg.solve(matrix, jnp.where(free, -offset, 0.0))
+    robot, weight = plant.robot, float(plant.robot.total_mass * plant.gravity)
+    lifted = point_jacobian(robot, angles)[0][-1] * weight
+    return np.where(movable(robot), holding_torques(robot, angles, plant.gravity) - lifted, 0.0)
 
 
 def study_jump(
@@ -318,8 +306,9 @@ def study_jump(
 ) -> JumpStudy:
     """Find the highest jumps of a scenario, with constant and with timed pressures.
 
-    Both are searched by differential evolution over many runs at once. The constant jump changes all commands at the
-    start; the timed one may change each twice.
+    They are searched by differential evolution of the nominal height over many runs at once; of its last generation,
+    the jump is chosen whose height 95 % of the draws reach. Constant pressures change all commands at the start, timed
+    ones each twice. Constant pressures are searched also from the lowest posture of the timed jump.
 
     Parameters
     ----------
@@ -338,12 +327,12 @@ def study_jump(
     jump, source = scenario.jump, source or scenario.name
     if jump is None:
         raise ScenarioError(source, [Problem("lacks the section `jump`", remedy="see examples/robot/lei-leg.yaml")])
-    plant = scenario.plant()
-    start = _squat(scenario, jump, plant, source)
-    drawn = drawn_plant(scenario)
-    standing, length = _standing_heights(plant, drawn)
+    plant, drawn = scenario.plant(), drawn_plant(scenario)
+    start = _squat(scenario, plant.robot.posture_angles(jump.squat), plant, source)
+    standing = _standing_heights(plant, drawn)
+    fixed = scenario.whole_steps(jump.duration), scenario.control_period
     searches = [
-        JumpRuns(plant, start, variables, scenario.whole_steps(jump.duration), scenario.control_period, 1)
+        JumpRuns(plant, drawn, scenario.uncertainty.draws, start, variables, *fixed, 1)
         for variables in (
             ScheduleVariables(start.pressures, jump.low, jump.high, jump.latest, timed) for timed in (False, True)
         )
@@ -352,23 +341,30 @@ def study_jump(
     trial = searches[0]._replace(substeps=substeps)
     engine = engine_of_job(lambda: {trial.simulate(np.full((trial.variables.size, LANES), 0.5)).engine})
     about = {"format": "mckibben jumps", "software": software(engine), "robot": scenario.dumps(), "seed": seed}
-    found: list[Jump] = []
-    best: Floats | None = None
     with open_store(None if out is None else out / STUDY, resume=resume) as store:
         evaluations = Evaluations(store.job(about))
-        for k, runs in enumerate(search._replace(substeps=substeps, engine=engine) for search in searches):
-            # The constant jump is one of the timed ones.
-            guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(start.pressures))])
-            report = functools.partial(_report, progress, ("constant pressures", "timed pressures")[k], k)
+
+        def search(runs: JumpRuns, guess: Floats | None, number: int, name: str) -> tuple[Floats, Jump]:
+            runs = runs._replace(substeps=substeps, engine=engine)
+            report = functools.partial(_report, progress, f"{name} pressures", number)
             best = highest(runs, guess, seed, evaluations, report)
             schedule = runs.variables.schedule([float(x) for x in best])
-            found.append(_jump(scenario, runs, schedule, drawn, standing))
-    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length)
+            return best, _jump(scenario, runs, schedule, standing)
+
+        best, constant = search(searches[0], None, 0, "constant")
+        # The constant jump is one of the timed ones.
+        guess = np.concatenate([best, best, np.zeros(2 * len(start.pressures))])
+        _, timed = search(searches[1], guess, 1, "timed")
+        deeper = None
+        with contextlib.suppress(ScenarioError):
+            lowest = _squat(scenario, timed.lowest, plant, source)
+            variables = dataclasses.replace(searches[0].variables, held=lowest.pressures)
+            _, deeper = search(searches[0]._replace(start=lowest, variables=variables), best, 2, "deeper, constant")
+    return JumpStudy(scenario, constant, deeper, timed, float(standing[0]))
 
 
-def _squat(scenario: RobotScenario, jump: JumpSettings, plant: RobotPlant, source: str) -> RobotStart:
-    """Start at rest in the squat."""
-    angles = plant.robot.posture_angles(jump.squat)
+def _squat(scenario: RobotScenario, angles: tuple[float, ...], plant: RobotPlant, source: str) -> RobotStart:
+    """Start at rest in a posture."""
     try:
         torques = standing_torques(plant, angles).tolist()
         pressures = plant.robot.pressures_for(angles, torques, [None] * len(angles))
@@ -394,18 +390,17 @@ def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
 
 def _report(progress: Progress | None, name: str, search: int, part: float) -> None:
     if progress:
-        progress(name, (search + part) / 2)
+        progress(name, (search + part) / 3)
 
 
 def _jump(
     scenario: RobotScenario,
     runs: JumpRuns,
     controller: PressureSchedule,
-    drawn: RobotPlant,
     standing: Floats,
 ) -> Jump:
     """A jump with its traces, and its results for plants that differ."""
-    plant, start = runs.plant, runs.start
+    plant, drawn, start = runs.plant, runs.drawn, runs.start
     duration = scenario.whole_steps(runs.duration + _LANDING)
     run = simulate_robot(plant, controller, start, duration=duration, **scenario.steps)
     steps = {"control_period": runs.step, "substeps": runs.substeps}
@@ -415,35 +410,36 @@ def _jump(
     inflow = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
     ratio = 1 + run["pressure"][:, 0] / ATMOSPHERE
     stored = run["air_mass"][:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
-    before = run["ground_up"][: int(run["mass_height"].argmax())]
+    heights, apex = run["mass_height"], int(run["mass_height"].argmax())
+    before, bottom = run["ground_up"][:apex], int(heights[: apex + 1].argmin())
+    ends = zip(run["angle"][:, bottom], plant.robot.joints, strict=True)
     weight = np.asarray(drawn.robot.total_mass) * plant.gravity
     return Jump(
         controller,
         run,
         runs.substeps,
         heights=table["apex"] - standing,
-        rises=table["take_off_speed"] ** 2 / (2 * plant.gravity),
         push_force=float(before.max(initial=0.0)) / float(np.ravel(weight)[0]),
         landing_force=table["peak_landing_force"] / weight,
+        lowest=tuple(float(np.clip(angle, joint.lower, joint.upper)) for angle, joint in ends),
+        depth=float(heights[0] - heights[bottom]),
         work=float(table["muscle_work"][0]),
         stop_energy=float(table["stop_energy"][0]),
         air_energy=inflow + float(stored),
     )
 
 
-def _standing_heights(plant: RobotPlant, drawn: RobotPlant) -> tuple[Floats, float]:
-    """Heights [m] of the centre of mass of each draw in the posture in which it is highest, and that of the hip."""
+def _standing_heights(plant: RobotPlant, drawn: RobotPlant) -> Floats:
+    """Heights [m] of the centre of mass of each draw above the foot, in the posture in which it is highest."""
 
-    def heights(of: RobotPlant, angles: Sequence[ArrayLike]) -> tuple[Array, Array]:
-        """Heights of the centre of mass and of the hip above the foot."""
+    def heights(of: RobotPlant, angles: Sequence[ArrayLike]) -> Array:
         posture = posture_of(of.robot, angles)
         still = at_rest(posture)
         depth = contacts(of.robot, frames(of.robot, posture, still))[0].position.z
-        return motion(of.robot, posture, still, of.gravity).height - depth, -depth
+        return motion(of.robot, posture, still, of.gravity).height - depth
 
     ranges = [np.linspace(joint.lower, joint.upper, _POSTURES) for joint in plant.robot.joints]
     grid = [axis.ravel() for axis in np.meshgrid(*ranges)]
-    best = int(np.argmax(heights(plant, grid)[0]))
-    angles = [axis[best] for axis in grid]
-    found = np.asarray(heights(drawn, angles)[0])
-    return np.broadcast_to(found, (np.size(drawn.robot.bodies[0].mass),)), float(heights(plant, angles)[1])
+    best = int(np.argmax(heights(plant, grid)))
+    found = np.asarray(heights(drawn, [axis[best] for axis in grid]))
+    return np.broadcast_to(found, (np.size(drawn.robot.bodies[0].mass),))
