@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, SupportsFloat
@@ -118,7 +118,7 @@ class Assembly:
     def __init__(
         self, plant: PyTree, start: PyTree, bodies: list[_Body], joints: Sequence[Joint], parents: Sequence[int]
     ) -> None:
-        check_valve(plant.valve)
+        _raise(*_unsupported_valves(plant.valve))
         self.plant, self.start = plant, start
         self.bodies, self.joints, self.parents = bodies, joints, parents
         self.drives: list[Drive] = []
@@ -347,7 +347,7 @@ def _inertial_of(body: Body | None) -> Attributes:
 
 def _joint(plant: JointPlant, start: PyTree) -> Assembly:
     """The joint of a scenario: its base is turned so that gravity points to the hanging angle."""
-    check_parts(plant)
+    _raise(*_unsupported_valves(plant.valve), *_unsupported_load(plant.load))
     point, tilt = mass_point(plant.load), -float(plant.load.hanging_angle)
     damping, axis = float(plant.load.damping), (0.0, -1.0, 0.0)
     hinge = Joint("joint", axis, -math.pi, math.pi, "limb", damping=damping, friction=plant.friction)
@@ -446,27 +446,27 @@ def _depth_first(parents: Sequence[int], above: int = 0) -> list[int]:
     return [place for number in below for place in (number, *_depth_first(parents, number + 1))]
 
 
-def check_parts(plant: JointPlant) -> None:
-    """Raise an error that lists all parts of a plant that MuJoCo does not support."""
-    errors: list[ExportError] = []
-    for check in (lambda: check_valve(plant.valve), lambda: mass_point(plant.load)):
-        try:
-            check()
-        except ExportError as error:
-            errors.append(error)
-    if len(errors) > 1:
-        parts, remedies = "; ".join(e.message for e in errors), ", ".join(e.remedy for e in errors)
-        raise ExportError(parts, field=errors[0].field, remedy=remedies) from errors[0]
-    if errors:
-        raise errors[0]
-
-
-def check_valve(valve: Actuator) -> None:
-    """Raise an error for a valve that MuJoCo does not support."""
+def _unsupported_valves(valve: Actuator) -> Iterator[ExportError]:
+    """Errors for valves that MuJoCo does not support."""
     if valve.switches:
-        raise _cannot("valve", "valves that switch between steps", "give it a FlowValve")
+        yield _cannot("valve", "valves that switch between steps", "give it a FlowValve")
     if valve.reservoir is not None:
-        raise _cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
+        yield _cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
+
+
+def _unsupported_load(load: Load) -> Iterator[ExportError]:
+    """Error for a load with a torque other than that of gravity on a mass."""
+    angles, moment = np.linspace(-1, 1, 5), float(load.gravity_moment)
+    hanging = moment * np.sin(float(load.hanging_angle) - angles)
+    if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
+        yield _cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
+
+
+def _raise(*errors: ExportError) -> None:
+    """Raise one error for all parts that MuJoCo does not support."""
+    if errors:
+        parts, remedies = "; ".join(e.message for e in errors), ", ".join(e.remedy for e in errors)
+        raise ExportError(parts, field=errors[0].field, remedy=remedies)
 
 
 def _cannot(field: str, part: str, remedy: str) -> ExportError:
@@ -497,10 +497,7 @@ def mass_point(load: Load) -> MassPoint:
     (1.0, 0.1, 0.01)
     """
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
-    angles = np.linspace(-1, 1, 5)
-    hanging = moment * np.sin(float(load.hanging_angle) - angles)
-    if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
-        raise _cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
+    _raise(*_unsupported_load(load))
     mass, assumed = _known_mass(load), ()
     if mass is None:
         mass = 2 * moment**2 / (inertia * gravity**2) or 1.0

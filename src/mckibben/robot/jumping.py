@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import itertools
 import math
 import zlib
@@ -19,7 +18,6 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
-from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.result import Column, Listing, Result
@@ -124,16 +122,14 @@ class Evaluations:
 
 
 def highest(
-    runs: JumpRuns, guess: Floats | None, seed: int, evaluations: Evaluations, report: Callable[[float], object]
+    runs: JumpRuns, guess: Floats | None, seed: int, evaluations: Evaluations, report: Callable[[float], None]
 ) -> Floats:
     """Return the variables of the jump of the last generation whose height is greatest for 95 % of the draws."""
     from scipy.optimize import differential_evolution
 
-    size, generation = runs.variables.size, iter(range(1, 10_000))
-
     found = differential_evolution(
         lambda x: -evaluations(runs.heights, x),
-        [(0.0, 1.0)] * size,
+        [(0.0, 1.0)] * runs.variables.size,
         maxiter=_GENERATIONS,
         popsize=_POPULATION,
         rng=seed,
@@ -141,7 +137,7 @@ def highest(
         polish=False,
         vectorized=True,
         updating="deferred",
-        callback=lambda *_, **__: report(0.9 * next(generation) / _GENERATIONS) and None,
+        callback=lambda intermediate_result: report(0.9 * intermediate_result.nit / _GENERATIONS),
     )
     sure = evaluations(runs.sure_heights, found.population.T) if runs.draws else -found.population_energies
     report(1.0)
@@ -162,7 +158,7 @@ class Jump:
     depth: float  # by which it is lower there than at the start [m]
     work: float  # of the muscles until take-off [J]; nominal
     stop_energy: float  # that the stops absorb until then [J]
-    air_energy: float  # exergy at room temperature of the air in the muscles at the start, and of the inflow [J]
+    air: float  # mass that flows into the muscles until then [kg]
 
     def record(self) -> dict[str, Any]:
         """The results as plain data."""
@@ -177,8 +173,7 @@ class Jump:
             "landing_force_interval": interval(self.landing_force),
             "muscle_work_J": self.work,
             "stop_energy_J": self.stop_energy,
-            "air_energy_J": self.air_energy,
-            "efficiency": self.work / self.air_energy if self.air_energy > 0 else None,
+            "air_g": self.air * 1e3,
             "integration": {
                 "substeps": self.substeps,
                 "error_estimate_rad": resolution.error if math.isfinite(resolution.error) else None,
@@ -264,7 +259,7 @@ class JumpStudy(Result):
             "push_off": (Column("1", "weights at push-off", digits=2), values("push_off_force_weights")),
             "landing": (Column("1", "weights at landing"), intervals("landing_force")),
             "work": (Column("J", "work of muscles", digits=3), values("muscle_work_J")),
-            "efficiency": (Column("1", "of the air's energy", "%", digits=2), values("efficiency")),
+            "air": (Column("g", "air", digits=2), values("air_g")),
             "stops": (Column("J", "into the stops", digits=2), values("stop_energy_J")),
         }
         yield Listing(f"{self.scenario.name}; intervals are 5 to 95 % of the draws", columns)
@@ -346,7 +341,11 @@ def study_jump(
 
         def search(runs: JumpRuns, guess: Floats | None, number: int, name: str) -> tuple[Floats, Jump]:
             runs = runs._replace(substeps=substeps, engine=engine)
-            report = functools.partial(_report, progress, f"{name} pressures", number)
+
+            def report(part: float) -> None:
+                if progress:
+                    progress(f"{name} pressures", (number + part) / 3)
+
             best = highest(runs, guess, seed, evaluations, report)
             schedule = runs.variables.schedule([float(x) for x in best])
             return best, _jump(scenario, runs, schedule, standing)
@@ -388,11 +387,6 @@ def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
     )
 
 
-def _report(progress: Progress | None, name: str, search: int, part: float) -> None:
-    if progress:
-        progress(name, (search + part) / 3)
-
-
 def _jump(
     scenario: RobotScenario,
     runs: JumpRuns,
@@ -405,11 +399,6 @@ def _jump(
     run = simulate_robot(plant, controller, start, duration=duration, **scenario.steps)
     steps = {"control_period": runs.step, "substeps": runs.substeps}
     table = simulate_robots(drawn, controller, start, duration=duration, **steps)
-    valve: Any = plant.valve
-    supply = float(np.asarray(valve.supply if valve.holds_air else runs.variables.high)) + ATMOSPHERE
-    inflow = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
-    ratio = 1 + run["pressure"][:, 0] / ATMOSPHERE
-    stored = run["air_mass"][:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
     heights, apex = run["mass_height"], int(run["mass_height"].argmax())
     before, bottom = run["ground_up"][:apex], int(heights[: apex + 1].argmin())
     ends = zip(run["angle"][:, bottom], plant.robot.joints, strict=True)
@@ -425,7 +414,7 @@ def _jump(
         depth=float(heights[0] - heights[bottom]),
         work=float(table["muscle_work"][0]),
         stop_energy=float(table["stop_energy"][0]),
-        air_energy=inflow + float(stored),
+        air=float(table["air_mass"][0]),
     )
 
 

@@ -136,7 +136,7 @@ class LandingStudy(Result):
         """The results as plain data; intervals are 5 to 95 % of the draws."""
         best, robust, table = self.best(), self.robust(), self.table
         stiffness, quantile = table["stiffness"].to_numpy(), self.trunk_quantile()
-        trunk, deflection = self.trunk_weights(), table["deflection"].to_numpy()
+        trunk = self.trunk_weights()
         bottoms = self.bottoms_out()
         landings = []
         for v, valve in enumerate(table["valve"].to_numpy()):
@@ -158,7 +158,6 @@ class LandingStudy(Result):
                         "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
                         "best_bottoms_out": bool(bottoms[v, d, at, 0]),
                         "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], EDGES).tolist(),
-                        "deflection_mm": float(deflection[v, d, at, 0] / mm),
                         "best_bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
                     }
                 )
