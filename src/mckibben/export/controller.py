@@ -30,6 +30,7 @@ from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import Plant
 from mckibben.robot import RobotScenario, TimedReference, TrackingControl
+from mckibben.robot.simulate import setpoints_over
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled, sampling_times
 from mckibben.units import SYMBOLS
@@ -113,24 +114,14 @@ def controller_module(
     module, left_out = controller_program(source, name)
     if isinstance(scenario, Scenario):
         _, rows = sampled(scenario.reference(), scenario.duration, source.period)
-        controller, substeps, wanted = source.of(source.parameters), scenario.needed_substeps(), _setpoint_of
+        controller, substeps = source.of(source.parameters), scenario.needed_substeps()
     else:
         assert scenario.duration is not None  # else `controller_functions` raises
-        rows, controller, wanted = sampling_times(scenario.duration, source.period), _parts(scenario)[1], _setpoints_of
+        controller = _parts(scenario)[1]
+        rows = setpoints_over(controller, sampling_times(scenario.duration, source.period))
         substeps = scenario.substeps or source.plant.needed_substeps(source.initial.posture.angles, None, source.period)
     rows = jax.tree.map(lambda x: x[:_MOST_PERIODS], rows)
-    return recorded(source, module, controller, rows, substeps, wanted)._replace(left_out=left_out)
-
-
-def _setpoint_of(controller: PyTree, state: PyTree, setpoint: Setpoint, *_: object) -> Setpoint:
-    """Setpoint of a joint, which is the row itself."""
-    return setpoint
-
-
-def _setpoints_of(controller: TrackingControl, state: PyTree, *sample: PyTree) -> tuple[ArrayLike, ...]:
-    """Angles and stiffness of all joints of a robot at a time [s]."""
-    angles, stiffness = zip(*controller.reference.step(state.reference, *sample)[1], strict=True)
-    return *angles, *stiffness
+    return recorded(source, module, controller, rows, substeps)._replace(left_out=left_out)
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
@@ -190,25 +181,24 @@ def recorded(
     controller: PyTree,
     rows: PyTree,
     substeps: int,
-    setpoint_of: Callable[..., PyTree],
 ) -> ControllerModule:
     """A module with the recording of a run of its controller.
 
     Parameters
     ----------
     controller, rows
-        The controller in the simulation, and the second arguments of its steps, a row for each period.
+        The controller in the simulation, and its setpoints, of all joints, a row for each period.
     substeps
         Integration steps per period.
-    setpoint_of
-        Setpoint in a period; takes controller, its state, the row, the measurement and the period.
     """
     step = next(function for function in module.functions if function.name == "step")
     structures = step.arguments | step.results
     parts = "setpoint", "measurement", "commands"
     columns = [column for part in parts for column in element_names(part, structures[part])]
     timing = source.period, substeps
-    first, *table = _recorded(source.plant, controller, rows, source.initial, *timing, setpoint_of)
+    first, *made = _recorded(source.plant, controller, rows, source.initial, *timing)
+    joints = [rows] if isinstance(rows, Setpoint) else rows
+    table = [[joint.angle for joint in joints] + [joint.stiffness for joint in joints], *made]
     start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
     recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
     _check_limits(source, columns, recording[1:])
@@ -235,17 +225,15 @@ def _recorded(
     initial: PyTree,
     period: ArrayLike,
     substeps: int,
-    setpoint_of: Callable[..., PyTree],
 ) -> tuple[PyTree, ...]:
-    """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
+    """First measurement; measurements and commands of a run, each of shape (periods,)."""
 
     def next_period(states: PyTree, rows: PyTree) -> PyTree:
         plant_state, measurement = plant.sample(states[0], period)
-        wanted = setpoint_of(controller, states[1], rows, measurement, period)
         state, commands = controller.step(states[1], rows, measurement, period)
         commands = plant.clip_commands(commands)
         following = plant.follow(plant_state, commands, period, substeps)
-        return (following, state), (tuple(wanted), tuple(jax.tree.leaves(measurement)), commands)
+        return (following, state), (tuple(jax.tree.leaves(measurement)), commands)
 
     with batched_program():  # compiles a third faster
         measured = plant.sample(initial, 0.0)[1]
