@@ -85,6 +85,7 @@ def test_at_fixed_lengths_the_friction_stays_as_the_last_motion_left_it():
     found = identify_with_friction(ExponentialLaw, steps_of_pressure(8.0))
     error = found.hysteresis.standard_errors["half_width"]
     assert abs(float(found.friction.half_width) - 8.0) < 2 * error < 1.0
+    assert "friction" not in {note.field for note in found.notes}
     truth = np.asarray(catalog.law("lei-mas-10-180n").force(0.05, np.array([3.5, 5.5]) * bar))
     band = found.force_intervals(0.05, np.array([3.5, 5.5]) * bar).confidence
     assert band.contains(truth).all() and np.all(band.upper - band.lower < 4.0)

@@ -21,7 +21,7 @@ from mckibben.identification.estimator import (
     unidentifiable,
 )
 from mckibben.identification.fit import Fit
-from mckibben.identification.grouping import RESOLUTION, measured_weights, neighbours_apart
+from mckibben.identification.grouping import RESOLUTION, at_fixed_lengths, measured_weights, neighbours_apart
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
@@ -250,7 +250,7 @@ def _friction_remarks(points: IsobaricDataset, residuals: Floats) -> Iterator[Re
     for column, words in (("direction", points.directions), ("phase", points.phases)):
         labels = points.table[column].to_numpy() if len(words) > 1 else None
         gap = 0.0 if labels is None else float(np.ptp([np.mean(residuals[labels == word]) for word in words]))
-        if labels is None or gap < rms:
+        if labels is None or gap < rms or (column == "direction" and at_fixed_lengths(points)):  # of few points
             continue
         text = (
             f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "

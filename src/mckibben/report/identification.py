@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.identification.grouping import held_values
+from mckibben.identification.loading_path import with_last_motion
 from mckibben.report.palette import BLACK, BLUE, ORANGE
 from mckibben.report.style import (
     DOUBLE,
@@ -212,7 +213,7 @@ def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
     RangeError
         If the dataset is not the identified one.
     """
-    means = dataset.plateau_means()
+    means = with_last_motion(dataset.plateau_means())
     if len(means) != len(fit.residuals):
         raise RangeError(
             f"the hysteresis was identified from {len(fit.residuals)} points, the dataset has {len(means)}",

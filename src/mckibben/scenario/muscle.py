@@ -29,8 +29,8 @@ _HEAD = """\
 # specimen. The stiffness beyond the points is then a guess, and results say so.
 """
 _UNDETERMINED = """\
-# The data do not determine {} (at most {:.2g} mm): it has the least value that they allow. Stiffness for small motion
-# and the width of small loops depend on it; measure a reversal in smaller steps.
+# The data do not determine {} (at most {:.2g} mm): it has the least value that they
+# allow. Stiffness for small motion and the width of small loops depend on it; measure a reversal in smaller steps.
 """
 _VOLUME = """\
 # The volume is assumed: from that at contraction 0 and the law's work per pressure, mckibben.muscle.air.volume_terms.
