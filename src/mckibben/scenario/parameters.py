@@ -234,6 +234,7 @@ class ScenarioParameter:
 def list_parameters(scenario: StudiedScenario) -> list[ScenarioParameter]:
     """All parameters of a scenario that a study can vary, in the order of the file.
 
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> for parameter in list_parameters(scenario)[:3]:
     ...     print(parameter.name, parameter.show(parameter.nominal), parameter.range, sep=", ")
@@ -252,6 +253,7 @@ def find_parameter(scenario: StudiedScenario, name: str) -> ScenarioParameter:
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> find_parameter(scenario, "position.kp").name
     'controller.position.kp'
@@ -266,6 +268,7 @@ def find_parameter(scenario: StudiedScenario, name: str) -> ScenarioParameter:
 def find_parameters(scenario: StudiedScenario, names: Iterable[str]) -> list[ScenarioParameter]:
     """Parameters of a scenario by their names, which must be different; raises ParameterError.
 
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> find_parameters(scenario, ["load.mass2", "load.mass2"])
     Traceback (most recent call last):

@@ -143,6 +143,7 @@ def with_values(scenario: S, values: Mapping[str, float | int], *, model_follows
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> with_values(scenario, {"load.mass2": 0.8}).plant().load.mass2
     0.8
@@ -164,6 +165,7 @@ def batched(scenario: S, table: Mapping[str, ArrayLike], *, model_follows: Model
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> load = batched(scenario, {"load.mass2": [0.5, 0.8]}).plant().load
     >>> load.mass2, load.mass1
@@ -187,6 +189,7 @@ def followed_names(scenario: S, model_follows: ModelFollows, varied: Iterable[st
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> followed_names(scenario, "all", ["load.mass2", "joint.geometry.connector_length"])
     ('joint.geometry.connector_length',)
@@ -215,6 +218,7 @@ def valid_rows(scenario: S, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> valid_rows(scenario, {"joint.geometry.connector_length": [0.2, 0.38]})
     array([ True, False])

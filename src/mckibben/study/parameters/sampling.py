@@ -51,6 +51,7 @@ class SweptParameter:
         """Text from which `parse_sweep` restores it exactly; of a `Normal` only the deviation is written.
 
         >>> from mckibben.study.parameters import parse_sweep
+        >>> from mckibben.scenario import Scenario
         >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
         >>> parse_sweep("load.mass2 = 200 g..1.0 kg in 9", scenario).text
         'load.mass2=0.2 kg..1 kg in 9'
@@ -81,6 +82,7 @@ def sweep_parameters(
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> [swept.text for swept in sweep_parameters(scenario, {"load.mass2": Uniform(0.2, 1.0)})]
     ['load.mass2=0.2 kg..1 kg']
@@ -151,6 +153,7 @@ def parse_sweep(text: str, scenario: StudiedScenario) -> SweptParameter:
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> parse_sweep("load.mass2=+-10 %", scenario).distribution
     Uniform(low=0.45, high=0.55, points=None)

@@ -18,6 +18,7 @@ def usual_variation(scenario: StudiedScenario) -> tuple[tuple[str, ...], tuple[s
 
     Of a robot, those of all muscles and bodies.
 
+    >>> from mckibben.scenario import Scenario
     >>> usual_variation(Scenario.read("examples/pre-contracted-step-pid.yaml"))[1]
     ('load.mass1=+-20 %', 'load.mass2=+-20 %')
     """
@@ -63,6 +64,7 @@ def extremes(groups: Sequence[Sequence[SweptParameter]], *, without: Sequence[st
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> table = extremes(uncertainty(scenario), without=["load.mass1"])
     >>> print(np.column_stack([table[name] for name in ("joint.muscle1.strength", "command_delay", "load.mass2")]))

@@ -23,6 +23,7 @@ class SearchSpace:
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> space = SearchSpace(parse_ranges(["valve.time_constant=5..50 ms"], scenario))
     >>> space.values(np.array([[0.0], [1.0]])).tolist()
@@ -97,6 +98,7 @@ def is_gain(name: str) -> bool:
 def gain_ranges(scenario: StudiedScenario, decades: float = 2.0) -> dict[str, LogUniform]:
     """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
 
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> gain_ranges(scenario, 1.0)["controller.position.kp"]
     LogUniform(low=20000.0, high=2000000.0, points=None)
@@ -115,6 +117,7 @@ def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[Swept
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> [swept.text for swept in parse_ranges(["controller.position.kp", "valve.time_constant=5..50 ms"], scenario)]
     ['controller.position.kp=0.02 bar/rad..200 bar/rad log', 'valve.time_constant=5 ms..50 ms']
