@@ -291,7 +291,9 @@ def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_fi
         async with visitor() as user:
             await user.open("/identify")
             await give(
-                user, "p_bar,eps_percent,F_N,<b>x [mm]\n" + "".join(f"2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9))
+                user,
+                "t_s,p_bar,eps_percent,F_N,<b>x [mm]\n"
+                + "".join(f"{e},2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9)),
             )
             kept = state(identify.IdentificationState)
             await until(lambda: there(user, "question"))
@@ -307,7 +309,7 @@ def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_fi
             return shown, asked, answers.keys(), kept.reading.columns
 
     shown, asked, answers, columns = asyncio.run(visit())
-    assert shown == 1 and asked == ["<b>x [mm]"]  # points are drawn before the questions are answered
+    assert shown == 4 and asked == ["<b>x [mm]"]  # points are drawn before the questions are answered
     ways = ("length", "displacement, + = shorter", "displacement, + = longer")  # of a column in mm
     assert answers == {*(f"take it as {way}" for way in ways), "not used"}
     assert columns == {"<b>x [mm]": "ignore", "F_N": "force_kN"}

@@ -11,6 +11,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -54,6 +55,11 @@ from mckibben.web.wording import FRICTION, KEEP, on_page
 
 _MOST_FILES = 64
 _FIELDS = {"initial_length": ("initial length", "180 mm"), "ambient": ("ambient pressure, if absolute", "101.3 kPa")}
+_OVER_TIME = {
+    "pressure": ("bar", bar, PRESSURE),
+    "force": ("N", 1.0, FORCE),
+    "contraction": ("%", percent, CONTRACTION),
+}
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 
@@ -352,6 +358,7 @@ class _Page(JobPage[IdentificationState]):
                 self.show_columns()
             if state.data is not None:
                 self.show_data(state.data)
+            self.show_recordings()
             if not state.questions:
                 self.show_columns()
 
@@ -373,16 +380,16 @@ class _Page(JobPage[IdentificationState]):
             draw(points, [cloud("points", data.contraction / percent, data.force, pressure)])
             for text in self.named(data.table.attrs.get("preprocessing", "")).splitlines():
                 quiet(printable(text, 500))
-        if "time" in data.table:
-            with panel("Over time"):
-                quantities = {
-                    "pressure [bar]": (pressure, PRESSURE),
-                    "force [N]": (data.force, FORCE),
-                    "contraction [%]": (data.contraction / percent, CONTRACTION),
-                }
-                for label, (values, color) in quantities.items():
-                    over = chart("time [s]", label, height=190)
-                    draw(over, [line(label.partition(" ")[0], data.table["time"], values, color, width=1)], legend=())
+
+    def show_recordings(self) -> None:
+        """The columns over time, those that are understood while questions are open."""
+        tables = [table.columns for table in self.state.tables if "time" in table.columns]
+        with panel("Over time") if tables else nullcontext():
+            for name, (unit, size, color) in _OVER_TIME.items():
+                shown = [(columns["time"].values, columns[name].values / size) for columns in tables if name in columns]
+                if shown:
+                    curves = [line(name, time, values, color, width=1) for time, values in shown]
+                    draw(chart("time [s]", f"{name} [{unit}]", height=190), curves, legend=())
 
     def show_uses(self) -> None:
         """What can be done with the muscle."""
