@@ -1,4 +1,4 @@
-"""Pages whose examples take seconds: `make verify` runs them, `make test` does not."""
+"""Pages and docstrings whose examples take seconds: `make verify` runs them, `make test` does not."""
 
 from pathlib import Path
 
@@ -6,14 +6,17 @@ import pytest
 
 SLOW = {
     "batches.md",
+    "export-simulators.md",
     "extending.md",
     "laws.md",
     "robot.md",
     "size.md",
     "stiffness.md",
+    "tour.md",
     "tuning.md",
     "uncertainty.md",
     "your-muscle.md",
+    "mckibben.reachability.selection.size",
 }
 
 
@@ -21,7 +24,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the slow pages, and put the one that defines classes behind all tests of its process."""
     items.sort(key=lambda item: item.path.name == "extending.md")
     for item in items:
-        if item.path.parent == Path(__file__).parent and item.path.name in SLOW:
+        if item.name in SLOW:
             item.add_marker(pytest.mark.slow)
 
 

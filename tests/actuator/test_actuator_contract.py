@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """What holds for every actuator, and the second-order valve against SciPy."""
 
 import numpy as np
@@ -21,18 +22,11 @@ EXAMPLES = (
     mk.FlowValve(C, SUPPLY),
     mk.PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
     mk.SwitchingValves(C, SUPPLY, period=0.02),
-    mk.Tube(
-        mk.PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4, wall_conductance=0.5),
-        volume=5e-6,
-        conductance=2e-9,
-    ),
+    mk.Tube(mk.PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4, wall_conductance=0.5), volume=5e-6, conductance=2e-9),
     mk.UnequalValves(
-        mk.Tube(mk.FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9),
-        mk.FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12),
-        reservoir_volume=1e-3,
-        line_conductance=C,
+        mk.Tube(mk.FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9), mk.FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12), reservoir_volume=1e-3, line_conductance=C
     ),
-)
+)  # fmt: skip
 """An instance of each class with fields, for the tests of all components."""
 SECOND = [valve for valve in CLOSED if isinstance(valve, SecondOrderValve)]
 

@@ -72,6 +72,7 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
     assert masses[0] == pytest.approx(masses[1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there_is_a_weight():
     found = {}
     for mass in (0.0, 0.5):
@@ -88,6 +89,7 @@ def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there
 
 @pytest.mark.filterwarnings("always")
 @pytest.mark.parametrize(("mass", "light"), [(0.2, True), (1.0, False)])
+@pytest.mark.slow
 def test_a_weight_that_turns_the_joint_by_less_than_its_friction_is_warned_of(recwarn, mass, light):
     """Two muscles with 7.5 N on arms of 3 cm hold some 0.45 N*m; at 40 deg 0.2 kg turn by 0.25 N*m."""
     scenario = Scenario.read(EXAMPLE.parents[1] / "valves" / "regulator-decoupling.yaml")

@@ -145,6 +145,7 @@ def test_it_repeats_the_recorded_run_and_contains_faults(board, scenarios, name,
         check_faults(tmp_path, scenarios[name], board.STRICT, REPLAYED[name], learning)
 
 
+@pytest.mark.slow
 def test_a_frozen_sensor_vents_until_it_moves_again(scenarios):
     """Each sensor, while the commands move; then a ramp, at whose end the controller is as one that began there."""
     scenario = scenarios["PID"]

@@ -43,6 +43,7 @@ def test_roots_and_tables_are_refused(joints, name):
 
 
 @pytest.mark.parametrize("known", WRITTEN, indirect=True)
+@pytest.mark.slow
 def test_expressions_give_the_torque_and_none_pushes(known):
     plant = mk.JointPlant(known.joint, LOAD, mk.IdealValve())
     for at in range(0, 40, 8):

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Friction of a muscle, against play operators in plain Python, and properties for any path."""
 
 import dataclasses
@@ -178,14 +179,7 @@ def test_rate_dependent_friction_is_dissipative_and_the_muscle_never_pushes(tens
     assert force * rate >= 0 and abs(force) + band <= tension * (1 + 1e-12)
 
 
-@pytest.mark.parametrize(
-    ("given", "missing"),
-    [
-        ({"rate_growth": 0.5}, "rate_speed"),
-        ({"rate_speed": 0.01}, "rate_growth"),
-        ({"viscous_length_growth": 4e3}, "reference_length"),
-    ],
-)
+@pytest.mark.parametrize(("given", "missing"), [({"rate_growth": 0.5}, "rate_speed"), ({"rate_speed": 0.01}, "rate_growth"), ({"viscous_length_growth": 4e3}, "reference_length")])  # fmt: skip
 def test_parameters_that_go_together_are_given_together(given, missing):
     with pytest.raises(RangeError) as refused:
         dataclasses.replace(PLAIN, **given)

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Sensors: quantisation, noise and delay, in 64 and 32 bits."""
 
 import jax
@@ -109,15 +110,8 @@ def test_a_measurement_is_delayed_by_a_fraction_of_a_period(true, delay):
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "unit"),
-    [
-        ("encoder", -0.1, "rad"),
-        ("encoder", np.nan, "rad"),
-        ("pressure_noise", -1.0, "Pa"),
-        ("delay", 1.5, "1"),
-        ("delay", np.array([0.0, -0.5]), "1"),
-    ],
-)
+    ("field", "value", "unit"), [("encoder", -0.1, "rad"), ("encoder", np.nan, "rad"), ("pressure_noise", -1.0, "Pa"), ("delay", 1.5, "1"), ("delay", np.array([0.0, -0.5]), "1")]
+)  # fmt: skip
 def test_invalid_sensors_are_refused(field, value, unit):
     with pytest.raises(RangeError, match="SampledSensors") as refused:
         SampledSensors(**{field: value})

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Derivatives of references against finite differences; smoothing against the signal."""
 
 import numpy as np
@@ -9,15 +10,7 @@ from mckibben.reachability.trajectory import breakpoints, derivatives, reference
 TIMES = np.arange(1001) * 1e-3
 
 
-@pytest.mark.parametrize(
-    "signal",
-    [
-        Constant(3.0),
-        Sine(0.2, 1.7, 0.1, 0.4),
-        Multisine((0.2, 0.1), (1.0, 3.0), (0.0, 1.0), 0.3),
-        Multisine((1.0,), (2.0,)),
-    ],
-)
+@pytest.mark.parametrize("signal", [Constant(3.0), Sine(0.2, 1.7, 0.1, 0.4), Multisine((0.2, 0.1), (1.0, 3.0), (0.0, 1.0), 0.3), Multisine((1.0,), (2.0,))])  # fmt: skip
 @pytest.mark.slow
 def test_smooth_signals_are_differentiated_exactly(signal):
     found = derivatives(signal, TIMES, 3, smoothing=0.1)

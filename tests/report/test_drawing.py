@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Drawings and animations have the coordinates of the geometry."""
 
 import itertools
@@ -35,14 +36,7 @@ class Own(Geometry):
         return 0.16 + 0.03 * jnp.sin(angle), 0.16 - 0.03 * jnp.sin(angle)
 
 
-ALL = {
-    "knee": KNEE,
-    "bones": BONES,
-    "pulleys": PULLEYS,
-    "cams": CAMS,
-    "table": mk.PairedPaths(TABLE, TABLE),
-    "own": Own(),
-}
+ALL = {"knee": KNEE, "bones": BONES, "pulleys": PULLEYS, "cams": CAMS, "table": mk.PairedPaths(TABLE, TABLE), "own": Own()}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ALL)

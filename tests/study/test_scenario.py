@@ -14,33 +14,7 @@ from mckibben.units import bar, deg
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BASE = (EXAMPLES / "pre-contracted-step-pid.yaml").read_text()
 
-PLAIN = """\
-name: plain
-joint:
-  geometry: {joint_length: 370 mm, joint_radius: 3 cm, connector_length: 0.208 m}
-  muscle1: {specimen: DMSP-10-250, law: chou}
-  muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
-load: {from: knee-table-2, mass2: 0.8 kg, hanging: false}
-valve: {time_constant: 20 ms}
-controller:
-  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, derivative_on_error: true}
-  stiffness:
-    class: backprop
-    base: {kp: 50 mbar/(N*m/rad), ki: 3 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
-    signal_scale: 15 N*m/rad
-    error_scale: 1 N*m/rad
-    output_scale: 1 bar/s
-    momentum: 0.25
-    hidden: 5
-    seed: 3
-  model: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {specimen: DMSP-10-250, law: chou}}
-reference:
-  angle: {class: multisine, amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz], offset: 2 deg}
-  stiffness: {class: samples, times: [0 s, 1 s, 2000 ms], values: [13 N*m/rad, 14 N*m/rad, 13.5 N*m/rad]}
-duration: 2 s
-control_period: 2 ms
-"""
+PLAIN = Path(__file__).with_name("plain.yaml").read_text(encoding="utf-8")
 
 
 VALVE, SINE = "valve: {time_constant: 20 ms}", "{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}"

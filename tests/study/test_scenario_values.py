@@ -21,36 +21,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted(EXAMPLES.glob("*.yaml"))}
 PID, BACKPROP, PRINTED = "pre-contracted-step-pid", "pre-contracted-step-backprop", "as-printed-constant-pid"
 
-BLOCK = """\
-# A comment at the top.
-name: >-
-  two lines
-  of a name
-joint:
-  geometry:
-    from: knee-table-2  # of the catalog
-    connector_length: '208 mm'
-  muscle:
-    specimen: MAS-10-180N-AA-MC-O
-    law: "lei-mas-10-180n"
-  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
-load:
-  from: knee-table-2
-  # a comment at the end of the load
-
-controller:
-  model: {geometry: knee-table-2, muscle: {specimen: DMSP-10-250, law: chou}}
-  position: {kp: 2 bar/rad,   # proportional
-                   ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}
-  stiffness:
-    kp: 0.08 bar/(N*m/rad)
-    ki: 5 bar/(N*m*s/rad)
-    kd: 0 bar*s/(N*m/rad)   # none
-reference:
-  angle: {class: multisine, amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz]}
-  stiffness: {class: samples, times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}
-duration: 2 s
-control_period: 2 ms   # the last line"""
+BLOCK = Path(__file__).with_name("block.yaml").read_text(encoding="utf-8").removesuffix("\n")
 
 
 TEXTS_AND_BLOCK = TEXTS | {"block": BLOCK}

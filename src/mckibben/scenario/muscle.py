@@ -102,8 +102,8 @@ def air_volume(text: str, length: float | None) -> float | None:
     A diameter needs the initial length [m] of the muscle. Raises `UnitError` if the text is neither, and `RangeError`
     for one that is not possible.
 
-    >>> round(1e6 * air_volume("10 mm", 0.3), 2), air_volume("25 mL", None), air_volume("", 0.3)
-    (23.56, 2.5e-05, None)
+    >>> [round(1e6 * one, 2) for one in (air_volume("10 mm", 0.3), air_volume("30 mL", None))], air_volume("", 0.3)
+    ([23.56, 30.0], None)
     """
     if not text.strip():
         return None

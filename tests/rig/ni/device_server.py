@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """A card in this process: the NI gRPC Device Server's calls for NI-DAQmx, in front of a simulated rig.
 
 The real `nidaqmx` package talks to it over gRPC, as it does to a card on another machine. It does what the driver's
@@ -39,17 +40,9 @@ BENCH = {
 }
 KNEE = {
     "angle": ni.Terminal(terminal="ai0", unit="rad", gain=36 * deg, offset=-180 * deg, low=-176.8 * deg, high=3.0),
-    **{
-        f"pressure{i}": ni.Terminal(
-            terminal=f"ai{i}", unit="Pa", gain=2.5 * bar, offset=-2.5 * bar, low=-0.5 * bar, high=10.2 * bar
-        )
-        for i in (1, 2)
-    },
-    **{
-        f"valve{i}": ni.Terminal(terminal=f"ao{i - 1}", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar)
-        for i in (1, 2)
-    },
-}
+    **{f"pressure{i}": ni.Terminal(terminal=f"ai{i}", unit="Pa", gain=2.5 * bar, offset=-2.5 * bar, low=-0.5 * bar, high=10.2 * bar) for i in (1, 2)},
+    **{f"valve{i}": ni.Terminal(terminal=f"ao{i - 1}", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar) for i in (1, 2)},
+}  # fmt: skip
 
 
 def wired(server: str, known: Mapping[str, ni.Terminal] = BENCH, **fields: Any) -> ni.Card:
