@@ -29,7 +29,7 @@ def kinds_of_test(tool, folder):
     for kind in tool.KINDS:
         tally = tool.tallied(kind, 1, ExponentialLaw, 0, folder)
         assert not tally["refused"] and np.median(tally["error"]) < 0.01
-        assert all(tally["friction"]) == (kind is not tool.steps_of_pressure) and not any(tally["false drift"])
+        assert all(tally["friction"]) and not any(tally["false drift"])
         covered += tally["force"]
     assert np.mean(covered) > 0.9
 
