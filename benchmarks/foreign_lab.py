@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """The documented procedure on labs that share no code with the plants of the toolkit.
 
     python benchmarks/foreign_lab.py regulator|spool|switching|pair|servo --out DIR
@@ -114,25 +115,16 @@ LEFT_OUT = "decoupling", "oracle"  # of the controllers of valves.yaml
 VALVES = {
     "regulator": Known(
         JOINT,
-        "{class: regulator, conductance: 0.045 L/(s*bar), supply: 7 bar, time_constant: 20 ms, band: 0.5 bar, "
-        "dead_volume: 6 cm^3}",
+        "{class: regulator, conductance: 0.045 L/(s*bar), supply: 7 bar, time_constant: 20 ms, band: 0.5 bar, dead_volume: 6 cm^3}",
         delay="4 ms",
         gains="regulator",
         lag="time_constant",
         substeps=6,
     ),
-    "spool": Known(
-        JOINT,
-        "{from: festo-mpye-5-m5, supply: 7 bar, dead_zone: 3 %, dead_volume: 6 cm^3}",
-        delay="2 ms",
-        gains="mpye-5-m5",
-        lag="spool_lag",
-        substeps=12,
-    ),
+    "spool": Known(JOINT, "{from: festo-mpye-5-m5, supply: 7 bar, dead_zone: 3 %, dead_volume: 6 cm^3}", delay="2 ms", gains="mpye-5-m5", lag="spool_lag", substeps=12),
     "switching": Known(
         JOINT,
-        "{from: festo-mh1, conductance: 0.06 L/(s*bar), supply: 7 bar, period: 8 ms, opening_delay: 1 ms, "
-        "dead_volume: 3 cm^3}",
+        "{from: festo-mh1, conductance: 0.06 L/(s*bar), supply: 7 bar, period: 8 ms, opening_delay: 1 ms, dead_volume: 3 cm^3}",
         delay="1 ms",
         gains="mh1",
         lag="opening_delay",
@@ -140,8 +132,7 @@ VALVES = {
     ),
     "pair": Known(
         ELBOW,
-        "{class: regulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, band: 0.5 bar, "
-        "dead_volume: 14 cm^3}",
+        "{class: regulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, band: 0.5 bar, dead_volume: 14 cm^3}",
         delay="2 ms",
         gains="regulator",
         lag="time_constant",
@@ -149,14 +140,13 @@ VALVES = {
     ),
     "servo": Known(
         ELBOW,
-        "{class: regulator, conductance: 0.2 L/(s*bar), supply: 7 bar, time_constant: 25 ms, band: 0.5 bar, "
-        "dead_zone: 0.08 bar, dead_volume: 19 cm^3}",
+        "{class: regulator, conductance: 0.2 L/(s*bar), supply: 7 bar, time_constant: 25 ms, band: 0.5 bar, dead_zone: 0.08 bar, dead_volume: 19 cm^3}",
         delay="4 ms",
         gains="regulator",
         lag="time_constant",
         substeps=6,
     ),
-}
+}  # fmt: skip
 SCENARIO = """\
 name: {lab.name}, {kind}
 joint:
