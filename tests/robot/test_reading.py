@@ -99,7 +99,7 @@ BAD = """<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1"/>
 <geom name="wrap" type="sphere" size="0.1"/></body><site name="t"/></body></worldbody>
 <tendon><spatial name="rope"><site site="s"/><geom geom="wrap"/><site site="t"/></spatial>
 <fixed name="belt"><joint joint="j" coef="1"/></fixed></tendon>
-<equality><weld body1="a" body2="b"/></equality></mujoco>"""
+<equality><weld body1="a" body2="b"/></equality><actuator><motor name="drive" joint="j"/></actuator></mujoco>"""
 
 
 def test_what_is_not_carried_over_is_named_with_its_line(tmp_path):
@@ -107,7 +107,8 @@ def test_what_is_not_carried_over_is_named_with_its_line(tmp_path):
     path.write_text(BAD)
     read = read_mjcf(path)
     assert read.robot.base == "floating"
-    for part, line in (("stiffness of joint j", 2), ("rope", 4), ("belt", 5), ("equality weld", 6)):
+    lines = {"stiffness of joint j": 2, "rope": 4, "belt": 5, "equality weld": 6, "actuator drive": 6}
+    for part, line in (lines | {"contact of 3 geoms": 1}).items():
         (found,) = (text for text in read.left_out if part in text)
         assert f"line {line}" in found
 

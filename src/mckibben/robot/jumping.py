@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
+from mckibben.errors import McKibbenError, Problem, ScenarioError
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.result import Column, Listing, Result
@@ -368,12 +368,9 @@ def _squat(scenario: RobotScenario, angles: tuple[float, ...], plant: RobotPlant
         torques = standing_torques(plant, angles).tolist()
         pressures = plant.robot.pressures_for(angles, torques, [None] * len(angles))
         plant.check_substeps(angles, None, scenario.control_period, scenario.substeps or MOST_SUBSTEPS)
-    except SimulationError as error:
-        raise ScenarioError(
-            source, [Problem(error.message, field="control_period", remedy="give a shorter one")]
-        ) from error
     except McKibbenError as error:
-        raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
+        field = "control_period" if error.field == "substeps" else "jump.squat"
+        raise ScenarioError(source, [Problem.of(error, field=field)]) from error
     return RobotStart(angles, pressures)
 
 

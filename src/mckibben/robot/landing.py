@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mckibben.actuator import AirActuator, IdealValve
 from mckibben.component.columns import attributes
 from mckibben.dataset.schema import write_netcdf
-from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, SimulationError
+from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.result import Column, Listing, Result
@@ -143,7 +143,6 @@ class LandingStudy(Result):
             for d, drop in enumerate(table["drop"].to_numpy()):
                 at, sure = int(best[v, d, 0]), int(robust[v, d])
                 low, high = np.percentile(stiffness[best[v, d, 1:]], EDGES)
-                nominal = trunk[v, d, :, 0]
                 landings.append(
                     {
                         "valve": str(valve),
@@ -154,7 +153,6 @@ class LandingStudy(Result):
                         "robust_stiffness": float(stiffness[sure]),
                         "robust_trunk_force_95_weights": float(quantile[v, d, sure]),
                         "robust_bottoms_out_share": float(bottoms[v, d, sure, 1:].mean()),
-                        "influence": float(nominal.max() / nominal.min() - 1),
                         "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
                         "best_bottoms_out": bool(bottoms[v, d, at, 0]),
                         "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], EDGES).tolist(),
@@ -193,9 +191,7 @@ def _remark(landing: dict[str, Any]) -> str:
     """Remarks on limits of the chosen stiffness."""
     if not landing["avoids_stop"]:
         return "no stiffness avoids the stop"
-    if landing["best_bottoms_out"]:
-        return "the nominal best bottoms out"
-    return "stiffness has no influence" if landing["influence"] < BEST_WITHIN else ""
+    return "the nominal best bottoms out" if landing["best_bottoms_out"] else ""
 
 
 def study_landing(
@@ -269,11 +265,9 @@ class Landings(Study):
             for valve in valves.values():
                 own = eqx.tree_at(lambda x: x.valve, plant, valve)
                 own.check_substeps(angles, None, scenario.control_period, scenario.substeps or MOST_SUBSTEPS)
-        except SimulationError as error:
-            problem = Problem(error.message, field="control_period", remedy="give a shorter one")
-            raise ScenarioError(source, [problem]) from error
         except McKibbenError as error:
-            field = "landing.time_constants" if error.field == "time_constants" else "landing.stiffness"
+            fields = {"substeps": "control_period", "time_constants": "landing.time_constants"}
+            field = fields.get(error.field, "landing.stiffness")
             raise ScenarioError(source, [Problem.of(error, field=field)]) from error
         drawn = drawn_plant(scenario)
         return cls(scenario, source, valves, stiffness, pressures, drawn, software()), (low, high)

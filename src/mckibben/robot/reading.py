@@ -312,7 +312,21 @@ class _Reader:
         model, spec = self._model, self._spec
         for number in range(model.neq):
             kind = self._mujoco.mjtEq(int(model.eq_type[number])).name.removeprefix("mjEQ_").lower()
-            self.left_out.append(f"equality {kind}{self._line(spec.equalities, number)}")
+            name = model.equality(number).name
+            self.left_out.append(f"equality {kind} {name}".rstrip() + self._line(spec.equalities, number))
+        moving = model.body_weldid[model.geom_bodyid] > 0
+        touching = np.flatnonzero(moving & ((model.geom_contype > 0) | (model.geom_conaffinity > 0)))
+        others = [number for number in touching.tolist() if not model.geom(number).name.startswith("foot")]
+        if others:
+            first = self._named("geom", others[0]) + self._line(spec.geoms, others[0])
+            self.left_out.append(f"contact of {len(others)} geoms, but for spheres named foot...; the first is {first}")
+        for number in range(model.nu):
+            self.left_out.append(f"actuator {self._named('actuator', number)}{self._line(spec.actuators, number)}")
+        parts = {"stiffness": "stiffness", "damping": "damping", "frictionloss": "friction", "limited": "range"}
+        for number, (part, what) in itertools.product(range(model.ntendon), parts.items()):
+            if np.any(getattr(model, f"tendon_{part}")[number]):
+                named = self._named("tendon", number) + self._line(spec.tendons, number)
+                self.left_out.append(f"{what} of tendon {named}")
         x, y, z = model.opt.gravity.tolist()
         if abs(x) + abs(y) > 1e-9 or abs(z + 9.81) > 1e-3:
             self.left_out.append(f"gravity {x:g} {y:g} {z:g}: ours is 9.81 m/s^2 downwards")
