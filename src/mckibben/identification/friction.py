@@ -420,7 +420,7 @@ def _presliding(
         f"the presliding length is not determined (steps of {show(model.paths.step, 'mm', 3)}): at most "
         f"{show(most, 'mm', 2)}, and {show(least, 'mm', 2)} in the muscle"
     )
-    remark = Remark.warning("presliding_length", text, "measure a reversal in smaller steps")
+    remark = Remark.warning("presliding_length", text, "record a short stroke with a reversal: long ones are averaged")
     return held, {"presliding_length": float(most)}, [remark]
 
 
