@@ -30,7 +30,7 @@ _HEAD = """\
 """
 _UNDETERMINED = """\
 # The data do not determine {} (at most {:.2g} mm): it has the least value that they
-# allow. Stiffness for small motion and the width of small loops depend on it; measure a reversal in smaller steps.
+# allow. Stiffness for small motion and the width of small loops depend on it; record a short stroke with a reversal.
 """
 _VOLUME = """\
 # The volume is assumed: from that at contraction 0 and the law's work per pressure, mckibben.muscle.air.volume_terms.
