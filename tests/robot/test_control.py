@@ -22,7 +22,7 @@ from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, jo
 from mckibben.robot.dynamics import joint_equations, joint_load
 from mckibben.robot.point_stiffness import place_of, point_jacobian, point_of
 from mckibben.robot.statics import HeldPosture, stiffness_matrix
-from mckibben.scenario import run_many, with_values
+from mckibben.scenario import batched, run_many, with_values
 from mckibben.study.tune import tune
 from mckibben.units import bar, deg
 
@@ -189,6 +189,10 @@ def test_positions_out_of_reach_are_named_before_the_run():
     assert caught.value.field == "reference" and caught.value.remedy
     scenario = RobotScenario.parse(POINT)
     assert RobotScenario.parse(scenario.dumps()).dumps() == scenario.dumps()
+    nominal, short = scenario.references(), scenario.model_copy(update={"duration": 0.5})
+    assert scenario.model_copy(update={"controller": None}).references() is nominal
+    assert short.references()["knee"].angle.times.size == 250
+    assert batched(scenario, {"robot.bodies.1.mass": [0.5, 0.6]}).references() is nominal
 
 
 def test_the_cost_of_a_robot_has_its_metrics():

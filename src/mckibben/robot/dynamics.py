@@ -222,7 +222,7 @@ def joint_equations(
 
     `bias` are the torques [N*m] of velocities and gravity.
     """
-    held = dataclasses.replace(robot, base="fixed")
+    held = robot if robot.base == "fixed" else dataclasses.replace(robot, base="fixed")  # which checks all of it
     posture = posture_of(held, angles)
     velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
     made = _equations(held, posture, velocity, gravity)

@@ -17,6 +17,7 @@ from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import (
     Field,
+    PrivateAttr,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -252,6 +253,7 @@ class RobotScenario(StudiedScenario):
     control_period: PositiveTime = 0.25e-3
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
+    _computed: list[PyTree] = PrivateAttr(default_factory=list)
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
@@ -468,15 +470,26 @@ class RobotScenario(StudiedScenario):
     def references(self) -> dict[str, Reference]:
         return self._joint_references[0]
 
-    @functools.cached_property
+    @property
     def _joint_references(self) -> tuple[dict[str, Reference], list[Remark]]:
-        """References of the joints, also of those of a point, and what is not exact in them."""
+        """References of the joints, also of those of a point, and what is not exact in them.
+
+        Copies share them; those whose robot varies over runs have that of the nominal one.
+        """
         if not isinstance(self.reference, PointReference):
             return self.reference, []
+        varies, settings = lanes_of(self.robot)[0], (self.reference, self.duration, self.control_period, self.start)
+        for known, robot, found in self._computed:
+            if known == settings and (varies or robot is self.robot):
+                return found
+        self._computed.append((settings, self.robot, self._of_a_point(self.reference)))
+        return self._computed[-1][-1]
+
+    def _of_a_point(self, reference: PointReference) -> tuple[dict[str, Reference], list[Remark]]:
         times = sampling_times(self._length, self.control_period)
         start = self.robot.posture_angles(self.start.angles)
         tension = getattr(self.controller, "minimum_tension", 1.0)
-        return self.reference.of_joints(self.robot, start, times, self.supply, tension)
+        return reference.of_joints(self.robot, start, times, self.supply, tension)
 
     @property
     def reference_notes(self) -> list[Remark]:

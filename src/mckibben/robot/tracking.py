@@ -129,8 +129,10 @@ def _unattainable(
         posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {times[index]:.3g} s"
         try:
             torques = holding_torques(robot, posture)
-            ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
             found = pressures_for_joint_stiffness(robot, posture, wanted, torques=torques, supply=supply)
+            if found.exact:
+                continue
+            ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
         except McKibbenError as error:
             yield Remark.warning("reference", f"{at}: {error.message}", error.remedy)
             return
@@ -141,7 +143,7 @@ def _unattainable(
                 text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"
                 by = limits[2 if value < low else 3]
                 worst[name] = excess, Remark.warning("reference", f"{text} ({by})", "choose a stiffness between")
-        if not (found.exact or worst):
+        if not worst:
             text = f"{at} the joints do not attain their stiffness together: relative error {found.error:.2g}"
             worst["all"] = found.error, Remark.warning("reference", text, "the nearest is given")
     yield from (remark for _, remark in worst.values())

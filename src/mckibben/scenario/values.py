@@ -56,6 +56,7 @@ def part_at(part: Any, place: Place) -> Any:
 
 def _with(scenario: S, values: Mapping[ScenarioParameter, Any]) -> S:
     """Return the scenario with other values, and what the controller takes from its plant."""
+    scenario.references()  # those of a nominal robot
     varied = changed(scenario, _at_places(values))
     plant = {name: inherit(getattr(varied, name), {}) for name in scenario.plant_parts}  # as the braid of Chou's law
     return varied.model_copy(update=plant).with_model()
