@@ -486,7 +486,7 @@ class RobotScenario(StudiedScenario):
         return self._computed[-1][-1]
 
     def _of_a_point(self, reference: PointReference) -> tuple[dict[str, Reference], list[Remark]]:
-        times = sampling_times(self._length, self.control_period)
+        times = sampling_times(self.run_duration, self.control_period)
         start = self.robot.posture_angles(self.start.angles)
         tension = getattr(self.controller, "minimum_tension", 1.0)
         return reference.of_joints(self.robot, start, times, self.supply, tension)
@@ -528,7 +528,7 @@ class RobotScenario(StudiedScenario):
         return simulate_robots(*parts, metrics=TrackingMetrics, **self.timing | options)
 
     def margins(self, points: int = 20) -> Margins:
-        times, period = sampling_times(self._length, self.control_period), self.control_period
+        times, period = sampling_times(self.run_duration, self.control_period), self.control_period
         problem = single_run(self._linearisable(self.initial()), period, "disk_margins")
         start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start))
         chosen = evenly_spaced(times.size, points)
@@ -536,7 +536,7 @@ class RobotScenario(StudiedScenario):
         return margins_along(problem, start, setpoints, times[chosen], chosen, period, self.needed_substeps(), names)
 
     def disk_margins(self, points: int) -> NDArray[np.float64]:
-        times, (first, exists) = sampling_times(self._length, self.control_period), self._starts()
+        times, (first, exists) = sampling_times(self.run_duration, self.control_period), self._starts()
         lanes, shared, count = split_runs(self._linearisable(first), {}, self.control_period, "margins")
 
         setpoints = setpoints_over(shared.controller, times, lanes.controller)
@@ -558,7 +558,7 @@ class RobotScenario(StudiedScenario):
         return np.where(exists, margins, np.nan)
 
     @property
-    def _length(self) -> float:
+    def run_duration(self) -> float:
         """Duration [s]; `RangeError` without one."""
         if self.duration is None:
             remedy = "give it `controller` or `controllers`, `reference` and `duration`, or use `mckibben robot`"

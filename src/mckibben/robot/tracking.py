@@ -82,15 +82,13 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
     Raises `ScenarioError` if the scenario has no controller, or its parts do not fit together.
     """
     source = source or scenario.name
-    if scenario.duration is None:
-        remedy = "give it `controller` or `controllers`, `reference` and `duration`, or use `mckibben robot`"
-        raise ScenarioError(source, [Problem("the robot has no controller", field="controller", remedy=remedy)])
     period = scenario.control_period
     try:
+        duration = scenario.run_duration
         references = scenario.references()
         for name, reference in references.items():
             check_frequencies(reference, period, f"reference.{name}")
-        parts = [sampled(references[joint.name], scenario.duration, period) for joint in scenario.robot.joints]
+        parts = [sampled(references[joint.name], duration, period) for joint in scenario.robot.joints]
         desired = {
             "desired_angle": np.stack([np.asarray(setpoints.angle) for _, setpoints in parts]),
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
@@ -98,7 +96,7 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
         found = _unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"])
         notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
-        run = simulate_robot(plant, scenario.control(), start, duration=scenario.duration, **scenario.steps)
+        run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
     except FileError:
         raise
     except McKibbenError as error:
