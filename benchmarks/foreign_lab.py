@@ -7,7 +7,7 @@
 The steps are 1 to 6 of docs/compare.md, "For your joint and valves", and all but the last are commands of `mckibben`
 on the rig of benchmarks/foreign_rig.py, or for `pair` and `servo` on that of benchmarks/foreign_elbow.py: a test of
 one muscle, its force law, the joint with a weight of 1.5 kg (2 kg on the elbow), the valves, and a comparison on the
-calibrated model, in which the PIDs have ten times the budget of the others. The last step runs the tuned controllers on
+calibrated model, in which the PIDs have three times the searches of the others. The last step runs the tuned controllers on
 the foreign plant, with other loads, supplies, friction, disturbances and references in each run, and prints the median
 angle RMSE, in which failed runs count as infinite, the same without the offset of the encoder, which no controller can
 correct, diverged runs + limit cycles, and the air that the plant used. `--air` is the scale of the air in the cost of

@@ -13,6 +13,7 @@ import shlex
 import sys
 from pathlib import Path
 
+from mckibben.simulation.stability import LEAST_DISK_MARGIN
 from mckibben.storage.store import STUDY
 from mckibben.study.compare import Suite, compare
 from mckibben.study.compare.checks import filename
@@ -47,8 +48,7 @@ def main(arguments=None):
         parser.add_argument(f"--{name}", type=int)
     options = parser.parse_args(arguments)
     suite = Suite.read(options.suite)
-    searches = {"generations": options.generations, "finalists": options.finalists}
-    suite = smaller(suite, options.runs, options.starts, **searches)
+    suite = smaller(suite, options.runs, options.starts, generations=options.generations, finalists=options.finalists)
     setups = {name: suite.of_setup(name) for name in suite.setups} or {"": suite}
     results = {}
     for name, setup in setups.items():
@@ -57,7 +57,9 @@ def main(arguments=None):
         results[name] = compare(setup, out=folder, resume=resume)
     pages = [PooledResult(suite.name, results)] * bool(suite.setups) + [*results.values()]
     command = shlex.join(["python", "benchmarks/results.py", *(arguments or sys.argv[1:])])
-    remarks = [f"- {name}: {r}" if name else f"- {r}" for name, part in results.items() for r in part.remarks()]
+    disks = [loop.disk.min() for part in results.values() for loop in part.margins.values()]
+    low = f"- {sum(disk < LEAST_DISK_MARGIN for disk in disks)} of {len(disks)} loops have a disk margin below 0.2"
+    remarks = [low] if suite.setups else [f"- {remark}" for remark in pages[0].remarks()]
     parts = [f"# {suite.name}", f"Made by\n\n```sh\n{command}\n```", f"{pages[0].verdict()}.", "\n".join(remarks)]
     parts += [markdown(listing) for page in pages for listing in page.listings() if not listing.detail]
     options.out.write_text("\n\n".join(filter(None, parts)) + "\n", encoding="utf-8")
