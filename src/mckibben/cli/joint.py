@@ -41,7 +41,7 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
     read = read_scenario(scenario)
     check_unused("simulate, of a robot,", animate=None if isinstance(read, Scenario) else animate)
-    result = read.run(source=str(scenario))
+    result = read.run_once(source=str(scenario))
     if animate:
         from mckibben import report
 

@@ -516,7 +516,7 @@ class RobotScenario(StudiedScenario):
         resolution = simulate_robot(*parts, **self.timing).resolution
         return 1 if resolution is None else resolution.substeps
 
-    def run(self, *, source: str = "") -> RobotResult:
+    def run_once(self, *, source: str = "") -> RobotResult:
         return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
 
     def run_many(self, *, metrics: Sequence[str] = (), **options: PyTree) -> Batch:

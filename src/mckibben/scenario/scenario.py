@@ -179,7 +179,7 @@ class StudiedScenario(RunSettings):
         """Raise `McKibbenError` if its run cannot start."""
 
     @abc.abstractmethod
-    def run(self, *, source: str = "") -> RunResult:
+    def run_once(self, *, source: str = "") -> RunResult:
         """Simulate the scenario; `source` is its file, for errors. Raises `ScenarioError` if its parts do not fit."""
 
     @abc.abstractmethod
@@ -332,7 +332,7 @@ class Scenario(StudiedScenario):
     def check_start(self) -> None:
         self.initial(self.plant())
 
-    def run(self, *, source: str = "") -> SimulationResult:
+    def run_once(self, *, source: str = "") -> SimulationResult:
         return run_scenario(self, source=source)
 
     def run_many(self, **options: PyTree) -> Batch:

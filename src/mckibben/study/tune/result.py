@@ -105,7 +105,7 @@ def _metrics_and_margins(scenario: StudiedScenario) -> dict[str, float]:
     """Metrics of a run and its least stability margins, by title and in shown units; NaN if it cannot be run."""
     shown = _shown(scenario)
     try:
-        metrics, margins = scenario.run().metrics, scenario.margins().least()
+        metrics, margins = scenario.run_once().metrics, scenario.margins().least()
     except McKibbenError:
         return dict.fromkeys((*shown, *_MARGINS), np.nan)
     values = {title: float(np.atleast_1d(metrics[name])[i]) / size for title, (name, i, size, _) in shown.items()}
