@@ -9,8 +9,8 @@ controllers that have more than one. Of a suite with setups, the page has the ta
 """
 
 import argparse
-import shlex
 import sys
+from datetime import date
 from pathlib import Path
 
 from mckibben.simulation.stability import LEAST_DISK_MARGIN
@@ -56,11 +56,16 @@ def main(arguments=None):
         resume = folder is not None and (folder / STUDY).exists()
         results[name] = compare(setup, out=folder, resume=resume)
     pages = [PooledResult(suite.name, results)] * bool(suite.setups) + [*results.values()]
-    command = shlex.join(["python", "benchmarks/results.py", *(arguments or sys.argv[1:])])
+    command = " ".join(["python benchmarks/results.py", *(arguments or sys.argv[1:])])
     disks = [loop.disk.min() for part in results.values() for loop in part.margins.values()]
     low = f"- {sum(disk < LEAST_DISK_MARGIN for disk in disks)} of {len(disks)} loops have a disk margin below 0.2"
     remarks = [low] if suite.setups else [f"- {remark}" for remark in pages[0].remarks()]
-    parts = [f"# {suite.name}", f"Made by\n\n```sh\n{command}\n```", f"{pages[0].verdict()}.", "\n".join(remarks)]
+    parts = [
+        f"# {suite.name}",
+        f"Made on {date.today()} by\n\n```sh\n{command}\n```",
+        f"{pages[0].verdict()}.",
+        "\n".join(remarks),
+    ]
     parts += [markdown(listing) for page in pages for listing in page.listings() if not listing.detail]
     options.out.write_text("\n\n".join(filter(None, parts)) + "\n", encoding="utf-8")
 
