@@ -60,13 +60,8 @@ def main(arguments=None):
     disks = [loop.disk.min() for part in results.values() for loop in part.margins.values()]
     low = f"- {sum(disk < LEAST_DISK_MARGIN for disk in disks)} of {len(disks)} loops have a disk margin below 0.2"
     remarks = [low] if suite.setups else [f"- {remark}" for remark in pages[0].remarks()]
-    parts = [
-        f"# {suite.name}",
-        f"Made on {date.today()} by\n\n```sh\n{command}\n```",
-        f"{pages[0].verdict()}.",
-        "\n".join(remarks),
-    ]
-    parts += [markdown(listing) for page in pages for listing in page.listings() if not listing.detail]
+    parts = [f"# {suite.name}", f"Made on {date.today()} by", f"```sh\n{command}\n```", f"{pages[0].verdict()}."]
+    parts += remarks + [markdown(listing) for page in pages for listing in page.listings() if not listing.detail]
     options.out.write_text("\n\n".join(filter(None, parts)) + "\n", encoding="utf-8")
 
 
