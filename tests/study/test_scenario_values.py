@@ -164,7 +164,7 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
 
 
 KNEE = EXAMPLES / "comparison" / "knee.yaml"
-OTHER_NUMBERS = {"PID, ten times the budget", "PID, derivative of the measurement"}  # of the class and parts of "PID"
+OTHER_NUMBERS = {"PID, derivative of the measurement"}  # of the class and parts of "PID"
 OF_THE_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 
 
