@@ -117,14 +117,8 @@ class ValveCalibration(Calibration):
         first, second = self._problems.values()
         if first.parameters != second.parameters or set(self.differing) - {"delay"}:
             return UnequalValves(*self.valves)
-        return self.mean_valve
-
-    @property
-    def mean_valve(self) -> Actuator:
-        """The mean of the estimates of both valves, or of their logarithms, for equal kinds of valves."""
-        problem = next(iter(self._problems.values()))
         z = np.mean([minimum.z for minimum in self._minima], axis=0)
-        return _valve_of(problem, z, np.mean([minimum.deviations for minimum in self._minima], axis=0))
+        return _valve_of(first, z, np.mean([minimum.deviations for minimum in self._minima], axis=0))
 
     @property
     def differing(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ PAGES = {
 }
 """Title and purpose of each page, in the order of work."""
 MEANINGS: dict[str, str] = plain(read_document(resource("starts/meanings.yaml")).data)
-"""What fields mean, by their name or label."""
+"""Descriptions of fields, by name or label."""
 
 
 @contextmanager
