@@ -226,57 +226,9 @@ def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, option
     assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
 
 
-# Recordings over time ------------------------------------------------------------------------------------------------
-
-SPECIMEN = ("--read", "specimen=MAS-10-180N-AA-MC-O")
-
-
-@pytest.fixture
-def shut(tmp_path):
-    """A muscle at 10 % that is filled to 5 bar at 0.5 s, and cools to 4 bar with a time constant of 0.4 s."""
-    time = np.arange(0.0, 4.0, 1e-3)
-    filled = np.interp(time, [0.0, 0.4, 0.5], [0.0, 0.0, 5.0])
-    pressure = np.where(time < 0.5, filled, 4 + np.exp(-(time - 0.5) / 0.4))
-    pressure += np.random.default_rng(0).normal(0.0, 2e-3, time.size)
-    return recorded(tmp_path / "shut.csv", time, pressure, np.full(time.size, 10.0))
-
-
-def recorded(path, *columns):
-    np.savetxt(path, np.column_stack(columns), "%.5f", ",", header="time_s,pressure_bar,force_N", comments="")
-    return path.name
-
-
-def kept_numbers(cli, folder, *given):
-    """Numbers that a command keeps, and prints."""
-    done = cli(*given, "--out", "kept")
-    assert done.code == 0, done.err
-    numbers = json.loads((folder / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert json.loads(cli(*given, "--json").out) == numbers
-    return numbers
-
-
-def test_the_conductance_of_the_wall(cli, shut, tmp_path):
-    given = ("identify", shut, "--of", "air", *SPECIMEN, "--read", "contraction=10 %", "--dead-volume", "2 cm^3")
-    numbers = kept_numbers(cli, tmp_path, *given)
-    assert numbers["columns"]["time_constants"]["values"] == [pytest.approx(0.4, rel=0.01)]
-    (table,) = numbers["tables"]
-    assert table["columns"]["quantity"]["values"][0] == "wall_conductance"
-    value, low, high = (table["columns"][name]["values"][0] for name in ("estimate", "lower", "upper"))
-    assert low < value < high < 1.1 * low
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (("air", *SPECIMEN), "contraction=10 %"),
-        (("air", *SPECIMEN, "--read", "contraction=10 bar"), "--read contraction="),
-        (("air",), "--read specimen=NAME"),
-        (("creep", "--pool"), "--pool"),
-        (("heat",), "heat"),
-    ],
-)
-def test_mistakes_are_explained(cli, shut, options, named):
-    refused = cli("identify", shut, "--of", *options)
+@pytest.mark.parametrize(("options", "named"), [(("creep", "--pool"), "--pool"), (("heat",), "heat")])
+def test_mistakes_are_explained(cli, options, named):
+    refused = cli("identify", "points.csv", "--of", *options)
     assert (refused.code, refused.out) == (2, "") and named in refused.err
 
 

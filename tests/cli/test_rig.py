@@ -43,18 +43,6 @@ def test_it_runs_and_its_dataset_is_identified(cli, protocol):
     assert again.code == 2 and "resume it (--resume)" in again.err
 
 
-def test_after_a_test_with_a_shut_valve_the_commands_for_the_air_are_named(cli, protocol):
-    shut = "repeat: {times: 1, steps: [pressurise: {pressure: 1 bar, shut: 100 ms}]}"
-    protocol.write_text(TEXT.split("protocol:")[0] + f"protocol: {{steps: [move: 5 %, {shut}, acquire]}}\n")
-    answer = cli("rig", "run", "p.yaml", "--out", "out")
-    assert answer.code == 0, answer.err
-    assert answer.out.endswith("mckibben identify out/recording.nc --of air\n")
-    assert cli("rig", "data", "out", "--recording").code == 0
-    assert cli("rig", "data", "out", "--recording").code == 2
-    tried = cli("identify", "out/recording.nc", "--of", "air")
-    assert tried.code == 2 and "specimen" not in tried.err  # which the recording names
-
-
 def test_a_stopped_test_says_why_and_how_to_go_on(cli, protocol):
     protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 50 mm, force: 300 N"))
     text = protocol.read_text().replace("law: lei-mas-10-180n}", "mounted_at: 0 %}")

@@ -104,7 +104,7 @@ def test_what_does_not_go_together_is_told(change, message):
         RigTest.parse(f"{HEAD}protocol:\n  isobaric:\n".replace(*change))
 
 
-@pytest.mark.parametrize("line", ["rate: 500", "rate: 1000 Hz", "shuts: true", "supply: 3 bar"])
+@pytest.mark.parametrize("line", ["rate: 500", "rate: 1000 Hz", "supply: 3 bar"])
 def test_what_the_rig_decides_is_not_set_by_the_recording(line):
     with pytest.raises(ScenarioError) as found:
         RigTest.parse(f"{STEPS}recording: {{{line}}}\n")

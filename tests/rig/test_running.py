@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.calibration import identify_air
 from mckibben.dataset import read_dataset
 from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
 from mckibben.identification import identify_pressure_creep
@@ -178,25 +177,6 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
     assert running._origin(card, tmp_path, killed, 0.05) == pytest.approx(-0.05 * 0.18)
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):
         running._origin(card, tmp_path, killed, None)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [15])
-def test_the_air_is_identified_from_the_record_of_a_shut_valve(tmp_path, seed):
-    """The example's test: h A of 0.1 W/K at 10 %, growing with the area of the wall; leak and dead volume.
-
-    With seeds above 1, the regulator holds the pressure for more than 40 ms until the valve is shut.
-    """
-    example = Path(__file__).parents[2] / "examples" / "rig" / "shut-valve.yaml"
-    checked = check(RigTest.parse(example.read_text(encoding="utf-8").replace("seed: 1\n", f"seed: {seed}\n")))
-    run_test(checked, tmp_path)
-    specimen = checked.setup.bench.specimen
-    found = identify_air([gather_recording(tmp_path)], specimen)
-    assert len(found.phases) == 4 and found.contraction == pytest.approx(0.135)
-    area = [float(np.sqrt(specimen.volume(one) * specimen.length_at(one))) for one in (0.1, found.contraction)]
-    for name, true in {"wall_conductance": 0.1 * area[1] / area[0], "leak": 1e-13, "dead_volume": 5e-6}.items():
-        low, high = found.quantities[name].interval
-        assert low < true < high and high - low < true
 
 
 @pytest.mark.slow

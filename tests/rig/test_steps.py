@@ -32,7 +32,6 @@ def problems(*steps, bench=BENCH, **arguments):
         (lambda: plan.Move(to=0.1, speed=0.0), "speed", "0 m/s"),
         (lambda: plan.Dwell(duration=math.nan), "duration", "nan s"),
         (lambda: plan.Pressurise(pressure=math.inf), "pressure", "inf Pa"),
-        (lambda: plan.Pressurise(pressure=1 * bar, shut=3.0, rate=1 * bar), "shut", "at constant length"),
         (lambda: plan.Acquire(samples=0), "samples", "is 0"),
         (lambda: plan.Acquire(samples=10.5), "samples", "is 10.5"),
         (lambda: plan.Acquire(direction="up"), "direction", "'loading'"),
@@ -101,13 +100,6 @@ def test_every_limit_is_held_against_the_steps():
         "[3].walk.acquire.samples",
     ]
     assert all(problem.remedy for problem in found)
-
-
-def test_a_rig_without_a_shut_off_valve_is_recognised():
-    step = plan.Pressurise(pressure=2 * bar, shut=3.0)
-    (problem,) = dry_run([step], BENCH).problems
-    assert problem.field == "[0].pressurise.shut" and problem.remedy
-    assert not dry_run([step], replace(BENCH, shuts=True)).problems
 
 
 def test_a_way_longer_than_the_travel_is_refused():

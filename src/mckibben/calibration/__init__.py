@@ -2,4 +2,4 @@
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the air behind a valve needs no joint
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # valves need no joint

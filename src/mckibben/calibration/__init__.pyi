@@ -10,8 +10,6 @@ from .experiment import read_joint_recording as read_joint_recording
 from .experiment import run_parts as run_parts
 from .fitting import Calibration as Calibration
 from .fitting import JointEstimate as JointEstimate
-from .shut_valve import AirFit as AirFit
-from .shut_valve import identify_air as identify_air
 from .valve_experiment import ValveExperiment as ValveExperiment
 from .valve_experiment import calibrate_scenario_valves as calibrate_scenario_valves
 from .valve_experiment import scenario_with_valves as scenario_with_valves

@@ -1,4 +1,4 @@
-"""Estimates with deviations, and the output-error fit that calibrations of joints, valves and air share."""
+"""Estimates with deviations, and the output-error fit."""
 
 from __future__ import annotations
 
@@ -265,15 +265,14 @@ def fit_output_error(
     variance: float,
     least: float,
     *,
-    prior: Floats | float = 1.0,
-    positive: NDArray[np.bool_] | None = None,
+    positive: NDArray[np.bool_],
     stages: int = 3,
     evaluations: int = 60,
     tolerance: float = 1e-7,
 ) -> OutputErrorFit:
-    r"""Minimise errors of simulated samples, with a normal prior of the parameters about 0.
+    r"""Minimise errors of simulated samples, with a standard normal prior of the parameters.
 
-    .. math:: \frac{1}{\sigma^2} \sum_k e_k(z)^2 + \sum_i w_i z_i^2
+    .. math:: \frac{1}{\sigma^2} \sum_k e_k(z)^2 + \sum_i z_i^2
 
     by `least_squares` of `mckibben.identification.estimator`, with sigma^2 of `variance_of`, re-estimated in stages.
 
@@ -285,8 +284,6 @@ def fit_output_error(
         Starts of the search, of which the one with the least objective after ten evaluations is continued.
     variance, least
         First and least variance of a sample.
-    prior
-        Weights w of the prior.
     positive
         Parameters that are not negative.
     stages
@@ -303,9 +300,8 @@ def fit_output_error(
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models).
     """
-    weights = np.sqrt(prior * np.ones(starts[0].size))
-    lower = np.where(np.zeros(weights.size, bool) if positive is None else positive, 0.0, -np.inf)
-    bounds = lower, np.full(weights.size, np.inf)
+    prior = np.eye(starts[0].size)
+    bounds = np.where(positive, 0.0, -np.inf), np.full(len(prior), np.inf)
     samples, edges = np.concatenate(measured), np.cumsum([part.size for part in measured])[:-1]
 
     def linearised(z: Floats) -> tuple[Floats, Floats]:
@@ -316,8 +312,8 @@ def fit_output_error(
         @remembered
         def at(z: Floats) -> tuple[Floats, Floats]:
             error, slope = linearised(z)
-            stacked = np.concatenate([error / math.sqrt(variance), weights * z])
-            return stacked, np.concatenate([slope / math.sqrt(variance), np.diag(weights)])
+            stacked = np.concatenate([error / math.sqrt(variance), z])
+            return stacked, np.concatenate([slope / math.sqrt(variance), prior])
 
         limits: Any = {"tolerance": tolerance, "evaluations": most}
         return least_squares(lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, **limits)
@@ -333,12 +329,10 @@ def fit_output_error(
         error, slope = linearised(z)
         errors, information = np.split(error, edges), slope.T @ slope
         scaled = information / variance
-        determined = float(np.trace(np.linalg.solve(scaled + np.diag(weights**2), scaled)))
+        determined = float(np.trace(np.linalg.solve(scaled + prior, scaled)))
         variance = max(variance_of(errors, determined), least)
-    hessian = information / variance + np.diag(weights**2)
-    scale = np.sqrt(np.diag(hessian))
-    scales = np.outer(scale, scale)
-    return OutputErrorFit(LocalMinimum(z, np.linalg.inv(hessian / scales) / scales), errors)
+    covariance = np.linalg.inv(information / variance + prior).astype(np.float64)
+    return OutputErrorFit(LocalMinimum(z, covariance), errors)
 
 
 def root_mean_square(parts: Sequence[Floats]) -> float:

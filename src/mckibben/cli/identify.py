@@ -1,4 +1,4 @@
-"""`mckibben identify`, `validate` and `catalog`: laws, friction, creep and air of a muscle; published ones."""
+"""`mckibben identify`, `validate` and `catalog`: laws, friction and creep of a muscle; published ones."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, check_unused, of_option, parse_optional, parse_quantity
+from mckibben.cli.options import Progress, check_unused, of_option, parse_optional
 from mckibben.cli.reading import Data, Reading
-from mckibben.errors import ParameterError
 
 if TYPE_CHECKING:
     from mckibben.muscle import ForceLaw
@@ -21,31 +20,29 @@ _CHOICES: dict[str, str | bool | None] = {"auto": None, "on": True, "off": False
 @command
 def identify(
     data: Data,
-    of: Literal["force", "creep", "air", "inverse", "torque"] = "force",
+    of: Literal["force", "creep", "inverse", "torque"] = "force",
     law: str = "exponential",
     friction: str = "auto",
     inner: str = "",
     pool: bool = False,
     for_length: str = "",
     keep_outliers: bool = False,
-    dead_volume: str = "",
     *,
     reading: Reading,
     progress: Progress = None,
 ) -> Result:
-    """Identify a muscle: a force law with standard errors and cross-validation errors, its creep, or its air.
+    """Identify a muscle: a force law with standard errors and cross-validation errors, or its creep.
 
     With --law all, laws are ranked by cross-validation. Where loading and unloading differ, friction and drift of the
     force sensor are identified with the law.
 
     Parameters
     ----------
-    of : force|torque|inverse|creep|air
+    of : force|torque|inverse|creep
         What to identify: the force law of measured points; that of two equal muscles from torques of
         their joint at angles and pressures; of a test at constant loads, the pressure over
         contraction, load and direction as a table (CSV and C); or, of recordings over time, the creep after
-        steps of the pressure at fixed lengths, or heat to the wall, leak and dead volume of the air: fill a
-        muscle fast, shut the valve, watch; vent, shut, watch.
+        steps of the pressure at fixed lengths.
     law
         Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.
     friction : FORM
@@ -62,8 +59,6 @@ def identify(
         Initial length of a specimen that --pool predicts, for muscle.yaml.
     keep_outliers
         Fit all points, those off the surface through the others, too.
-    dead_volume : VOLUME
-        Air: volume of tube and fittings up to the valve, if all is at one length.
     """
     form = "" if friction == "auto" else friction
     if of != "force":
@@ -76,7 +71,9 @@ def identify(
             from mckibben.cli.identified import of_torque
 
             return of_torque(data, law, reading)
-        return _of_recordings(of, data, dead_volume, reading)
+        from mckibben.identification import identify_pressure_creep
+
+        return identify_pressure_creep(reading.recordings(data))
     from mckibben.cli.identified import Source, identified, pooled, ranked
     from mckibben.identification import identify_pooled, rank
     from mckibben.scenario import air_volume
@@ -99,24 +96,6 @@ def identify(
         return ranked(rank(points, robust=robust, progress=progress), source)
     fitted = inputs.identify(points, law_type, friction=_CHOICES.get(friction, friction), robust=robust)
     return identified(fitted, source)
-
-
-def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading) -> Result:
-    """Creep or air of a muscle, from recordings over time."""
-    if of == "creep":
-        from mckibben.identification import identify_pressure_creep
-
-        return identify_pressure_creep(reading.recordings(files))
-    from mckibben.calibration import identify_air
-    from mckibben.study.inputs import specimen_named
-
-    dead = parse_quantity("--dead-volume", dead_volume or "0 cm^3", "m^3")
-    recordings = reading.recordings(files)
-    name = reading.recipe.specimen or recordings[0].table.attrs.get("specimen")
-    if not name:
-        remedy = "name it, or its file, whose braid gives the volume: --read specimen=NAME"
-        raise ParameterError("the specimen is not known", field="specimen", remedy=remedy)
-    return identify_air(recordings, specimen_named(name), dead_volume=dead)
 
 
 @command

@@ -253,10 +253,7 @@ def run(
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1) from None
     name = out / data_name(test)
     echo(repr(data))
-    following = f"mckibben identify {name}"
-    if checked.dry_run.shuts:
-        following = f"mckibben rig data {out} --recording; mckibben identify {out / _RECORDING} --of air"
-    echo(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: {following}")
+    echo(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: mckibben identify {name}")
 
 
 @rig.command(cls=Command)

@@ -15,7 +15,6 @@ from pydantic import ConfigDict, field_validator
 from mckibben.component.base import check_fields
 from mckibben.component.classes import Keyed
 from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.errors import RigError
 from mckibben.rig.bench import FASTEST
 
 
@@ -243,8 +242,6 @@ class MovingBackend(Backend, MuscleRig):
     """Highest pressure that its supply and its regulator can give [Pa], if known."""
     by_hand: bool = False
     """Whether an operator moves the muscle when asked, see `HandBench`."""
-    shuts: bool = False
-    """Whether it has a valve that shuts the muscle off from the regulator, but not from its vent valve: see `shut`."""
 
     fastest: float = FASTEST
     """Highest speed of its motor [m/s]."""
@@ -280,10 +277,6 @@ class MovingBackend(Backend, MuscleRig):
     @abc.abstractmethod
     def stop(self) -> None:
         """Stop the motor at once. Never raises."""
-
-    def shut(self) -> None:
-        """Shut the muscle off from the regulator, until `set_valves`; `RigError` if it cannot (`shuts`)."""
-        raise RigError(f"the {self.description['kind']} rig has no shut-off valve")
 
 
 class Watchdog:

@@ -155,8 +155,6 @@ class Bench:
         Time [s] for which the pressure has to be settled or vented.
     slack_force
         Highest mean force [N] of a slack muscle, for the zero error of a sensor.
-    shuts
-        Whether the rig has a shut-off valve.
     supply
         Highest pressure [Pa] of supply and regulator.
     fastest
@@ -178,7 +176,6 @@ class Bench:
     vented: PressureScale = 0.1 * bar
     steady: Duration = 1 * s
     slack_force: Force = 1 * N
-    shuts: bool = False
     supply: PositivePressure = math.inf
     fastest: Speed = FASTEST
 

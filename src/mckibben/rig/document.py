@@ -61,10 +61,7 @@ class MountedMuscle(Component):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRigSettings(Checked, MuscleRig):
-    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`).
-
-    With a `wall_conductance` of the `regulator` the air has a temperature.
-    """
+    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`)."""
 
     short_name = "simulated"
     physical = False
@@ -215,7 +212,6 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         mounted_at=test.muscle.mounted_at,
         limits=test.limits,
         rate=backend.rate,
-        shuts=backend.shuts,
         supply=backend.supply,
         fastest=backend.fastest,
         **{name: value for name, value in test.recording if value is not None},

@@ -41,8 +41,6 @@ class DryRun(StepInterpreter):
         Range of the pressures [Pa] and contractions [-], and highest force by the law [N].
     estimated
         Whether steps end by a measurement, so that numbers are upper bounds.
-    shuts
-        Whether a step shuts the valve.
     """
 
     def __init__(self, bench: Bench, *, settling: float = 1.5, holding: float = 20.0) -> None:
@@ -51,7 +49,7 @@ class DryRun(StepInterpreter):
         self.duration, self.force = 0.0, 0.0
         self.plateaus = self.samples = 0
         self.rows = self.travel = 0.0
-        self.estimated = self.shuts = False
+        self.estimated = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
         self._acquired, self._steps, self._domain = 0, 0, bench.of.domain
@@ -101,9 +99,6 @@ class DryRun(StepInterpreter):
                 self._check_reach(step.to)
             case Pressurise():
                 self._check_pressure(step.pressure)
-                self.shuts |= step.shut is not None
-                if step.shut is not None and not bench.shuts:
-                    self._report("this rig has no shut-off valve", f"{place}.shut", "leave it out")
             case HoldForce():
                 self._check_speed(step.speed)
             case Acquire():
@@ -127,10 +122,8 @@ class DryRun(StepInterpreter):
         self.duration += duration
         self.rows += rows
 
-    def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None:
-        self._rest(
-            self._settling + (shut or 0.0) + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate)
-        )
+    def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
+        self._rest(self._settling + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate))
         self._set_pressure = pressure
         self.pressure = min(self.pressure[0], pressure), max(self.pressure[1], pressure)
         self._visit()

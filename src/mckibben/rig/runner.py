@@ -199,10 +199,10 @@ class Runner(StepInterpreter):
         while left > 0:
             left -= len(self._cycle(min(left, self.bench.samples_per_cycle)).time)
 
-    def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None:
+    def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
         self._held = None
         if self._live:
-            self._set_pressure(pressure, rate, holding, shut)
+            self._set_pressure(pressure, rate, holding)
 
     def _vent(self) -> None:
         self._held = None
@@ -324,9 +324,7 @@ class Runner(StepInterpreter):
         if distance and -limits.shorten <= self.standing + distance <= limits.stretch:
             self.backend.move(distance, speed)
 
-    def _set_pressure(
-        self, pressure: float, rate: float | None = None, holding: float | None = None, shut: float | None = None
-    ) -> None:
+    def _set_pressure(self, pressure: float, rate: float | None = None, holding: float | None = None) -> None:
         """Change the pressure, and wait until the muscle has it.
 
         Parameters
@@ -337,8 +335,6 @@ class Runner(StepInterpreter):
             Rate of the set pressure [Pa/s]; None for a step.
         holding
             Force that is held meanwhile by moving [N]; None for constant length.
-        shut
-            Least time for which the valve is shut once the muscle has the pressure [s]; None to leave it open.
 
         Raises
         ------
@@ -373,15 +369,8 @@ class Runner(StepInterpreter):
                     remedy="check supply, valve and muscle, and whether the sensors are swapped",
                 )
 
-        steady = self.bench.steady if shut is None else self.bench.cycle
-        self._settle(lambda latest: abs(latest.pressure - pressure) <= self.bench.settled, in_time, steady)
-        if shut is None:
-            self._expect_settled(pressure)
-            return
-        self.backend.shut()
-        self.recorder.event("shut")
-        self.monitor.expect(None, self.now)
-        self._rest(shut)
+        self._settle(lambda latest: abs(latest.pressure - pressure) <= self.bench.settled, in_time, self.bench.steady)
+        self._expect_settled(pressure)
 
     def _vent_and_wait(self) -> None:
         """Vent, and wait until the muscle is empty."""

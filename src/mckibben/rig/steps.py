@@ -109,8 +109,6 @@ class Pressurise(ProtocolStep):
         Rate of the set pressure [Pa/s]. Default: a step.
     holding
         Force [N] that is held meanwhile by moving, see `HoldForce`. Default: constant length.
-    shut
-        Wait [s] behind the shut valve, from the first cycle with this pressure, for a test with a shut valve.
 
     Raises
     ------
@@ -129,22 +127,11 @@ class Pressurise(ProtocolStep):
     pressure: SetPressure
     rate: PressureRate | None = None
     holding: Tension | None = None
-    shut: Duration | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.shut is not None and (self.rate is not None or self.holding is not None):
-            raise RangeError(
-                "Pressurise: a shut valve needs a step of the pressure at constant length",
-                field="shut",
-                remedy="leave out rate and holding",
-            )
 
     def describe(self) -> str:
         rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
         holding = f", holding {self.holding:g} N" if self.holding is not None else ""
-        shut = f", shut the valve and wait {self.shut:g} s" if self.shut is not None else ""
-        return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}{shut}"
+        return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -563,7 +550,7 @@ class StepInterpreter(abc.ABC):
                 case Dwell():
                     self._rest(step.duration)
                 case Pressurise():
-                    self._pressurise(step.pressure, step.rate, step.holding, step.shut)
+                    self._pressurise(step.pressure, step.rate, step.holding)
                 case HoldForce():
                     self._hold(step)
                 case Acquire():
@@ -604,7 +591,7 @@ class StepInterpreter(abc.ABC):
     def _rest(self, duration: float) -> None: ...
 
     @abc.abstractmethod
-    def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None: ...
+    def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None: ...
 
     @abc.abstractmethod
     def _hold(self, step: HoldForce) -> None: ...

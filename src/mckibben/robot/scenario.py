@@ -96,9 +96,8 @@ class DrawSettings(ConfigModel):
 
     All but the air with `correlations` are independent; the inertia of a body follows its mass. Muscles whose law is a
     fit file vary within the errors of the fit as well, those with the same file identically. The numbers of the air are
-    those of the valve, which all muscles share, with logarithmic deviations; 0 where they are not given. Those of all
-    but the polytropic index are known from `identify_air`, with their correlations. Fewer than 20 draws have no 5th and
-    95th percentiles.
+    those of the valve, which all muscles share, with logarithmic deviations; 0 where they are not given. Fewer than 20
+    draws have no 5th and 95th percentiles.
     """
 
     strength: Spread = 0.05
@@ -138,7 +137,7 @@ class DrawSettings(ConfigModel):
             if one in others:
                 fail_validation(f"{one} is correlated with itself", "leave this out", field="correlations")
         if np.linalg.eigvalsh(self.air_correlation).min(initial=1.0) <= 0:
-            remedy = "give those of one test, such as `identify --of air` prints"
+            remedy = "give those of one covariance matrix"
             fail_validation("no quantities have these correlations", remedy, field="correlations")
         return self
 

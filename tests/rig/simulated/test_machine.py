@@ -1,17 +1,15 @@
-"""Muscle and air of the simulated rig, against closed forms and an integrator that knows nothing of ours."""
+"""Muscle and air of the simulated rig, against closed forms."""
 
 import itertools
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from mckibben import catalog
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR
+from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY
 from mckibben.rig.simulated import Regulator, SimulatedRig
-from mckibben.units import bar, mm, ms
-from tests.air import flow
+from mckibben.units import bar, mm
 
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
 LAW = catalog.law("lei-mas-10-180n")
@@ -86,39 +84,6 @@ def test_choked_exhaust_is_an_exponential():
     assert choked.sum() > 10
     expected = before * np.exp(-rate * (time - time[0]))
     np.testing.assert_allclose(pressure[choked] + ATMOSPHERE, expected[choked], rtol=1e-3)
-
-
-def test_warm_air_is_that_of_an_independent_integrator():
-    """Filled, shut, vented in part and shut: masses and energies, with a leak and a wall."""
-    leaky = Regulator(
-        conductance=0.1 * L_PER_S_BAR, lag=0.02 * ms, leak=2e-4 * L_PER_S_BAR, wall_conductance=0.15, repeatability=0.0
-    )
-
-    def rates(time, state, opening):
-        mass, energy = state  # kg, J
-        temperature = energy / (mass * 720)
-        pressure = mass * 288 * temperature / VOLUME
-        inflow = flow(1e-9, 9.01325e5, pressure) if opening > 0 else 0.0
-        outflow = -flow(2e-12 + (1e-9 if opening < 0 else 0.0), 101325, pressure, temperature=temperature)
-        heat = 0.15 * (293.15 - temperature)
-        return [inflow - outflow, 1008 * (293.15 * inflow - temperature * outflow) + heat]
-
-    rig, now = at_work(Muscle(SPECIMEN, LAW), 9 * bar, leaky), 0.0
-    state = np.array([1.0, 720 * 293.15]) * 101325 * VOLUME / (288 * 293.15)
-    for opening, duration in ((1.0, 0.12), (0.0, 1.5), (-1.0, 0.1), (0.0, 1.0)):
-        if opening == 0.0:
-            rig.shut()
-        else:
-            rig.set_valves([4.5 * bar * (1 + opening) or 1.0])
-            rig._exhausting = False
-        exact = solve_ivp(
-            rates, (now, now + duration), state, method="LSODA", rtol=1e-9, atol=1e-12, max_step=1e-3, args=(opening,)
-        )
-        time, _, pressure = passed(rig, duration)
-        there = 0.4 * exact.y[1] / VOLUME - 101325
-        assert np.abs(np.interp(time, exact.t, there) - pressure).max() < 0.003 * bar
-        state, now = exact.y[:, -1], now + duration
-        assert rig.truth.temperature == pytest.approx(state[1] / (state[0] * 720), abs=0.3)
 
 
 def test_signals_from_above_and_below_differ_by_the_hysteresis():

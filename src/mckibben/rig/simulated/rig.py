@@ -21,7 +21,7 @@ from mckibben.component.base import Checked
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError, RigError
 from mckibben.muscle import Muscle, MuscleState
-from mckibben.muscle.air import L_PER_S_BAR, TEMPERATURE, CriticalRatio, exchange_rate
+from mckibben.muscle.air import L_PER_S_BAR, CriticalRatio, exchange_rate
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.compiled import numeric
 from mckibben.plant.base import STABILITY_LIMIT
@@ -31,7 +31,6 @@ from mckibben.rig.compiled import FlatTree, flat_program
 from mckibben.rig.simulated.sampling import FORCE_SENSOR, INSTANT, PRESSURE_SENSOR, Sensor, SimulatedBackend
 from mckibben.units import (
     Conductance,
-    HeatConductance,
     Hz,
     PositivePressure,
     PositiveTime,
@@ -51,8 +50,8 @@ from mckibben.units import (
 class Regulator(Checked):
     """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
 
-    A `PressureRegulator` whose commands have an offset. Behind it is a shut-off valve, and behind this a 3/2 valve:
-    without current its spring shuts off the regulator and vents the muscle.
+    A `PressureRegulator` whose commands have an offset. Behind it is a 3/2 valve: without current its spring shuts off
+    the regulator and vents the muscle.
 
     Numbers "of the maker" are quoted from memory from the ITV0000 data sheet, unverified; others are ours.
 
@@ -80,8 +79,6 @@ class Regulator(Checked):
         C [m^3/(s*Pa)] of the vent valve with its tube, and its opening time [s].
     leak
         C of a leak [m^3/(s*Pa)].
-    wall_conductance
-        h A [W/K] of the wall of the muscle as mounted; without it, the air is at room temperature.
 
     Raises
     ------
@@ -101,7 +98,6 @@ class Regulator(Checked):
     exhaust: Conductance = 0.1 * L_PER_S_BAR
     exhaust_delay: ShortTime = 20 * ms
     leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
-    wall_conductance: HeatConductance | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -118,7 +114,6 @@ class Regulator(Checked):
             critical_ratio=self.critical,
             band=self.band,
             polytropic_index=1.0,
-            wall_conductance=self.wall_conductance,
             dead_volume=self.dead_volume,
             leak=self.exhaust,
         )
@@ -176,7 +171,7 @@ class Motor:
 
 _LONGEST, _MOVING = 100 * ms, 10 * ms  # between two knots, at rest and in motion
 _STEPS = 10  # of the integration between two knots
-_STILL = 0.5  # Pa/s and mK/s, highest rates at rest
+_STILL = 0.5  # Pa/s, highest rate at rest
 _NOTHING = 1.0  # Pa, a signal of zero
 _ADIABATIC = 1.4**1.5  # as `AirActuator.fastest_index`
 
@@ -201,15 +196,6 @@ class Clamps(NamedTuple):
         """Contraction [-] at a stretch [m]."""
         return self.mounted_at - stretch / self.muscle.specimen.initial_length
 
-    def wall(self, stretch: Any) -> Any:
-        """Lateral area of a cylinder with the length and the volume of the muscle, relative to that as mounted."""
-
-        def squared(stretch: Any) -> Any:
-            contraction = self.contraction(stretch)
-            return self.muscle.specimen.volume(contraction) * (1 - contraction)
-
-        return jnp.sqrt(squared(stretch) / squared(0.0))
-
 
 def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Array, inputs: Array) -> Array:
     """State after a move at constant speed, followed by the force [N] at its end.
@@ -225,11 +211,8 @@ def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Arra
 
     def rate(stretch: Any, pressures: Any, air: AirState, creep: Any, *, muscle: MuscleState) -> Any:
         volume, growth = value_and_derivative(lambda at: clamps.muscle.specimen.volume(clamps.contraction(at)), stretch)
-        here = valve
-        if valve.wall_conductance is not None:
-            here = dataclasses.replace(valve, wall_conductance=valve.wall_conductance * clamps.wall(stretch))
         room = AirVolume(volume + valve.dead_volume, growth * speed)
-        rates, air_rates = here.air_rate(pressures, air, (command,), (room,))
+        rates, air_rates = valve.air_rate(pressures, air, (command,), (room,))
         creeping = clamps.muscle.state_rate(muscle._replace(creep=creep), speed, pressures[0]).creep
         return speed, rates, air_rates, creeping
 
@@ -263,8 +246,6 @@ class Truth(NamedTuple):
         Contraction [-].
     vented
         Whether the vent valve is open.
-    temperature
-        Temperature [K] of the air in muscle and tube.
     """
 
     time: float
@@ -273,7 +254,6 @@ class Truth(NamedTuple):
     stretch: float
     contraction: float
     vented: bool
-    temperature: float
 
 
 VALVE = Channel("valve", "Pa", 0.0, 9 * bar, "simulated regulator")
@@ -286,8 +266,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
     The same seed and the same calls give the same samples.
 
     - The force is that of the muscle, with its friction and creep.
-    - The air is that of a `PressureRegulator`, in the volume of the braid between the clamps: isothermal, or with a
-      `wall_conductance` of the regulator by the energy balance of `AirActuator`.
+    - The air is that of a `PressureRegulator`, in the volume of the braid between the clamps: isothermal.
     - After `vent`, or a missed heartbeat, a spring-return valve vents, independent of the regulator: from 8 bar, at any
       contraction, the true pressure is below 0.2 bar within 1 s (tested).
     - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
@@ -330,7 +309,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
     True
     """
 
-    homed, shuts = True, True
+    homed = True
 
     def __init__(
         self,
@@ -352,7 +331,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         self._regulator = regulator or Regulator()
         self.supply = min(self._regulator.supply, self._regulator.highest)
         self._motor, self._zero = Motor(self.fastest), 0.0  # position when it was opened [m]
-        self._shut, self._exhausting, self._exhaust_at = False, True, math.inf
+        self._exhausting, self._exhaust_at = True, math.inf
         self._signal = self._command = 0.0  # of the regulator, as pressures [Pa], without and with its offset
         self._resting, self._force = False, 0.0
         self._clamps = Clamps(muscle, self._regulator.valve(), float(mounted_at))
@@ -385,16 +364,14 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
     @property
     def truth(self) -> Truth:
         """True state."""
-        _, pressure, _, *temperature = self._air
         stretch = self._motor.travel(self.now)
         contraction = float(self._clamps.contraction(stretch))
-        kelvin = temperature[0] if temperature else TEMPERATURE
-        return Truth(self.now, pressure, self._force, stretch, contraction, self._exhausting, kelvin)
+        return Truth(self.now, self._air[1], self._force, stretch, contraction, self._exhausting)
 
     @property
     def _air(self) -> list[float]:
-        """Stretch [m], pressure and command of the regulator [Pa], and temperature [K], if the air has one."""
-        return self._state[: 3 + (self._regulator.wall_conductance is not None)].tolist()
+        """Stretch [m], pressure and command of the regulator [Pa]."""
+        return self._state[:3].tolist()
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Set the pressure of the valve; one of more than 0 bar ends a `vent`.
@@ -416,7 +393,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         if abs(pressure - self._signal) > _NOTHING:
             most = self._regulator.repeatability
             self._set_signal(pressure, float(self._random.uniform(-most, most)))
-        self._shut = self._resting = False
+        self._resting = False
         if self._signal > _NOTHING:
             self._exhausting, self._exhaust_at = False, math.inf
 
@@ -425,10 +402,6 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         self._signal = min(max(pressure, 0.0), self._regulator.highest)
         self._command = self._signal + offset if self._signal > 0 else 0.0
         self._resting = False
-
-    def shut(self) -> None:
-        self._check_armed()
-        self._shut, self._resting = True, False
 
     def vent(self) -> None:
         self._catch_up()
@@ -493,14 +466,13 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         before, after = self._air, np.asarray(self._program(self._numbers, self._state, np.array(inputs)))
         self._state, self._force = after[:-1], float(after[-1])
         _, *changes = (new - old for new, old in zip(self._air, before, strict=True))
-        self._resting = max(map(abs, (*changes[:2], *(1e3 * change for change in changes[2:])))) < _STILL * span
+        self._resting = max(map(abs, changes)) < _STILL * span
 
     @property
     def _conductances(self) -> tuple[float, float]:
         """Conductances [m^3/(s*Pa)] of the regulator and of all ways to the atmosphere."""
         regulator = self._regulator
-        is_closed = self._shut or self._exhausting
-        return 0.0 if is_closed else regulator.conductance, regulator.leak + regulator.exhaust * self._exhausting
+        return 0.0 if self._exhausting else regulator.conductance, regulator.leak + regulator.exhaust * self._exhausting
 
     @functools.cached_property
     def _stable(self) -> float:
