@@ -282,7 +282,7 @@ def evaluate(kind, folder, count, seed):
     """Print a row for each tuned controller."""
     rng, suite = np.random.default_rng(seed), Suite.read(folder / "suite.yaml").of_setup(kind)
     (group,) = draw(suite, count, seed).groups
-    setpoints = [np.asarray(getattr(group.reference, name).values) for name in ("angle", "stiffness")]
+    setpoints = [np.asarray(getattr(group.parts.reference, name).values) for name in ("angle", "stiffness")]
     angles, stiffnesses = (np.concatenate([np.repeat(one[:, :1], HELD, 1), one], axis=1) for one in setpoints)
     noise = rng.standard_normal((*angles.shape, 2))
     plant, varied = drawn(kind, count, rng)

@@ -359,12 +359,12 @@ def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="n
     The angle's error [rad] is (1 + decades of kp from 3 bar/rad) (mass2 / 0.5 kg) deg, of a controller without kp half
     of it. Runs with a valve slower than 48 ms cannot begin; those with pulses are lost where kp is above 8 bar/rad.
     """
-    count = runs.count * sets
+    count, plant = runs.count * sets, runs.parts.plant
     position = getattr(controller, "position", None)
     kp = np.broadcast_to(3e5 if position is None else position.kp, count)
     mass, lag, pulse = (
         np.tile(np.broadcast_to(leaf, runs.count), sets)
-        for leaf in (runs.plant.load.mass2, runs.plant.valve.time_constant, runs.plant.disturbance.height)
+        for leaf in (plant.load.mass2, plant.valve.time_constant, plant.disturbance.height)
     )
     error = (1.0 if position is not None else 0.5) * (1 + abs(np.log10(kp / 3e5))) * mass / 0.5
     known = {

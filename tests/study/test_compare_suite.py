@@ -184,7 +184,7 @@ def test_the_same_seed_draws_the_same(suite, runs):
     again, other = draw(suite, 64, 1), draw(suite, 64, 2)
     assert again.joint == runs.joint
     assert again.reference_name == runs.reference_name
-    for mine, same in zip(*(jax.tree.leaves(each.groups[0].plant) for each in (runs, again)), strict=True):
+    for mine, same in zip(*(jax.tree.leaves(each.groups[0].parts.plant) for each in (runs, again)), strict=True):
         assert np.array_equal(mine, same)
     assert other.reference_name != runs.reference_name
     assert not np.array_equal(other.conditions["load.mass2"], runs.conditions["load.mass2"])
@@ -252,17 +252,17 @@ def test_a_run_of_the_arrays_is_that_of_its_scenario(name, request, tmp_path):
         for row, run in enumerate(group.rows.tolist()):
             scenario = Scenario.parse(drawn.scenario("PID 3", run).dumps(folder=tmp_path), folder=tmp_path)
             plant, reference = scenario.plant(), scenario.reference()
-            lane = jax.tree.map(lambda leaf, row=row: np.asarray(leaf)[row] if np.ndim(leaf) else leaf, group.plant)
+            lane = jax.tree.map(lambda leaf, row=row: np.asarray(leaf)[row] if np.ndim(leaf) else leaf, group.parts.plant)
             assert jax.tree.structure(plant) == jax.tree.structure(lane)
             for a, b in zip(jax.tree.leaves(plant), jax.tree.leaves(lane), strict=True):
                 assert np.asarray(a) == pytest.approx(np.asarray(b), rel=1e-14)
             for quantity in ("angle", "stiffness"):
-                expected, sampled = (getattr(part, quantity) for part in (reference, group.reference))
+                expected, sampled = (getattr(part, quantity) for part in (reference, group.parts.reference))
                 np.testing.assert_allclose(sampled.values[row], expected(TIMES), rtol=1e-13, atol=1e-15)
             assert scenario.start.angle == pytest.approx(float(reference.angle(0.0)), abs=1e-15)
     if name == "of_signals":
         rows = np.flatnonzero(np.array(drawn.reference_name) == "random")
-        angles = [np.asarray(drawn.groups[0].reference.angle.values[row]).tobytes() for row in rows]
+        angles = [np.asarray(drawn.groups[0].parts.reference.angle.values[row]).tobytes() for row in rows]
         assert len(set(angles)) == len(angles) == 4
 
 

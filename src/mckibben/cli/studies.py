@@ -14,7 +14,8 @@ from mckibben.storage.store import STUDY
 
 if TYPE_CHECKING:
     from mckibben.result import Result
-    from mckibben.study.compare import CompareResult, Suite
+    from mckibben.study.compare import CompareResult
+    from mckibben.study.compare.suite import ControllerSuite
     from mckibben.study.compare.result import PooledResult
     from mckibben.study.tune import TuneResult
 
@@ -195,9 +196,8 @@ def compare(
     from mckibben.study.compare.checks import filename
     from mckibben.study.compare.result import PooledResult
 
-    folders = {name: out / filename(name) for name in read.setups} or {"": out}
-    read = _quick(read) if quick else read
-    suites = {name: read.of_setup(name) if name else read for name in folders}
+    suites = (_quick(read) if quick else read).each
+    folders = {name: out / filename(name) if name else out for name in suites}
     for name, folder in folders.items():
         check_results(folder, CompareResult, resume)
         if not (make_folder(folder) / "suite.yaml").exists():  # before the search, which may be interrupted
@@ -211,7 +211,7 @@ def compare(
 
         again = resume and (folders[name] / STUDY).exists()
         results[name] = run(setup, out=folders[name], resume=again, progress=step)
-    if not read.setups:
+    if "" in results:
         return results[""]
     for name, result in results.items():
         result.save(folders[name], force=True)
@@ -243,19 +243,21 @@ def _write_tuned(tuned: TuneResult, paths: list[Path], targets: list[Path]) -> N
         scenario.to_yaml(target)  # a relative path in the text is invalid in the new folder
 
 
-def _suite(file: Path) -> Suite:
+def _suite(file: Path) -> ControllerSuite:
     """Read a suite, or the default one of a scenario."""
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text
-    from mckibben.scenario import Scenario
+    from mckibben.robot.comparison import RobotSuite
+    from mckibben.scenario import Scenario, read_scenario
     from mckibben.study.compare import Suite
 
-    if "robot" in (known := read_document(read_text(file)).data or ()):
-        remedy = "`mckibben tune` a file per controller with the same --cost, and compare their tables"
-        raise ParameterError("compare takes controllers of a joint", field="robot", remedy=remedy)
-    if "controller" not in known:
+    keys = read_document(read_text(file)).data or {}
+    if "scenario" in keys:
+        return RobotSuite.read(file)
+    if not {"controller", "robot"} & {*keys}:
         return Suite.read(file)
-    suite = Suite.of(Scenario.read(file))
+    scenario = read_scenario(file)
+    suite = Suite.of(scenario) if isinstance(scenario, Scenario) else RobotSuite.of(scenario)
     echo(
         f"suite of the scenario: {', '.join(suite.controllers)}; varied: {', '.join(suite.conditions)}. For other "
         "controllers and conditions, edit suite.yaml in DIR, and compare that",
@@ -264,7 +266,7 @@ def _suite(file: Path) -> Suite:
     return suite
 
 
-def _quick(suite: Suite) -> Suite:
+def _quick(suite: ControllerSuite) -> ControllerSuite:
     """The suite with fewer runs and a smaller tuning budget."""
     tuning = suite.tuning
     fewer = {

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import importlib
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from types import SimpleNamespace
 from typing import Annotated, Any, cast
 
@@ -32,7 +32,7 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Flag, Title
 from mckibben.config.model import ConfigModel, fail_validation, located_below
 from mckibben.control import Controller, Reference
-from mckibben.errors import ParameterError, RangeError, UnreachableError, quoted, suggest
+from mckibben.errors import RangeError, UnreachableError, quoted, suggest
 from mckibben.muscle import SpringLaw
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
@@ -50,6 +50,7 @@ from mckibben.robot.reaching import PointReference, PointStiffnessValue
 from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
 from mckibben.robot.statics import holding_torques, is_affine, pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
+    BatchParts,
     ControllerPart,
     ReferencePart,
     SensorsPart,
@@ -448,13 +449,14 @@ class RobotScenario(StudiedScenario):
 
     def control(self) -> TrackingControl:
         """Return the controller of all joints with its reference; what its models lack is that of the plant."""
-        references = self.references()
-        reference = TimedReference(tuple(references[joint.name] for joint in self.robot.joints))
-        whole = self.with_model()
+        reference, whole = self._timed(self.references()), self.with_model()
         if whole.controller is not None:
             return dataclasses.replace(whole.controller, reference=reference)
         controllers = tuple(whole.controllers[joint.name] for joint in self.robot.joints)
         return JointwiseControl(controllers, reference=reference)
+
+    def _timed(self, references: dict[str, Reference]) -> TimedReference:
+        return TimedReference(tuple(references[joint.name] for joint in self.robot.joints))
 
     def _scope(self) -> Scope:
         return {name: getattr(self, name) for name in self.plant_parts}
@@ -518,13 +520,14 @@ class RobotScenario(StudiedScenario):
     def run_once(self, *, source: str = "") -> RobotResult:
         return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
 
-    def run_many(self, *, metrics: Sequence[str] = (), **options: PyTree) -> Batch:
-        start, exists = self._starts()
-        if not exists.all():
-            row = int(np.argmin(exists))
-            raise ParameterError(f"row {row}: the muscles cannot hold the start", remedy="vary the robot less")
-        parts = self.plant(), self.control(), start
-        return simulate_robots(*parts, metrics=TrackingMetrics, **self.timing | options)
+    def batch_parts(self) -> BatchParts:
+        return BatchParts(self.plant(), self.references(), self._starts())
+
+    def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
+        start, exists = parts.start
+        control = dataclasses.replace(control, reference=self._timed(parts.reference))
+        options = self.timing | options | {"metrics": TrackingMetrics}  # all of them
+        return simulate_robots(parts.plant, control, start, **options).with_started(exists)
 
     def margins(self, points: int = 20) -> Margins:
         times, period = sampling_times(self.run_duration, self.control_period), self.control_period

@@ -325,9 +325,10 @@ def simulate_robots(
         progress=progress,
     )
     found: PyTree = TrackingMetrics.of(joined, control_period) if tracks else joined
-    finite = np.isfinite(sum(found.angle_max if tracks else (found.peak_force, found.peak_trunk_force)))
-    left = found.time_outside_domain
-    codes = outcomes({"angle_max": np.where(finite, 0.0, np.inf), "time_outside_domain": left})
+    forces = None if tracks else found.peak_force + found.peak_trunk_force
+    known = {name: getattr(found, name, 0.0) for name in ("time_outside_domain", "time_saturated")}
+    errors = np.max(found.angle_max, axis=0) if tracks else np.where(np.isfinite(forces), 0.0, np.inf)
+    codes = outcomes(known | {"angle_max": errors})
     columns: dict[str, Any] = {"joint": [joint.name for joint in plant.robot.joints]}
     for name, column in (found._asdict() | steps.columns()).items():
         dims = ("joint", "run") if isinstance(column, tuple) else ("run",)

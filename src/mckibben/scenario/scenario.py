@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from jaxtyping import PyTree
@@ -123,6 +123,14 @@ def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in written.items() if key != left_out}
 
 
+class BatchParts(NamedTuple):
+    """Plant, references and start of the runs of a batch."""
+
+    plant: PyTree
+    reference: PyTree
+    start: PyTree = AtRest(math.nan)
+
+
 class StudiedScenario(RunSettings):
     """Base of scenarios: what studies use of one, whose parts have numbers, or arrays of shape (runs,)."""
 
@@ -183,8 +191,16 @@ class StudiedScenario(RunSettings):
         """Simulate the scenario; `source` is its file, for errors. Raises `ScenarioError` if its parts do not fit."""
 
     @abc.abstractmethod
+    def batch_parts(self) -> BatchParts:
+        """Return what is simulated apart from the controller, with arrays where runs of a batch differ."""
+
+    @abc.abstractmethod
+    def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
+        """Simulate parts of a batch with a controller, with options of `simulate_many`."""
+
     def run_many(self, **options: PyTree) -> Batch:
         """Simulate all runs of a batch, with options of `simulate_many`."""
+        return self.run_parts(self.batch_parts(), self.control(), **options)
 
     @abc.abstractmethod
     def margins(self, points: int = 20) -> Margins:
@@ -335,9 +351,11 @@ class Scenario(StudiedScenario):
     def run_once(self, *, source: str = "") -> SimulationResult:
         return run_scenario(self, source=source)
 
-    def run_many(self, **options: PyTree) -> Batch:
-        parts = self.plant(), self.control(), self.reference()
-        return simulate_many(*parts, **self.timing | {"initial": initial_state(self)} | options)
+    def batch_parts(self) -> BatchParts:
+        return BatchParts(self.plant(), self.reference(), initial_state(self))
+
+    def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
+        return simulate_many(parts.plant, control, parts.reference, initial=parts.start, **self.timing | options)
 
     def disk_margins(self, points: int) -> NDArray[np.float64]:
         parts = self.plant(), self.control(), self.reference(), initial_state(self)

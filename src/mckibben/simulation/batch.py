@@ -134,6 +134,22 @@ class Batch(RunTable):
         """The computed metrics by name, shape (runs,) or (joints, runs), SI; NaN for a run that could not start."""
         return Measured({name: self[name] for name in labels_of(self.kind) if name in self.table})
 
+    def needed_substeps(self, accuracy: float) -> int:
+        """Most integration steps per control period of the runs that have an accuracy [rad]; the fewest if none has."""
+        steps, accurate = self["substeps"], self["error_estimate"] <= accuracy
+        return int(steps[accurate].max() if accurate.any() else steps.min())
+
+    def with_started(self, started: NDArray[np.bool_]) -> Batch:
+        """Return the batch with a mask of the runs that could start; the others have no metrics."""
+        import xarray as xr
+
+        if started.all():
+            return self
+        mask, code = xr.DataArray(started, dims="run"), OUTCOMES.index(Outcome.NO_START)
+        columns = {name: self.table[name].where(mask) for name in self.metrics}
+        outcome = self.table["outcome"].where(mask, np.int8(code))
+        return Batch(self.table.assign(columns, outcome=outcome), self.kind)
+
     def verdict(self) -> str:
         """Number of runs by their outcome."""
         counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))

@@ -12,9 +12,10 @@ from mckibben.config.document import Document, Place, dotted
 from mckibben.control import Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import SweptParameter, parse_sweeps
+from mckibben.study.tune.objective import check_metrics
 
 if TYPE_CHECKING:
-    from mckibben.study.compare.suite import Suite
+    from mckibben.study.compare.suite import ControllerSuite
 
 NOMINAL_JOINT = "nominal"
 """Plant name of the suite's own joint, which the controllers' models use."""
@@ -34,7 +35,7 @@ def filename(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
-def problems_of_suite(suite: Suite, document: Document) -> list[Problem]:
+def problems_of_suite(suite: ControllerSuite, document: Document) -> list[Problem]:
     """Return the problems of interdependent parts, at their lines in the document."""
     problems: list[Problem] = []
     for checks in (_checks_of_names, _checks_of_settings, _checks_of_variation, _checks_of_runs):
@@ -53,18 +54,18 @@ def problems_of_suite(suite: Suite, document: Document) -> list[Problem]:
     return problems
 
 
-def _checks_of_names(suite: Suite) -> Iterator[Check]:
+def _checks_of_names(suite: ControllerSuite) -> Iterator[Check]:
     for key in ("other_joints", "references", "controllers"):
         for name in getattr(suite, key):
             yield (key, name), partial(_check_name, suite, key, name)
     yield ("valve",), suite.example
 
 
-def _checks_of_settings(suite: Suite) -> Iterator[Check]:
+def _checks_of_settings(suite: ControllerSuite) -> Iterator[Check]:
     yield ("conditions",), partial(check_differs, suite)
     yield ("tuning", "cost"), partial(_check_cost, suite)
     for i, text in enumerate(suite.conditions):
-        yield ("conditions", i), partial(_check_within, PLANT, partial(parse_sweeps, [text], suite.example()))
+        yield ("conditions", i), partial(_check_within, suite.plant_sections, partial(parse_sweeps, [text], suite.example()))
     for name, case in suite.references.items():
         for i, text in enumerate(case.over):
             read = partial(parse_sweeps, [text], suite.example(name))
@@ -77,21 +78,21 @@ def _checks_of_settings(suite: Suite) -> Iterator[Check]:
         yield place, partial(_check_known, suite, name)
 
 
-def _checks_of_variation(suite: Suite) -> Iterator[Check]:
+def _checks_of_variation(suite: ControllerSuite) -> Iterator[Check]:
     yield ("conditions",), suite.conditions_over
     for name in suite.references:
         yield ("references", name, "over"), partial(suite.reference_over, name)
 
 
-def _checks_of_runs(suite: Suite) -> Iterator[Check]:
+def _checks_of_runs(suite: ControllerSuite) -> Iterator[Check]:
     for name in suite.other_joints:
         yield ("other_joints", name), partial(_check_joint, suite, name)
     for name in suite.controllers:
         place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
-        yield place, partial(_check_within, ("controller",), partial(suite.tuned_over, name))
+        yield place, partial(_check_within, ("controller", "controllers"), partial(suite.tuned_over, name))
 
 
-def _check_name(suite: Suite, key: str, name: str, longest: int = 80) -> None:
+def _check_name(suite: ControllerSuite, key: str, name: str, longest: int = 80) -> None:
     """Check that a name is one line, and its file name unique."""
     if not name.strip() or len(name) > longest or not name.isprintable():
         raise ParameterError(f"a name is one line of 1 to {longest} characters", remedy="give another")
@@ -102,28 +103,29 @@ def _check_name(suite: Suite, key: str, name: str, longest: int = 80) -> None:
         raise ParameterError(f"would be kept in the same file as {same!r}", remedy="give it another name")
 
 
-def check_differs(suite: Suite) -> None:
+def check_differs(suite: ControllerSuite) -> None:
     """Raise `ParameterError` if all runs of a suite are identical."""
-    first, *others = suite.references.values()
-    if not (others or first.over or suite.conditions or suite.has_noise or suite.other_joints):
+    several = len(suite.references) > 1 or any(case.over for case in suite.references.values())
+    if not (several or suite.conditions or suite.has_noise or suite.other_joints):
         raise ParameterError("all runs are identical", remedy="give conditions, or `over` of a reference")
 
 
-def _check_cost(suite: Suite) -> None:
+def _check_cost(suite: ControllerSuite) -> None:
     """Check that every run has a value of each metric."""
+    check_metrics(suite.cost, suite.example())
     steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
         remedy = "leave it out, or let all references step"
         raise ParameterError("coupling is defined for stiffness steps only", remedy=remedy)
 
 
-def _check_joint(suite: Suite, name: str) -> None:
+def _check_joint(suite: ControllerSuite, name: str) -> None:
     """Check that the conditions apply to the joint's plant as well."""
     parse_sweeps([text for text in suite.conditions if suite.has(name, text)], suite.example(joint=name))
     suite.example(joint=name).plant()
 
 
-def _check_known(suite: Suite, name: str) -> None:
+def _check_known(suite: ControllerSuite, name: str) -> None:
     if name not in suite.controllers:
         raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
 
@@ -132,7 +134,7 @@ def _check_within(sections: tuple[str, ...], read: Callable[[], Sequence[SweptPa
     """Check that parameters are in sections of a scenario."""
     for swept in read():
         if swept.name.split(".")[0] not in sections:
-            whole = sections[0] if len(sections) == 1 else "plant"
+            whole = sections[0] if sections[0] in ("controller", "reference") else "plant"
             raise ParameterError(
                 f"{swept.name} is not a parameter of the {whole}",
                 remedy=f"give a parameter of {', '.join(sections)}: conditions vary the plant, `over` the reference",

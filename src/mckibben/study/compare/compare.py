@@ -13,14 +13,15 @@ from mckibben.storage.store import STUDY, open_store
 from mckibben.study.compare.result import CompareResult
 from mckibben.study.compare.runs import draw, evaluate
 from mckibben.study.compare.statistics import trial_at_air
-from mckibben.study.compare.suite import Suite
+from mckibben.study.compare.suite import ControllerSuite
 from mckibben.study.compare.tuning import ControllerTuning
 from mckibben.study.tune.space import SearchSpace
 
 
-def runs_of(suite: Suite, name: str) -> int:
+def runs_of(suite: ControllerSuite, name: str) -> int:
     """Runs that the comparison takes for a controller, of its tuning, finalists and evaluation.
 
+    >>> from mckibben.study.compare import Suite
     >>> suite = Suite.read("examples/comparison/valves.yaml").of_setup("Festo VPPE-6")
     >>> [runs_of(suite, name) for name in ("PID", "decoupling")]
     [13050, 7290]
@@ -34,7 +35,7 @@ def runs_of(suite: Suite, name: str) -> int:
 
 
 def compare(
-    suite: Suite, *, out: str | os.PathLike[str] | None = None, resume: bool = False, progress: Progress | None = None
+    suite: ControllerSuite, *, out: str | os.PathLike[str] | None = None, resume: bool = False, progress: Progress | None = None
 ) -> CompareResult:
     """Tune the controllers of a suite and compare them on its evaluation runs.
 

@@ -21,7 +21,8 @@ from mckibben.storage.files import make_folder
 from mckibben.study.compare.checks import filename
 from mckibben.study.compare.runs import Runs, started
 from mckibben.study.compare.statistics import Ratio, comparable, median, ratio_of_medians
-from mckibben.study.compare.suite import Suite
+from mckibben.study.compare.suite import ControllerSuite
+from mckibben.study.tune.cost import mean_of_joints
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.trials import Trial
@@ -43,7 +44,7 @@ class CompareResult(Result):
     figures = ("comparison_errors", "comparison_air", "comparison_front")
     files = ("runs.nc", "suite.yaml", "controllers")
 
-    suite: Suite
+    suite: ControllerSuite
     runs: Runs  # of the evaluation
     tuned: dict[str, dict[str, float]]  # values [SI] by name; empty for an untuned controller
     training_cost: dict[str, tuple[float, float]]  # on the training runs, after and before tuning
@@ -67,7 +68,7 @@ class CompareResult(Result):
     def metric(self, controller: str, name: str) -> Vector:
         """A metric [SI] of each run that started, shape (started runs,); NaN for a divergence or a limit cycle."""
         batch = self.batches[controller]
-        return np.where(batch.usable, batch.metrics[name], np.nan)[self.started]
+        return np.where(batch.usable, mean_of_joints(batch.metrics[name]), np.nan)[self.started]
 
     def diverged(self, controller: str) -> NDArray[np.bool_]:
         """Mask of the runs that started and diverged."""

@@ -12,18 +12,18 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.control import Controller, Reference, Samples, Sine
+from mckibben.control import Reference, Samples, Sine
 from mckibben.control.base import Setpoint
 from mckibben.errors import ParameterError
 from mckibben.notebook import silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit, numeric
-from mckibben.plant import JointPlant
-from mckibben.scenario import Scenario, batched, with_values
-from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
+from mckibben.scenario import StudiedScenario, batched, with_values
+from mckibben.scenario.scenario import BatchParts
+from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
-from mckibben.study.compare.suite import Suite, start_of
+from mckibben.study.compare.suite import NOMINAL_JOINT, ControllerSuite, Suite
 from mckibben.study.parameters import sample
 from mckibben.study.study import Table
 
@@ -32,13 +32,12 @@ Tree = TypeVar("Tree")
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Runs with one joint and its valves, which differ only in numbers and can be batched."""
+    """Runs with one joint and its valves, or of a robot, which differ only in numbers and can be batched."""
 
     joint: str
     rows: NDArray[np.int64]  # indices of these runs, shape (count,)
     conditions: Table  # values [SI] of the varied plant parameters, one per run
-    plant: JointPlant  # with arrays of shape (count, ...) where runs differ, as for `simulate_many`
-    reference: Reference  # sampled
+    parts: BatchParts  # with arrays of shape (count, ...) where runs differ; references of a joint are sampled
 
     @property
     def count(self) -> int:
@@ -53,7 +52,7 @@ class Runs:
     Parameters that vary are arrays over the runs, and `groups` batches the runs of each joint.
     """
 
-    suite: Suite
+    suite: ControllerSuite
     joint: Sequence[str]  # names, of each run
     reference_name: Sequence[str]
     conditions: Table  # values [SI] of varied plant parameters by name, one per run
@@ -65,17 +64,16 @@ class Runs:
         """Number of runs."""
         return len(self.joint)
 
-    def scenario(self, controller: str, run: int, values: Mapping[str, float] | None = None) -> Scenario:
+    def scenario(self, controller: str, run: int, values: Mapping[str, float] | None = None) -> StudiedScenario:
         """Scenario of one run, numbered from 0, with a controller of tuned values [SI]."""
         reference, joint = self.reference_name[run], self.joint[run]
         group = next(group for group in self.groups if group.joint == joint)
         own = np.searchsorted(group.rows, run), group.conditions
-        referred = self.reference_name[:run].count(reference), self.reference_values[reference]
+        referred = self.reference_name[:run].count(reference), self.reference_values.get(reference, {})
         numbers = {name: column[row].item() for row, table in (own, referred) for name, column in table.items()}
         numbers |= values or {}
         scenario = self.suite.scenario(controller, reference, joint)
-        scenario = with_values(scenario, numbers) if numbers else scenario
-        return scenario.model_copy(update={"start": start_of(scenario.signals)})
+        return self.suite.at_rest(with_values(scenario, numbers) if numbers else scenario)
 
     def table(self) -> Table:
         """Joint, reference and varied parameters [SI] of all runs; NaN for those of other references."""
@@ -87,7 +85,7 @@ class Runs:
         return table
 
 
-def draw(suite: Suite, count: int, seed: int) -> Runs:
+def draw(suite: ControllerSuite, count: int, seed: int) -> Runs:
     """Draw runs.
 
     Joints and references occur in their shares, in random order; parameters are scrambled Sobol points of their ranges.
@@ -109,12 +107,16 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     SimulationError
         If a frequency of a reference is at or above half the control rate, or a plant needs more substeps.
     """
-    orders = np.random.default_rng(seed).spawn(2)
-    joints = _dealt({name: plant.share for name, plant in suite.plants.items()}, count, orders[0])
-    names = _dealt({name: case.share for name, case in suite.references.items()}, count, orders[1])
     conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.has_noise and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
+    if not isinstance(suite, Suite):
+        parts = _with_columns(suite.example(), conditions).batch_parts()
+        group = Group(NOMINAL_JOINT, np.arange(count), conditions, parts)
+        return Runs(suite, (NOMINAL_JOINT,) * count, ("reference",) * count, conditions, {}, (group,))
+    orders = np.random.default_rng(seed).spawn(2)
+    joints = _dealt({name: plant.share for name, plant in suite.plants.items()}, count, orders[0])
+    names = _dealt({name: case.share for name, case in suite.references.items()}, count, orders[1])
     times = sampling_times(suite.duration, suite.control_period)
     values: dict[str, Table] = {}
     setpoints = np.empty((2, count, times.size))
@@ -133,11 +135,11 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
             scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
         own = {name: column[rows] for name, column in conditions.items() if suite.has(joint, name)}
         reference = Reference(*(Samples(times, column[rows]) for column in setpoints))
-        groups.append(Group(joint, rows, own, _with_columns(scenario, own).plant(), reference))
+        groups.append(Group(joint, rows, own, BatchParts(_with_columns(scenario, own).plant(), reference)))
     return Runs(suite, joints, names, conditions, values, tuple(groups))
 
 
-def _with_columns(scenario: Scenario, columns: Table, **options: str) -> Scenario:
+def _with_columns(scenario: PyTree, columns: Table, **options: str) -> PyTree:
     """A batch of scenarios, or the scenario itself without any columns."""
     return batched(scenario, columns, **options) if columns else scenario
 
@@ -230,22 +232,22 @@ def evaluate(
     return batch
 
 
-def controller_of(runs: Runs, group: Group, controller: str, table: Table, sets: int) -> Controller:
+def controller_of(runs: Runs, group: Group, controller: str, table: Table, sets: int) -> PyTree:
     """A controller with sets of values, each used in all runs of a group: arrays of shape (sets * runs,)."""
     columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
-    suite, reference = runs.suite, next(iter(runs.suite.references))
+    suite = runs.suite
     if controller not in suite.true_model:
-        return _with_columns(suite.scenario(controller, reference), columns).control()
+        return _with_columns(suite.scenario(controller), columns).control()
     columns |= {name: np.tile(column, sets) for name, column in group.conditions.items()}
-    return _with_columns(suite.scenario(controller, reference, group.joint), columns, model_follows="all").control()
+    return _with_columns(suite.scenario(controller, joint=group.joint), columns, model_follows="all").control()
 
 
 def simulate_group(
-    suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...], engine: str
+    suite: ControllerSuite, group: Group, controller: PyTree, sets: int, metrics: tuple[str, ...], engine: str
 ) -> Batch:
     """Simulate the runs of a group with a controller of sets of values."""
-    plant, reference = _tiled(group.plant, sets), _tiled(group.reference, sets)
-    return simulate_many(plant, controller, reference, **suite.timing, metrics=metrics, engine=engine, progress=silent)
+    options: dict[str, PyTree] = {"metrics": metrics, "engine": engine, "progress": silent}
+    return suite.example().run_parts(_tiled(group.parts, sets), controller, **options)
 
 
 def _tiled(tree: Tree, sets: int) -> Tree:

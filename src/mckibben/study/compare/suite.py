@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import abc
 import os
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
+from jaxtyping import PyTree
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from mckibben.actuator import IdealValve
@@ -49,7 +51,7 @@ _Share = Annotated[int, BoundedInt(1, 1000)]
 _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
 
-_OTHERS: Mapping[str, tuple[type[Controller], Mapping[str, object]]] = {
+DEFAULTS: Mapping[str, tuple[type[Controller], Mapping[str, object]]] = {
     "PID": (
         PositionStiffnessControl,
         {
@@ -165,24 +167,15 @@ class EvaluationSettings(ConfigModel):
     seed: _Seed = 1
 
 
-class Suite(RunSettings):
-    """A benchmark suite: plants, references, conditions and controllers.
+class ControllerSuite(RunSettings):
+    """Base of suites: controllers, their tuning, and the conditions of the runs on which they are compared.
 
-    All controllers' models are the nominal `joint`, `load` and `valve`, independent of the plant of a run.
+    A suite without cases of `references` has the references of its scenario.
 
     Attributes
     ----------
-    other_joints, joint_share
-        Joints and valves that replace the suite's own in a share of the runs, and the share of the suite's own.
-        Conditions on the `valve` apply to the suite's own valve.
     conditions
         Plant parameters that vary, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
-    references
-        References by name. The coupling needs one whose stiffness steps.
-    max_angular_acceleration, max_angular_velocity
-        Largest angular acceleration [rad/s^2] and velocity [rad/s] of a reference; sines are scaled down to them.
-    setups
-        Valves by name, each compared separately: see `of_setup`.
     controllers
         Controllers by name; all are compared with the first.
     true_model
@@ -192,6 +185,123 @@ class Suite(RunSettings):
     """
 
     kind = "suite"
+    plant_sections: ClassVar[tuple[str, ...]] = ()
+    """Sections of a scenario whose parameters conditions can vary."""
+
+    if TYPE_CHECKING:  # fields of each class, in the order of its files
+        references: PyTree
+        other_joints: PyTree
+        name: str
+        conditions: tuple[str, ...]
+        controllers: dict[str, Any]
+        true_model: tuple[str, ...]
+        tuning: TuningSettings
+        evaluation: EvaluationSettings
+        substeps: int | None
+
+    @abc.abstractmethod
+    def scenario(self, controller: str, reference: str = "", joint: str = NOMINAL_JOINT) -> Any:
+        """Return the scenario of a run before its conditions.
+
+        The controller has the nominal model, or that of the plant if it is in `true_model`.
+        """
+
+    @abc.abstractmethod
+    def with_substeps(self, substeps: int) -> Self:
+        """Return the suite with a number of integration steps per control period."""
+
+    def at_rest(self, scenario: Any) -> Any:
+        """Return the scenario of a run with the start of its reference."""
+        return scenario
+
+    def example(self, reference: str = "", joint: str = NOMINAL_JOINT) -> Any:
+        """A run of the first controller."""
+        return self.scenario(next(iter(self.controllers)), reference, joint)
+
+    def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+        """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
+        return {}
+
+    @field_validator("evaluation", mode="after", check_fields=False)
+    @classmethod
+    def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
+        tuning = info.data.get("tuning")
+        if tuning is not None and (
+            value.seed == tuning.seed or (tuning.finalists and value.seed == tuning.finalist_seed)
+        ):
+            fail_validation(
+                "is a seed of the tuning, or of its finalists", "give another: training runs do not count as evaluation"
+            )
+        return value
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
+        """Read a suite from text; arguments and errors as for `Scenario.parse`."""
+        suite, document = parse_model(cls, text, source=source, folder=folder)
+        for name, own in suite.each.items():
+            if problems := problems_of_suite(own, document):
+                raise ScenarioError(f"{source}, {own.name}" if name else source, problems)
+        return suite
+
+    @property
+    def each(self) -> dict[str, Self]:
+        """Suites that are compared separately, by the name of their setup; without setups this one."""
+        return {"": self}
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether its sensors have noise."""
+        return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
+
+    @property
+    def cost(self) -> Cost:
+        """Cost of a run."""
+        return parse_cost(self.tuning.cost)
+
+    def tuned_scenario(self, controller: str, values: Mapping[str, float]) -> Any:
+        """Scenario of the first reference, with the plant of the models, and tuned values [SI] of the controller."""
+        scenario = self.scenario(controller)
+        return with_values(scenario, values) if values else scenario
+
+    def conditions_over(self) -> tuple[SweptParameter, ...]:
+        """Plant parameters that vary."""
+        return parse_sweeps(self.conditions, self.example())
+
+    def tuned_over(self, controller: str) -> tuple[SweptParameter, ...]:
+        """Tuned parameters of a controller and their ranges, by default `decades` around its gains.
+
+        Raises `ParameterError` if it has no nonzero gain.
+        """
+        if controller in self.tuning.untuned:
+            return ()
+        scenario = self.scenario(controller)
+        if controller in self.tuning.over:
+            return parse_ranges(self.tuning.over[controller], scenario)
+        gains = gain_ranges(scenario, float(self.tuning.decades))
+        if not gains:
+            raise ParameterError(f"{controller} has no nonzero gain", remedy="name it in tuning.over or tuning.untuned")
+        return sweep_parameters(scenario, gains)
+
+
+class Suite(ControllerSuite):
+    """A benchmark suite: plants, references, conditions and controllers.
+
+    All controllers' models are the nominal `joint`, `load` and `valve`, independent of the plant of a run.
+
+    Attributes
+    ----------
+    other_joints, joint_share
+        Joints and valves that replace the suite's own in a share of the runs, and the share of the suite's own.
+        Conditions on the `valve` apply to the suite's own valve.
+    references
+        References by name. The coupling needs one whose stiffness steps.
+    max_angular_acceleration, max_angular_velocity
+        Largest angular acceleration [rad/s^2] and velocity [rad/s] of a reference; sines are scaled down to them.
+    setups
+        Valves by name, each compared separately: see `of_setup`.
+    """
+
+    plant_sections = PLANT
     examples = "examples/comparison/"
 
     name: Title
@@ -230,7 +340,7 @@ class Suite(RunSettings):
         others: Mapping[str, Any] | None = controllers
         if others is None:
             own = type(scenario.controller)
-            others = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
+            others = {name: section for name, (kind, section) in DEFAULTS.items() if kind is not own}
         if "conditions" not in settings:
             settings["conditions"] = scenario.uncertainty or sum(usual_variation(scenario), ())
         parts = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
@@ -240,28 +350,7 @@ class Suite(RunSettings):
         check_differs(suite)
         return suite
 
-    @field_validator("evaluation", mode="after")
-    @classmethod
-    def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
-        tuning = info.data.get("tuning")
-        if tuning is not None and (
-            value.seed == tuning.seed or (tuning.finalists and value.seed == tuning.finalist_seed)
-        ):
-            fail_validation(
-                "is a seed of the tuning, or of its finalists", "give another: training runs do not count as evaluation"
-            )
-        return value
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
-        """Read a suite from text; arguments and errors as for `Scenario.parse`."""
-        suite, document = parse_model(cls, text, source=source, folder=folder)
-        for own in map(suite.of_setup, suite.setups) if suite.setups else [suite]:
-            if problems := problems_of_suite(own, document):
-                raise ScenarioError(f"{source}, {own.name}" if suite.setups else source, problems)
-        return suite
-
-    def of_setup(self, name: str) -> Suite:
+    def of_setup(self, name: str) -> Self:
         """Return the suite of one of the setups alone; its valves are those of all models too.
 
         Its conditions are those of the suite and of the setup.
@@ -271,16 +360,6 @@ class Suite(RunSettings):
         update |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
         conditions = (*self.conditions, *setup.conditions)
         return self.model_copy(update=update | {"name": f"{self.name}: {name}", "conditions": conditions})
-
-    @property
-    def has_noise(self) -> bool:
-        """Whether its sensors have noise."""
-        return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
-
-    @property
-    def cost(self) -> Cost:
-        """Cost of a run."""
-        return parse_cost(self.tuning.cost)
 
     @property
     def plants(self) -> dict[str, PlantCase]:
@@ -297,11 +376,16 @@ class Suite(RunSettings):
         other = self.other_joints.get(joint)
         return other is None or other.valve is None or not condition.strip().startswith("valve.")
 
-    def scenario(self, controller: str, reference: str, joint: str = NOMINAL_JOINT) -> Scenario:
-        """Scenario of a run before its conditions, which starts at rest at the first angle of its reference.
+    @property
+    def each(self) -> dict[str, Self]:
+        return {name: self.of_setup(name) for name in self.setups} or super().each
 
-        The controller has the nominal model, or that of the plant if it is in `true_model`.
-        """
+    def with_substeps(self, substeps: int) -> Self:
+        return self.model_copy(update={"substeps": substeps})
+
+    def scenario(self, controller: str, reference: str = "", joint: str = NOMINAL_JOINT) -> Scenario:
+        """It starts at rest at the first angle of its reference (default: the first)."""
+        reference = reference or next(iter(self.references))
         control = self.controllers[controller]
         if controller not in self.true_model:
             control = independent(inherit(control, model_scope(self)))
@@ -315,33 +399,12 @@ class Suite(RunSettings):
             start=start_of(signals),
         )
 
-    def tuned_scenario(self, controller: str, values: Mapping[str, float]) -> Scenario:
-        """Scenario of the first reference, with the plant of the models, and tuned values [SI] of the controller."""
-        scenario = self.scenario(controller, next(iter(self.references)))
-        return with_values(scenario, values) if values else scenario
-
-    def conditions_over(self) -> tuple[SweptParameter, ...]:
-        """Plant parameters that vary."""
-        return parse_sweeps(self.conditions, self.example())
+    def at_rest(self, scenario: Scenario) -> Scenario:
+        return scenario.model_copy(update={"start": start_of(scenario.signals)})
 
     def reference_over(self, reference: str) -> tuple[SweptParameter, ...]:
         """Parameters of a reference that vary."""
         return parse_sweeps(self.references[reference].over, self.example(reference))
-
-    def tuned_over(self, controller: str) -> tuple[SweptParameter, ...]:
-        """Tuned parameters of a controller and their ranges, by default `decades` around its gains.
-
-        Raises `ParameterError` if it has no nonzero gain.
-        """
-        if controller in self.tuning.untuned:
-            return ()
-        scenario = self.scenario(controller, next(iter(self.references)))
-        if controller in self.tuning.over:
-            return parse_ranges(self.tuning.over[controller], scenario)
-        gains = gain_ranges(scenario, float(self.tuning.decades))
-        if not gains:
-            raise ParameterError(f"{controller} has no nonzero gain", remedy="name it in tuning.over or tuning.untuned")
-        return sweep_parameters(scenario, gains)
 
     def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
@@ -352,7 +415,3 @@ class Suite(RunSettings):
             if inner == self.controllers[other]
             for name, value in values.items()
         }
-
-    def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
-        """A run of the first controller."""
-        return self.scenario(next(iter(self.controllers)), reference or next(iter(self.references)), joint)

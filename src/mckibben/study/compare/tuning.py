@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, valid_rows
+from mckibben.scenario import StudiedScenario, valid_rows
 from mckibben.simulation import Batch
 from mckibben.simulation.software import software
 from mckibben.storage.store import Store
@@ -26,8 +26,9 @@ from mckibben.study.compare.statistics import (
     stiffness_limit,
     trial_at_air,
 )
-from mckibben.study.compare.suite import Suite
+from mckibben.study.compare.suite import ControllerSuite
 from mckibben.study.study import Table, digest
+from mckibben.study.tune.cost import mean_of_joints
 from mckibben.study.tune.objective import FAILED_COST, with_valid
 from mckibben.study.tune.search import Costs, Vector, by_cma
 from mckibben.study.tune.space import SearchSpace
@@ -48,7 +49,7 @@ class TunedController(NamedTuple):
 class ControllerTuning:
     """Tuning of one controller on training runs: for lowest cost, then for lowest angle error at equal air."""
 
-    suite: Suite
+    suite: ControllerSuite
     controller: str
     space: SearchSpace
     runs: Runs
@@ -57,8 +58,8 @@ class ControllerTuning:
     engine: str = "auto"
 
     @cached_property
-    def _scenario(self) -> Scenario:
-        return self.suite.scenario(self.controller, next(iter(self.suite.references)))
+    def _scenario(self) -> StudiedScenario:
+        return self.suite.scenario(self.controller)
 
     @property
     def _starts(self) -> int:
@@ -76,7 +77,7 @@ class ControllerTuning:
         engine, batches = first_runs(store, simulate, self.controller)
         if self.suite.substeps is not None or not batches:
             return replace(self, engine=engine)
-        suite = self.suite.model_copy(update={"substeps": int(batches[0]["substeps"].max())})
+        suite = self.suite.with_substeps(batches[0].needed_substeps(self._scenario.accuracy))
         return replace(self, runs=replace(self.runs, suite=suite), engine=engine)
 
     def _table(self, values: Vector) -> Table:
@@ -100,7 +101,7 @@ class ControllerTuning:
 
     def _medians(self, batch: Batch, begun: NDArray[np.bool_], rows: int) -> Iterator[dict[str, float] | None]:
         """Medians in which errors of failed runs are infinite, the air over the others, and the failed runs."""
-        columns = [begun & batch.usable, begun, *(batch.metrics[name] for name in TRADED)]
+        columns = [begun & batch.usable, begun, *(mean_of_joints(batch.metrics[name]) for name in TRADED)]
         for usable, ran, *values in zip(*(column.reshape(rows, -1) for column in columns), strict=True):
             *errors, air = values
             known = [np.where(usable, error, np.inf)[ran] for error in errors]
@@ -115,7 +116,7 @@ class ControllerTuning:
     def about(self) -> dict[str, object]:
         """Everything that determines the trials."""
         tuning = self.suite.tuning
-        parts = [(group.rows, group.plant, group.reference) for group in self.runs.groups]
+        parts = [(group.rows, *group.parts) for group in self.runs.groups]
         return {
             "software": software(self.engine),
             "controller": self.controller,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.base import Checked
 from mckibben.component.columns import attributes
@@ -106,17 +106,18 @@ class Cost(Checked):
 
     def __call__(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
         """Return the cost of metrics [SI] of shape (runs,), or (joints, runs), of which it has the means."""
-
-        def mean(metric: str) -> NDArray[np.float64]:
-            joints = np.asarray(values[metric])
-            return joints.mean(axis=0) if joints.ndim > 1 else joints
-
-        return np.asarray(sum(term.weight * mean(term.metric) / term.scale for term in self.terms))
+        return np.asarray(sum(term.weight * mean_of_joints(values[term.metric]) / term.scale for term in self.terms))
 
     @property
     def text(self) -> str:
         """Text from which `parse_cost` restores the cost exactly."""
         return " + ".join(_written(term) for term in self.terms)
+
+
+def mean_of_joints(values: ArrayLike) -> NDArray[np.float64]:
+    """Return a metric of shape (runs,), or the means over the joints of one of shape (joints, runs)."""
+    joints = np.asarray(values)
+    return joints.mean(axis=0) if joints.ndim > 1 else joints
 
 
 def parse_cost(text: str, **options: Any) -> Cost:
