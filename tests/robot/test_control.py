@@ -19,10 +19,14 @@ from mckibben.export.mujoco import load_mujoco
 from mckibben.plant import PerfectSensors
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
 from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
+from mckibben.robot.comparison import RobotSuite
 from mckibben.robot.dynamics import joint_equations, joint_load
 from mckibben.robot.point_stiffness import place_of, point_jacobian, point_of
 from mckibben.robot.statics import HeldPosture, stiffness_matrix
 from mckibben.scenario import batched, run_many, with_values
+from mckibben.study.compare import compare, draw, evaluate
+from mckibben.study.compare.runs import started
+from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import tune
 from mckibben.units import bar, deg
 
@@ -193,6 +197,35 @@ def test_positions_out_of_reach_are_named_before_the_run():
     assert scenario.model_copy(update={"controller": None}).references() is nominal
     assert short.references()["knee"].angle.times.size == 250
     assert batched(scenario, {"robot.bodies.1.mass": [0.5, 0.6]}).references() is nominal
+
+
+@pytest.mark.slow
+def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
+    heavy = "robot.bodies.1.mass=0.4 kg..40 kg"  # the heaviest cannot be held
+    scenario = RobotScenario.parse(ONE.replace("lower: -20 deg", "offset: 20 deg, lower: -20 deg") + TORQUE)
+    suite = RobotSuite.of(
+        scenario, conditions=(heavy,), tuning=TuningSettings(untuned=("PID", "decoupling", "scenario"))
+    )
+    suite.to_yaml(tmp_path / "suite.yaml")
+    again = RobotSuite.read(tmp_path / "suite.yaml")
+    assert again == suite and list(again.controllers) == ["scenario", "PID", "decoupling"]
+    runs = draw(again, 8, 3)
+    for name in ("scenario", "PID"):
+        batch = evaluate(runs, name, {})
+        held = started(batch)
+        assert 0 < held.sum() < 8 and np.isnan(batch["angle_rmse"][0, ~held]).all()
+        first, other = np.flatnonzero(held)[0], np.flatnonzero(~held)[0]
+        alone = runs.scenario(name, int(first)).run_once()
+        for metric in ("angle_rmse", "stiffness_rmse", "air"):
+            values = np.atleast_2d(batch.metrics[metric])[:, first]
+            np.testing.assert_allclose(values, np.ravel(alone.metrics[metric]), rtol=1e-9)
+        with pytest.raises(UnreachableError):
+            runs.scenario(name, int(other)).check_start()
+    result = compare(again.model_copy(update={"evaluation": EvaluationSettings(runs=8)}))
+    assert result.metric("scenario", "angle_rmse").shape == (result.started.sum(),) and set(result.margins)
+    with pytest.raises(ScenarioError) as caught:
+        RobotSuite.parse(suite.dumps().replace("kp: ", "kpp: ", 1))
+    assert caught.value.problems[0].field.startswith("controllers.PID.controllers.knee.position")
 
 
 def test_the_cost_of_a_robot_has_its_metrics():

@@ -252,7 +252,9 @@ def test_a_run_of_the_arrays_is_that_of_its_scenario(name, request, tmp_path):
         for row, run in enumerate(group.rows.tolist()):
             scenario = Scenario.parse(drawn.scenario("PID 3", run).dumps(folder=tmp_path), folder=tmp_path)
             plant, reference = scenario.plant(), scenario.reference()
-            lane = jax.tree.map(lambda leaf, row=row: np.asarray(leaf)[row] if np.ndim(leaf) else leaf, group.parts.plant)
+            lane = jax.tree.map(
+                lambda leaf, row=row: np.asarray(leaf)[row] if np.ndim(leaf) else leaf, group.parts.plant
+            )
             assert jax.tree.structure(plant) == jax.tree.structure(lane)
             for a, b in zip(jax.tree.leaves(plant), jax.tree.leaves(lane), strict=True):
                 assert np.asarray(a) == pytest.approx(np.asarray(b), rel=1e-14)

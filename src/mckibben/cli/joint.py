@@ -9,7 +9,6 @@ from mckibben.cli.command import command
 from mckibben.cli.options import (
     Progress,
     ScenarioFile,
-    check_unused,
     keeping,
     parse_limits,
     parse_pair,
@@ -30,17 +29,16 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
     Parameters
     ----------
     animate : FILE
-        Write an animation of the joint, as .webp or .gif.
+        Write an animation of the joint or robot, as .webp or .gif.
     """
     if animate:  # report mistakes before the run
         from mckibben.report.animation import animation_format
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    from mckibben.scenario import Scenario, read_scenario
+    from mckibben.scenario import read_scenario
 
     read = read_scenario(scenario)
-    check_unused("simulate, of a robot,", animate=None if isinstance(read, Scenario) else animate)
     result = read.run_once(source=str(scenario))
     if animate:
         from mckibben import report

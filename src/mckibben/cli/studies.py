@@ -15,8 +15,8 @@ from mckibben.storage.store import STUDY
 if TYPE_CHECKING:
     from mckibben.result import Result
     from mckibben.study.compare import CompareResult
-    from mckibben.study.compare.suite import ControllerSuite
     from mckibben.study.compare.result import PooledResult
+    from mckibben.study.compare.suite import ControllerSuite
     from mckibben.study.tune import TuneResult
 
 Texts = list[str] | None

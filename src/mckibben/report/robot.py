@@ -16,6 +16,7 @@ from mckibben.report.palette import BAND, BLACK, BLUE, GREY, MEASURED, ORANGE, V
 from mckibben.report.style import (
     DESIRED,
     DOUBLE,
+    Look,
     blank,
     draw_band,
     legend_above,
@@ -31,6 +32,8 @@ from mckibben.robot.point_stiffness import stiffness_of
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
+
     from mckibben.robot.bodies import BodyPoint, Foot
     from mckibben.robot.jumping import JumpStudy
     from mckibben.robot.mechanism import Robot
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
     from mckibben.robot.tracking import TrackingResult
 
 
+BONE: Look = {"color": "#AAB4BD", "linewidth": 5, "solid_capstyle": "round"}
 _LOOKS = ((VERMILLION, "-"), (BLUE, (0, (4, 2))))
 
 
@@ -182,20 +186,19 @@ def posture(
     axes = figure.add_subplot(projection="3d", proj_type="ortho", computed_zorder=False)
     lines, colours = outline(robot, angles), pressure_colours()
     for bone in lines.bodies:
-        axes.plot(*(bone.T / mm), color="#AAB4BD", linewidth=5, solid_capstyle="round")
+        axes.plot(*(bone.T / mm), **BONE)
     for place in np.unique(lines.hinges, axis=0):
         names = [joint.name for joint, at in zip(robot.joints, lines.hinges, strict=True) if (at == place).all()]
         x, y, z = (place / mm).tolist()
         axes.text(x, y, z, f"   {', '.join(names)}")
-    highest = max((float(muscle.domain.pressure_max) for muscle in robot.all_muscles), default=1.0)
+    highest = robot.highest_pressure
     known = {} if pressures is None else dict(zip(robot.muscle_names, pressures, strict=True))
     for name, path in lines.muscles.items():
         axes.plot(*(path.T / mm), color=colours(float(known[name]) / highest) if known else GREY, linewidth=2)
     if known:
         scale = ScalarMappable(Normalize(0, highest / bar), colours)
         figure.colorbar(scale, ax=axes, label="pressure [bar]", shrink=0.6, pad=0.12)
-    points = np.concatenate([*lines.bodies, *lines.muscles.values()]) / mm
-    middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0).max() / 2
+    half = set_space(axes, [*lines.bodies, *lines.muscles.values()])
     if stiffness is not None and (point := point or robot.foot) is not None:
         shape = stiffness_ellipsoid(robot, angles, stiffness, point, 0.3 * half * mm)
         turn, rise = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
@@ -203,6 +206,13 @@ def posture(
         surface = np.einsum("ij,j,jkl->ikl", shape.axes, shape.lengths, ball) + shape.centre[:, None, None]
         axes.plot_wireframe(*(surface / mm), color=MEASURED, linewidth=0.5)
         axes.text2D(0.0, 0.98, f"ellipsoid: displacement under {shape.force:g} N", transform=axes.transAxes)
+    return figure
+
+
+def set_space(axes: Axes3D, lines: Sequence[np.ndarray]) -> float:
+    """Set labels, view and limits [mm] of axes for lines [m] in space; return half the extent [mm]."""
+    points = np.concatenate(lines) / mm
+    middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max() / 2)
     axes.set(xlabel="forwards [mm]", ylabel="to the left [mm]", zlabel="up [mm]")
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
     for limit, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
@@ -210,7 +220,7 @@ def posture(
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(4))
     axes.view_init(elev=12, azim=-55)
-    return figure
+    return half
 
 
 @styled

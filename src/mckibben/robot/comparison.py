@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from jaxtyping import PyTree
-from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator
+from pydantic import Field, SerializationInfo, ValidationError, ValidationInfo, field_serializer, field_validator
 
 from mckibben.config.fields import Title
 from mckibben.config.model import located_below
@@ -32,19 +32,19 @@ class RobotSuite(ControllerSuite):
 
     examples = "examples/comparison/"
     plant_sections = ("robot", "valve", "ground", "sensors", "command_delay")
-    references: ClassVar[PyTree] = {}
-    other_joints: ClassVar[PyTree] = {}
+    references: ClassVar[PyTree] = {}  # pyrefly: ignore[bad-override]  # a field of the other suite
+    other_joints: ClassVar[PyTree] = {}  # pyrefly: ignore[bad-override]
 
     name: Title
     base: RobotScenario = Field(alias=_OWN)
     conditions: tuple[str, ...] = ()
-    controllers: dict[str, RobotScenario] = Field(default_factory=dict, validate_default=True)  # in a file, of each its controller
+    controllers: dict[str, RobotScenario] = Field(default_factory=dict, validate_default=True)
     true_model: tuple[str, ...] = ()
     tuning: TuningSettings = TuningSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
 
     @classmethod
-    def of(cls, scenario: RobotScenario, controllers: Mapping[str, Any] | None = None, **settings: Any) -> Self:
+    def of(cls, scenario: RobotScenario, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> Self:
         """Return the suite of a scenario, with other controllers by name: sections as in a file.
 
         Default: a PID loop and decoupling of each joint, where all have a pair of muscles, and computed torque, unless
@@ -52,14 +52,14 @@ class RobotSuite(ControllerSuite):
         `Suite.of`.
         """
         others = _default_controllers(scenario) if controllers is None else controllers
-        settings = {"conditions": sum(usual_variation(scenario), ())} | settings
-        suite = cls(name=scenario.name, scenario=scenario, controllers=others, **settings)
+        usual: dict[str, PyTree] = {"conditions": sum(usual_variation(scenario), ())}
+        suite = cls(name=scenario.name, scenario=scenario, controllers=others, **usual | settings)
         check_differs(suite)
         return suite
 
     @field_validator("controllers", mode="wrap")
     @classmethod
-    def _of_the_robot(cls, value: Any, handler: Any, info: ValidationInfo) -> Any:
+    def _of_the_robot(cls, value: PyTree, handler: PyTree, info: ValidationInfo) -> PyTree:
         base: RobotScenario | None = info.data.get("base")
         if base is None or not isinstance(value, dict):
             return handler(value)
@@ -77,19 +77,16 @@ class RobotSuite(ControllerSuite):
         return made
 
     @field_serializer("controllers", when_used="json")
-    def _sections(self, controllers: dict[str, RobotScenario], info: Any) -> dict[str, Any]:
+    def _sections(self, controllers: dict[str, RobotScenario], info: SerializationInfo) -> dict[str, PyTree]:
         written = {name: own.model_dump(mode="json", context=info.context) for name, own in controllers.items()}
         return {
-            name: {key: whole[key] for key in _CONTROL if key in whole} for name, whole in written.items() if name != _OWN
+            name: {key: whole[key] for key in _CONTROL if key in whole}
+            for name, whole in written.items()
+            if name != _OWN
         }
 
     @property
-    def substeps(self) -> int | None:
-        """Integration steps per control period."""
-        return self.base.substeps
-
-    @property
-    def timing(self) -> dict[str, Any]:
+    def timing(self) -> dict[str, PyTree]:
         return self.base.timing
 
     def scenario(self, controller: str, reference: str = "", joint: str = NOMINAL_JOINT) -> RobotScenario:
@@ -105,7 +102,7 @@ class RobotSuite(ControllerSuite):
 def _default_controllers(scenario: RobotScenario) -> dict[str, RobotScenario]:
     """The controllers that apply to a robot, other than its own."""
     own = [scenario.controller, *scenario.controllers.values()]
-    sections: dict[str, Any] = {"computed torque": {"controller": {"class": "computed_torque"}}}
+    sections: dict[str, PyTree] = {"computed torque": {"controller": {"class": "computed_torque"}}}
     joints = scenario.joint_names
     sections |= {name: {"controllers": dict.fromkeys(joints, section)} for name, (_, section) in DEFAULTS.items()}
     found = {}

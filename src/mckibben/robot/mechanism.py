@@ -208,6 +208,11 @@ class Robot(Component):
         return functools.reduce(lambda mass, body: mass + body.mass, self.bodies[1:], jnp.asarray(self.bodies[0].mass))
 
     @property
+    def highest_pressure(self) -> float:
+        """Highest rated pressure [Pa] of a muscle."""
+        return max((float(muscle.domain.pressure_max) for muscle in self.all_muscles), default=1.0)
+
+    @property
     def frame_names(self) -> tuple[str, ...]:
         """Names of the base and of what each joint carries: a body, or the joint itself."""
         return (self.bodies[0].name, *(joint.body or joint.name for joint in self.joints))

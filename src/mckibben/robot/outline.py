@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.robot.bodies import BodyPoint, Foot
@@ -16,6 +17,8 @@ from mckibben.robot.point_stiffness import point_stiffness
 from mckibben.robot.tree import Frame
 
 Floats = NDArray[np.float64]
+BASE = ("x", "y", "z", "pitch", "yaw", "roll")
+"""Position [m] and angles [rad] of a base, by their columns."""
 
 
 class Outline(NamedTuple):
@@ -80,8 +83,8 @@ def stiffness_ellipsoid(
     return Ellipsoid(force, point_of(point, robot, frames(robot, posture, at_rest(posture))), axes, force * compliance)
 
 
-def outline(robot: Robot, angles: Sequence[float]) -> Outline:
-    """Return the outline of a robot at angles [rad].
+def outline(robot: Robot, angles: Sequence[float], base: Sequence[float] = ()) -> Outline:
+    """Return the outline of a robot at angles [rad], and its `BASE` if that moves.
 
     Examples
     --------
@@ -90,7 +93,10 @@ def outline(robot: Robot, angles: Sequence[float]) -> Outline:
     >>> [line[1].round(2).tolist() for line in leg.bodies], len(leg.muscles)
     ([[0.01, 0.0, -0.74], [0.1, 0.0, -0.39]], 4)
     """
-    placed = frames(robot, posture := posture_of(robot, angles), at_rest(posture))
+    still = posture_of(robot, angles)
+    moved: dict[str, PyTree] = dict(zip(BASE, base, strict=False))
+    posture = still._replace(**{name: value for name, value in moved.items() if getattr(still, name) is not None})
+    placed = frames(robot, posture, at_rest(posture))
     at = [_numbers(frame.position) for frame in placed]
     tips = {sphere.body: point_of(sphere, robot, placed) for sphere in robot.spheres[::-1]}
     bodies, beyond = [], at.copy()

@@ -325,10 +325,9 @@ def simulate_robots(
         progress=progress,
     )
     found: PyTree = TrackingMetrics.of(joined, control_period) if tracks else joined
-    forces = None if tracks else found.peak_force + found.peak_trunk_force
     known = {name: getattr(found, name, 0.0) for name in ("time_outside_domain", "time_saturated")}
-    errors = np.max(found.angle_max, axis=0) if tracks else np.where(np.isfinite(forces), 0.0, np.inf)
-    codes = outcomes(known | {"angle_max": errors})
+    errors = found.angle_max if tracks else [0.0 * found.peak_force, 0.0 * found.peak_trunk_force]  # NaN of a lost run
+    codes = outcomes(known | {"angle_max": np.max(errors, axis=0)})
     columns: dict[str, Any] = {"joint": [joint.name for joint in plant.robot.joints]}
     for name, column in (found._asdict() | steps.columns()).items():
         dims = ("joint", "run") if isinstance(column, tuple) else ("run",)

@@ -148,7 +148,7 @@ class Batch(RunTable):
         mask, code = xr.DataArray(started, dims="run"), OUTCOMES.index(Outcome.NO_START)
         columns = {name: self.table[name].where(mask) for name in self.metrics}
         outcome = self.table["outcome"].where(mask, np.int8(code))
-        return Batch(self.table.assign(columns, outcome=outcome), self.kind)
+        return Batch(self.table.assign(columns | {"outcome": outcome}), self.kind)
 
     def verdict(self) -> str:
         """Number of runs by their outcome."""

@@ -264,8 +264,8 @@ class _Page:
         robot, shape = self.state.scenario.robot, posed.ellipsoid
         shades = dict.fromkeys(robot.muscle_names, GREY)
         if posed.pressures is not None:
-            rated = max(float(muscle.domain.pressure_max) for muscle in robot.all_muscles)
-            shades = dict(zip(robot.muscle_names, map(pressure_colour, posed.pressures / rated), strict=True))
+            shares = posed.pressures / robot.highest_pressure
+            shades = dict(zip(robot.muscle_names, map(pressure_colour, shares), strict=True))
         with self.view:
             self.view.clear()
             for start, end in posed.lines.bodies:

@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from jaxtyping import PyTree
+
 from mckibben.config.document import Document, Place, dotted
 from mckibben.control import Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
@@ -65,7 +67,10 @@ def _checks_of_settings(suite: ControllerSuite) -> Iterator[Check]:
     yield ("conditions",), partial(check_differs, suite)
     yield ("tuning", "cost"), partial(_check_cost, suite)
     for i, text in enumerate(suite.conditions):
-        yield ("conditions", i), partial(_check_within, suite.plant_sections, partial(parse_sweeps, [text], suite.example()))
+        yield (
+            ("conditions", i),
+            partial(_check_within, suite.plant_sections, partial(parse_sweeps, [text], suite.example())),
+        )
     for name, case in suite.references.items():
         for i, text in enumerate(case.over):
             read = partial(parse_sweeps, [text], suite.example(name))
@@ -78,7 +83,7 @@ def _checks_of_settings(suite: ControllerSuite) -> Iterator[Check]:
         yield place, partial(_check_known, suite, name)
 
 
-def _checks_of_variation(suite: ControllerSuite) -> Iterator[Check]:
+def _checks_of_variation(suite: PyTree) -> Iterator[Check]:
     yield ("conditions",), suite.conditions_over
     for name in suite.references:
         yield ("references", name, "over"), partial(suite.reference_over, name)
@@ -119,7 +124,7 @@ def _check_cost(suite: ControllerSuite) -> None:
         raise ParameterError("coupling is defined for stiffness steps only", remedy=remedy)
 
 
-def _check_joint(suite: ControllerSuite, name: str) -> None:
+def _check_joint(suite: PyTree, name: str) -> None:
     """Check that the conditions apply to the joint's plant as well."""
     parse_sweeps([text for text in suite.conditions if suite.has(name, text)], suite.example(joint=name))
     suite.example(joint=name).plant()

@@ -35,7 +35,11 @@ def runs_of(suite: ControllerSuite, name: str) -> int:
 
 
 def compare(
-    suite: ControllerSuite, *, out: str | os.PathLike[str] | None = None, resume: bool = False, progress: Progress | None = None
+    suite: ControllerSuite,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
 ) -> CompareResult:
     """Tune the controllers of a suite and compare them on its evaluation runs.
 

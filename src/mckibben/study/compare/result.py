@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset.schema import write_netcdf
 from mckibben.result import Listing, Remark, Result
-from mckibben.scenario import Scenario, find_parameters
+from mckibben.scenario import StudiedScenario, find_parameters
 from mckibben.simulation import Batch, Margins, margin_remarks
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import make_folder
@@ -90,7 +90,7 @@ class CompareResult(Result):
         known = (trial.metrics for trial in trials if best and trial.point == best.point)
         return (next(known, None) or {}).get("air", np.nan)
 
-    def scenario(self, controller: str, run: int) -> Scenario:
+    def scenario(self, controller: str, run: int) -> StudiedScenario:
         """Scenario of one run with the tuned controller."""
         return self.runs.scenario(controller, run, self.tuned[controller])
 

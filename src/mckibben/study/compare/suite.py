@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import os
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
 from jaxtyping import PyTree
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
@@ -17,7 +17,7 @@ from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.plant import NoDisturbance, PerfectSensors
-from mckibben.scenario import Scenario, list_parameters, with_values
+from mckibben.scenario import Scenario, StudiedScenario, list_parameters, with_values
 from mckibben.scenario.scenario import (
     ControllerPart,
     DisturbancePart,
@@ -47,6 +47,7 @@ from mckibben.units import (
     PositiveTime,
 )
 
+S = TypeVar("S", bound=StudiedScenario)
 _Share = Annotated[int, BoundedInt(1, 1000)]
 _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
@@ -193,14 +194,13 @@ class ControllerSuite(RunSettings):
         other_joints: PyTree
         name: str
         conditions: tuple[str, ...]
-        controllers: dict[str, Any]
+        controllers: dict[str, PyTree]
         true_model: tuple[str, ...]
         tuning: TuningSettings
         evaluation: EvaluationSettings
-        substeps: int | None
 
     @abc.abstractmethod
-    def scenario(self, controller: str, reference: str = "", joint: str = NOMINAL_JOINT) -> Any:
+    def scenario(self, controller: str, reference: str = "", joint: str = NOMINAL_JOINT) -> PyTree:
         """Return the scenario of a run before its conditions.
 
         The controller has the nominal model, or that of the plant if it is in `true_model`.
@@ -210,11 +210,11 @@ class ControllerSuite(RunSettings):
     def with_substeps(self, substeps: int) -> Self:
         """Return the suite with a number of integration steps per control period."""
 
-    def at_rest(self, scenario: Any) -> Any:
+    def at_rest(self, scenario: S) -> S:
         """Return the scenario of a run with the start of its reference."""
         return scenario
 
-    def example(self, reference: str = "", joint: str = NOMINAL_JOINT) -> Any:
+    def example(self, reference: str = "", joint: str = NOMINAL_JOINT) -> PyTree:
         """A run of the first controller."""
         return self.scenario(next(iter(self.controllers)), reference, joint)
 
@@ -258,7 +258,7 @@ class ControllerSuite(RunSettings):
         """Cost of a run."""
         return parse_cost(self.tuning.cost)
 
-    def tuned_scenario(self, controller: str, values: Mapping[str, float]) -> Any:
+    def tuned_scenario(self, controller: str, values: Mapping[str, float]) -> PyTree:
         """Scenario of the first reference, with the plant of the models, and tuned values [SI] of the controller."""
         scenario = self.scenario(controller)
         return with_values(scenario, values) if values else scenario
@@ -399,8 +399,8 @@ class Suite(ControllerSuite):
             start=start_of(signals),
         )
 
-    def at_rest(self, scenario: Scenario) -> Scenario:
-        return scenario.model_copy(update={"start": start_of(scenario.signals)})
+    def at_rest(self, scenario: S) -> S:
+        return scenario.model_copy(update={"start": start_of(scenario.references())})
 
     def reference_over(self, reference: str) -> tuple[SweptParameter, ...]:
         """Parameters of a reference that vary."""

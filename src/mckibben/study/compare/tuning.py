@@ -75,7 +75,7 @@ class ControllerTuning:
             return [run()] if valid else []
 
         engine, batches = first_runs(store, simulate, self.controller)
-        if self.suite.substeps is not None or not batches:
+        if self.suite.timing["substeps"] is not None or not batches:
             return replace(self, engine=engine)
         suite = self.suite.with_substeps(batches[0].needed_substeps(self._scenario.accuracy))
         return replace(self, runs=replace(self.runs, suite=suite), engine=engine)
