@@ -77,7 +77,7 @@ class RobotSuite(ControllerSuite):
         return made
 
     @field_serializer("controllers", when_used="json")
-    def _sections(self, controllers: dict[str, RobotScenario], info: SerializationInfo) -> dict[str, PyTree]:
+    def _sections(self, controllers: dict[str, RobotScenario], info: SerializationInfo) -> dict[str, object]:
         written = {name: own.model_dump(mode="json", context=info.context) for name, own in controllers.items()}
         return {
             name: {key: whole[key] for key in _CONTROL if key in whole}
