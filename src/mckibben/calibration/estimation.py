@@ -299,11 +299,11 @@ def quantities_of(problem: CalibrationProblem, minima: Sequence[LocalMinimum]) -
 
 def _spread(evaluations: Sequence[tuple[Any, Any]], minima: Sequence[LocalMinimum]) -> tuple[Floats, Floats]:
     """Value of a function at the best minimum, and its standard deviation about it, from value and slope at each."""
-    (best, _), total = evaluations[0], 0.0
+    best, total = np.asarray(evaluations[0][0]), 0.0
     for (value, slope), minimum in zip(evaluations, minima, strict=True):
         variance = np.einsum("...i,ij,...j->...", slope, minimum.covariance, slope)
         total = total + minimum.weight * (variance + np.square(np.asarray(value) - best))
-    return np.asarray(best), np.sqrt(total)
+    return best, np.sqrt(total)
 
 
 def number(leaf: Any) -> Any:
@@ -412,10 +412,10 @@ def _solve(
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
     columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
-    angle, first, second = (jnp.concatenate([jnp.asarray(part) for part in column]) for column in columns)
+    angle, first, second = map(np.concatenate, columns)
 
     def stiffness(z: Floats) -> tuple[Floats, Floats]:
-        values, slopes = _stiffness(problem, jnp.asarray(z), angle, (first, second))
+        values, slopes = _stiffness(problem, z, angle, (first, second))
         return np.asarray(values), np.asarray(slopes)
 
     best, kept = supported(best, stiffness)

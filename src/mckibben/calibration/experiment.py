@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, Samples, sliding_from
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
@@ -143,16 +143,13 @@ class Sweeps:
 
     def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
         """Return a load with the weight."""
-        return jax.tree.map(float, load.with_weight(added_mass, self.distance))
+        return jax.tree.map(float, _loaded(load, added_mass, self.distance))
 
     def _check_weight(self, joint: AntagonisticJoint, load: Load) -> None:
         """Warn if the weight turns the joint by less than friction holds it, in the middle at the highest pressures."""
-        pressures = joint.muscle1.domain.pressure_max, joint.muscle2.domain.pressure_max
         ends = np.array([self.lowest, self.highest])
-        states = joint.update_state(joint.init_state(self.lowest, pressures), ends.mean(), pressures)
-        friction = abs(float(joint.friction_torque(ends.mean(), None, pressures, states)))
-        turned = self._weighted(load, self.added_mass).gravity_torque(ends) - load.gravity_torque(ends)
-        if (most := float(np.max(np.abs(turned)))) < friction:
+        friction, most = map(float, _holding(joint, load, self._weighted(load, self.added_mass), ends))
+        if most < friction:
             text = f"the torque of the weight, at most {most:.2g} N*m, is below the friction, {friction:.2g} N*m: "
             text += "it hardly determines the forces; use a heavier weight, or wider angles"
             warnings.warn(text, McKibbenWarning, stacklevel=2)
@@ -169,6 +166,20 @@ class Sweeps:
             message = "no stiffness is attainable at all of the angles, with and without weight"
             raise ParameterError(message, remedy="give other angles, or a smaller weight")
         return low, high
+
+
+@jit
+def _loaded(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
+    return load.with_weight(mass, distance)
+
+
+@jit
+def _holding(joint: AntagonisticJoint, load: Load, loaded: Load, ends: Samples) -> tuple[Array, Array]:
+    """Friction torque [N*m] midway between the ends at the highest pressures, and the most that the weight adds."""
+    pressures = joint.muscle1.domain.pressure_max, joint.muscle2.domain.pressure_max
+    states = joint.update_state(joint.init_state(ends[0], pressures), ends.mean(), pressures)
+    friction = jnp.abs(joint.friction_torque(ends.mean(), None, pressures, states))
+    return friction, jnp.abs(loaded.gravity_torque(ends) - load.gravity_torque(ends)).max()
 
 
 @jit

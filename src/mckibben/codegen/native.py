@@ -365,7 +365,18 @@ def compile_native(
         return write_native(lambda vectors_given, _: function(*static, *vectors_given), vectors, ())
 
     compiled = NativeFunction(function, EXACT).cached((*static, *sizes), written)
-    return lambda *vectors: compiled.bound(vectors)()
+    ends = np.cumsum([math.prod(shape) for shape, _ in compiled.leaves]).tolist()
+    columns = zip(ends, compiled.leaves, strict=True)
+    parts = [(slice(end - math.prod(shape), end), shape, kind) for end, (shape, kind) in columns]
+
+    def compute(*vectors: NDArray[np.float64]) -> PyTree:
+        words, results = np.concatenate(vectors), np.empty(ends[-1])
+        compiled.run(b"", words.ctypes.data, results.ctypes.data, 1)
+        values = [(results[part].reshape(shape), kind) for part, shape, kind in parts]
+        leaves = [x if kind[1] == "f" else x.view(np.int64).astype(kind) for x, kind in values]
+        return jax.tree.unflatten(compiled.tree, leaves)
+
+    return compute
 
 
 class Written(NamedTuple):

@@ -46,7 +46,7 @@ class Sensor(Checked):
         read = truth + noise
         if self.resolution:
             read = np.rint(read / self.resolution) * self.resolution
-        return np.clip(read, _RAIL * self.channel.low, _RAIL * self.channel.high)
+        return np.minimum(np.maximum(read, _RAIL * self.channel.low), _RAIL * self.channel.high)  # as clip, sooner
 
 
 FORCE_SENSOR = Sensor(
@@ -249,9 +249,10 @@ class SimulatedBackend(Backend, abc.ABC):
             return
         since = np.arange(first, last) / self.rate
         at, noise = since + self._opened, self._noise.standard_normal((last - first, len(self.sensors)))
-        columns = zip(self.sensors, zip(*values, strict=True), noise.T, strict=True)
-        read = [sensor.values(np.interp(at, times, truth), white * sensor.noise) for sensor, truth, white in columns]
-        self._waiting.append(Block(first, since, np.stack(read, axis=1), self._positions(at)))
+        columns = zip(self.sensors, np.array(values).T, noise.T, strict=True)
+        knots = np.array(times)
+        read = [sensor.values(np.interp(at, knots, truth), white * sensor.noise) for sensor, truth, white in columns]
+        self._waiting.append(Block(first, since, np.array(read).T, self._positions(at)))
 
     def _take(self, count: int) -> Block:
         """Return the next samples of the buffer; `RigError` if they were overwritten."""
@@ -259,6 +260,8 @@ class SimulatedBackend(Backend, abc.ABC):
             message = f"samples were overwritten: the host did not read for more than {self._buffer:g} s"
             raise RigError(message, remedy="reopen the rig")
         first, self._next = self._next, self._next + count
+        if len(self._waiting) == 1 and len(self._waiting[0].time) == count:
+            return self._waiting.pop()
         times, values, positions = (np.concatenate(parts) for parts in list(zip(*self._waiting, strict=True))[1:])
         rest = Block(self._next, times[count:], values[count:], positions[count:])
         self._waiting = [rest] if len(rest.time) else []
