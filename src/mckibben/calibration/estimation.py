@@ -26,6 +26,7 @@ from mckibben.calibration.equations import (
     Halves,
     JointPrior,
     JointRecording,
+    Samples,
     corrected,
     creep_stiffness,
     halves_of,
@@ -316,11 +317,11 @@ _models = jit(jax.vmap(corrected, (None, 0)))
 
 
 @jit
-def _stiffness(problem: CalibrationProblem, z: Array, angle: Array, pressures: Pressures) -> tuple[Array, Array]:
+def _stiffness(problem: CalibrationProblem, z: Samples, angle: Samples, pressures: Pressures) -> tuple[Array, Array]:
     def stiffness(z: Array) -> Array:
         return corrected(problem, z).joint.evaluate(angle, pressures)[1]
 
-    return stiffness(z), jax.jacfwd(stiffness)(z)
+    return stiffness(jnp.asarray(z)), jax.jacfwd(stiffness)(jnp.asarray(z))
 
 
 @jit
@@ -412,7 +413,7 @@ def _solve(
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
     columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
-    angle, first, second = map(np.concatenate, columns)
+    angle, first, second = (np.concatenate(column) for column in columns)
 
     def stiffness(z: Floats) -> tuple[Floats, Floats]:
         values, slopes = _stiffness(problem, z, angle, (first, second))
