@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
 from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, Samples, sliding_from
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
@@ -168,9 +168,7 @@ class Sweeps:
         return low, high
 
 
-@jit
-def _loaded(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
-    return load.with_weight(mass, distance)
+_loaded = jit(Load.with_weight)
 
 
 @jit
