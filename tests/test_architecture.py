@@ -101,7 +101,7 @@ BUDGET = {
     "containment": 300,
     "contract": 650,
     "control": 2030,
-    "dataset": 3270,
+    "dataset": 3360,
     "experiment_design": 700,
     "export": 2370,
     "firmware": 150,

@@ -3,6 +3,7 @@
 
 import io
 from collections.abc import Callable
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -13,6 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from mckibben.dataset import read_dataset, read_recording
+from mckibben.dataset import text as texts
 
 from .conftest import C, F, P, are_the_points
 
@@ -200,3 +202,23 @@ def test_a_table_of_points_is_read_at_once(sheet, tmp_path):
     path = tmp_path / f"rig{ending}"
     path.write_bytes(content)
     are_the_points(read_dataset(path))
+
+
+@pytest.mark.parametrize("form", ["time_s,pressure_bar,force_N\n", "# rig\ntime_s;pressure_bar;force_N\r\n"])
+def test_a_table_of_numbers_is_read_in_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
+    monkeypatch.setattr(texts, "_CHUNK", 128)
+    numbers = np.random.default_rng(0).uniform(-9, 9, (400, 3)).round(3)
+    end = form.removeprefix(form.rstrip())
+    rows = [(";" if ";" in form else ",").join(map(str, row)) for row in numbers.tolist()]
+    path = tmp_path / "rig.csv"
+    path.write_bytes((form + end.join([*rows, ""])).encode())
+    plain = texts.read_numbers(path, {}, "")
+    assert plain is not None
+    by_line = texts.read_text(path.read_text(), path, {}, "")
+    np.testing.assert_array_equal([column.cells for column in plain.columns], numbers.T)
+    np.testing.assert_array_equal(plain.lines, by_line.lines)
+    assert [(column.name, column.unit) for column in plain.columns] == [(x.name, x.unit) for x in by_line.columns]
+    assert (plain.words, plain.decimal) == (by_line.words, by_line.decimal)
+    for damaged in (f"{rows[0]}x", "1.5", '"1",2,3', ""):
+        path.write_bytes((form + end.join([*rows, damaged, *rows])).encode())
+        assert texts.read_numbers(path, {}, "") is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,9 +15,11 @@ import numpy as np
 from mckibben.dataset.bags import MCAP, SQLITE, read_bag
 from mckibben.dataset.matlab import Value, read_variables
 from mckibben.dataset.raw import (
+    LARGEST_PLAIN,
     Budget,
     RawColumn,
     RawTable,
+    check_regular,
     hdf5_nodes,
     is_understood,
     not_installed,
@@ -25,7 +28,7 @@ from mckibben.dataset.raw import (
     several,
 )
 from mckibben.dataset.table import question
-from mckibben.dataset.text import decode, read_text
+from mckibben.dataset.text import decode, read_numbers, read_text
 from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
 
@@ -63,6 +66,9 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
         For a file that is missing, damaged, too large, or of a format that is not read; a known one has a remedy.
     """
     budget, is_folder = Budget(path), (path / "metadata.yaml").is_file()
+    plain = not is_folder and check_regular(path) <= LARGEST_PLAIN and os.access(path, os.R_OK)
+    if plain and (table := read_numbers(path, mapping, decimal)) is not None:
+        return table
     data = b"" if is_folder else read_bytes(path)
     if is_folder or data.startswith((MCAP, SQLITE)):
         return read_bag(path, data, part, mapping, budget)

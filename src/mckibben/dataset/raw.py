@@ -24,9 +24,11 @@ Floats = NDArray[np.float64]
 
 LARGEST = 2**27
 """Bytes of a file, and of its numbers."""
+LARGEST_PLAIN, MOST_PLAIN = 2**30, 3 * LARGEST
+"""Bytes of a text of numbers alone, which is read in chunks, and of its numbers: 12 million rows of four columns."""
 _ROWS = 1_500_000
 _COLUMNS = 1024
-LIMIT_REMEDY = "split the file, or save fewer rows and columns"
+LIMIT_REMEDY = "split the file, or save fewer rows and columns; a recording of numbers alone may have 12 million rows"
 FILES_REMEDY = "name its files, several for one test: DIR/*.csv, in Python sorted(Path('DIR').glob('*.csv'))"
 
 
@@ -80,7 +82,7 @@ class RawTable:
     """
 
     columns: list[RawColumn] = field(default_factory=list)
-    lines: Sequence[int] = ()
+    lines: Sequence[int] | NDArray[np.int64] = ()
     place: str = "row"
     words: list[tuple[int | None, str]] = field(default_factory=list)
     comments: dict[str, str] = field(default_factory=dict)
@@ -122,7 +124,7 @@ class Budget:
             (columns, _COLUMNS, "columns"),
         ):
             if amount > most:
-                text = f"has more than {most:,g} {what}"
+                text = f"has more than {most:,} {what}"
                 raise DatasetError(str(self.path), [Problem(text, remedy=LIMIT_REMEDY)])
 
 

@@ -17,7 +17,7 @@ from mckibben.dataset.file_names import add_from_name
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn
+from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
@@ -249,6 +249,7 @@ def _read_points(
         dataset = _own(IsobaricDataset, path, recipe)
         return dataset, dataset.table.attrs.pop("samples", "") == ""
     table, own = _understood(path, recipe, others, _POINTS, geometry)
+    Budget(path).spend(rows=len(table.lines))  # a longer recording is read as one
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
     table.ask(recipe.accept)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.raw import Budget, Floats, RawColumn, RawTable
+from mckibben.dataset.raw import MOST_PLAIN, Budget, Floats, RawColumn, RawTable
 from mckibben.dataset.table import question
 from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe\0\0", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _SEPARATORS = ("\t", ";", ",", "|", " ")
@@ -24,6 +28,8 @@ _SEARCHED = 300  # lines in which a header is looked for
 _SAMPLED = 5000  # rows that may determine the decimal sign
 _LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
+_CHUNK = 2**22  # bytes of a text of numbers that are read together
+_PLAIN = b"0123456789+-.eE,;|\t \r\n"  # bytes of its rows
 _STAMP = " -> "  # after the time that the monitor of the Arduino IDE puts before each line
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
 _HEAD = 3000  # characters with the header, whose cells may have line breaks
@@ -75,6 +81,75 @@ def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -
     return read_lines(lines, path, mapping, decimal)
 
 
+def read_numbers(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable | None:
+    """Columns of a text whose rows have numbers alone, read in chunks, as of `read_text`; None for any other file.
+
+    Raises a `DatasetError` if there are more numbers than may be read, or their decimal sign is not plain.
+    """
+    with path.open("rb") as file:
+        chunk = file.read(_CHUNK)
+        head = chunk[: chunk.rfind(b"\n", 0, 4 * _LONGEST) + 1]
+        if b"\0" in chunk or not head:
+            return None
+        text = decode(head, path).replace("\r\n", "\n").translate(_TYPOGRAPHY)
+        lines = text.split("\n")
+        if "\r" in text or _BROKEN.search(text[:_HEAD]) or lines[0].startswith("LabVIEW Measurement"):
+            return None
+        layout = find_layout(lines, mapping)
+        if layout is None or layout.separator == " " or _STAMP in layout.names[0]:
+            return None
+        table, separator, rows, at = RawTable(place="line", decimal=decimal), layout.separator, b"", 0
+        _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
+        names, units, first = _header(table, lines, layout)
+        most = 1 + chunk.count(b"\n") + sum(more.count(b"\n") for more in iter(lambda: file.read(_CHUNK), b"")) - first
+        Budget(path, MOST_PLAIN).spend(size=8 * most * len(names), columns=len(names))
+        values = np.empty((len(names), most))
+        file.seek(len(chunk))
+        for rows in _blocks(file, chunk.split(b"\n", first)[-1]):
+            count = _plain_rows(rows, separator, len(names))
+            if count and not table.decimal:
+                table.decimal = _decimal_of(rows.decode().split("\n"), separator, path)
+            try:
+                read = _frame(io.BytesIO(rows), separator, table.decimal, len(names), dtype=np.float64)
+                values[:, at : at + count] = read.to_numpy().T
+            except ValueError:
+                count = 0
+            if not count:
+                return None
+            at += count
+        file.seek(-1, os.SEEK_END)
+        whole = file.read() == b"\n"
+    table.lines = np.arange(first + 1, first + 1 + at)
+    for place, unit in enumerate(units):
+        _add_column(table, names, place, values[place, :at], unit)
+    if not whole:
+        _ask_of_cut(table, rows.decode().rsplit("\n", 50)[-50:])
+    return table
+
+
+def _blocks(file: BinaryIO, chunk: bytes) -> Iterator[bytes]:
+    """Rows of a file, from a chunk of it on, in blocks that end with a line."""
+    while more := file.read(_CHUNK):
+        block, _, chunk = chunk.rpartition(b"\n")
+        yield block
+        chunk += more
+    yield chunk.rstrip(b"\r\n")
+
+
+def _plain_rows(rows: bytes, separator: str, count: int) -> int:
+    """Number of rows of characters of numbers, each with a `count` of cells; 0 if there are others."""
+    if rows.translate(None, _PLAIN):
+        return 0
+    characters = np.frombuffer(rows, np.uint8)
+    ends = np.append(np.flatnonzero(characters == ord("\n")), characters.size)
+    marks = np.flatnonzero(characters == ord(separator))
+    if marks.size != ends.size * (count - 1):
+        return 0
+    begins, marks = np.append(-1, ends[:-1]), marks.reshape(ends.size, count - 1)
+    apart = np.all(marks[:, 0] > begins) and np.all(marks[:, -1] < ends) and np.all(ends - begins <= _LONGEST)
+    return ends.size if apart else 0
+
+
 def read_lines(
     lines: Sequence[str], path: Path, mapping: Mapping[str, str], decimal: str = "", settled: str = ""
 ) -> RawTable:
@@ -114,20 +189,36 @@ def read_lines(
     budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
     table.decimal = decimal or settled
     if not table.decimal:
-        sample = rows[:: 1 + len(rows) // _SAMPLED]
-        cells = [cell for line in sample for cell in _split(line, separator)]
-        table.decimal, unclear = decimal_sign(cells, separator)
-        if unclear:
-            raise DatasetError(str(path), [Problem(unclear, remedy=_DECIMAL_REMEDY)])  # nothing else can be read
+        table.decimal = _decimal_of(rows, separator, path)
     for at, column in enumerate(_cells(rows, separator, table.decimal, len(names), path)):
-        repeats = f" ({at + 1})" if names[at] in names[:at] else ""
         numbers, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
-        name = f"{names[at]}{repeats}" if names[at] else f"column {at + 1}"
-        table.columns.append(RawColumn(name, numbers, label=names[at], unit=units[at] or beside))
-    if table.lines[-1] == len(lines) and _is_cut(rows[-50:]):
-        text = "its last number has fewer digits than all others: was the file truncated?"
-        table.questions.append(question(text, "corrupt", line=len(lines)))
+        _add_column(table, names, at, numbers, units[at] or beside)
+    if table.lines[-1] == len(lines):
+        _ask_of_cut(table, rows[-50:])
     return table
+
+
+def _decimal_of(rows: Sequence[str], separator: str, path: Path) -> str:
+    """Decimal sign of rows; raises a `DatasetError` if it is not plain, as nothing else can be read."""
+    sample = rows[:: 1 + len(rows) // _SAMPLED]
+    decimal, unclear = decimal_sign([cell for line in sample for cell in _split(line, separator)], separator)
+    if unclear:
+        raise DatasetError(str(path), [Problem(unclear, remedy=_DECIMAL_REMEDY)])
+    return decimal
+
+
+def _add_column(table: RawTable, names: Sequence[str], at: int, cells: Floats | list[str], unit: str) -> None:
+    """Add the column of a header to a table."""
+    repeats = f" ({at + 1})" if names[at] in names[:at] else ""
+    name = f"{names[at]}{repeats}" if names[at] else f"column {at + 1}"
+    table.columns.append(RawColumn(name, cells, label=names[at], unit=unit))
+
+
+def _ask_of_cut(table: RawTable, rows: Sequence[str]) -> None:
+    """Question about the last number of a file, in the last of its rows."""
+    if _is_cut(rows):
+        text = "its last number has fewer digits than all others: was the file truncated?"
+        table.questions.append(question(text, "corrupt", line=int(table.lines[-1])))
 
 
 def _is_cut(rows: Sequence[str]) -> bool:
@@ -262,21 +353,9 @@ def _rows(table: RawTable, lines: Sequence[str], first: int, separator: str, nam
 
 def _cells(rows: Sequence[str], separator: str, decimal: str, count: int, path: Path) -> list[Floats | list[str]]:
     """Cells of each column: numbers where pandas reads all as such, else texts."""
-    import pandas as pd
-
+    quoting = csv.QUOTE_MINIMAL if all(row.count('"') % 2 == 0 for row in rows) else csv.QUOTE_NONE
     try:
-        read = pd.read_csv(
-            io.StringIO("\n".join(rows)),
-            sep=r"\s+" if separator == " " else separator,
-            header=None,
-            index_col=False,
-            names=range(count),
-            decimal=decimal,
-            na_filter=False,
-            skipinitialspace=True,
-            low_memory=False,
-            quoting=csv.QUOTE_MINIMAL if all(row.count('"') % 2 == 0 for row in rows) else csv.QUOTE_NONE,
-        )
+        read = _frame(io.StringIO("\n".join(rows)), separator, decimal, count, quoting=quoting)
     except ValueError as error:
         raise DatasetError(str(path), [Problem(f"cannot be split into cells: {error}")]) from None
     if len(read) != len(rows):
@@ -285,6 +364,26 @@ def _cells(rows: Sequence[str], separator: str, decimal: str, count: int, path: 
         read[at].to_numpy(np.float64) if read[at].dtype.kind in "iuf" else [str(cell).strip() for cell in read[at]]
         for at in range(count)
     ]
+
+
+def _frame(
+    stream: io.BytesIO | io.StringIO, separator: str, decimal: str, count: int, **options: object
+) -> pd.DataFrame:
+    """Cells of rows by pandas."""
+    import pandas as pd
+
+    return pd.read_csv(  # type: ignore[call-overload]
+        stream,
+        sep=r"\s+" if separator == " " else separator,
+        header=None,
+        index_col=False,
+        names=range(count),
+        decimal=decimal,
+        na_filter=False,
+        skipinitialspace=True,
+        low_memory=False,
+        **options,
+    )
 
 
 def _as_numbers(cells: Floats | list[str], decimal: str, *, certain: bool) -> tuple[Floats | list[str], str]:

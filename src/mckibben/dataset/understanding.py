@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -109,7 +110,7 @@ class _Reader:
         self.mapping = {str(key).strip(): name for key, name in (recipe.columns or {}).items()}
         lines = np.asarray(raw.lines, np.int64)
         self.table = Table(path, place=raw.place, lines=lines, interval=raw.interval, questions=raw.questions)
-        self.table.head = {column.name: column.cells[:4] for column in raw.columns}
+        self.table.head = {column.name: copy(column.cells[:4]) for column in raw.columns}
         self.table.units = {column.name: column.unit for column in raw.columns}
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
@@ -271,7 +272,9 @@ class _Reader:
             self.asked.append(Question(problem))
             return
         else:
-            values = (gain * self._numbers(column, name) + offset) * si_factor(header)
+            values = gain * self._numbers(column, name)
+            values += offset  # in place, as there may be ten million
+            values *= si_factor(header)
         remarks = [] if offset == 0 and abs(gain) == 1 else [f"{gain:g} x {offset:+g}"]
         remarks += ["sign reversed"] * (gain < 0)
         if self._is_absolute(header) and self.recipe.ambient is not None:
@@ -304,7 +307,7 @@ class _Reader:
         """Numbers of a column; cells that are none are corrupt."""
         cells = column.cells
         texts = [] if isinstance(cells, np.ndarray) else cells
-        values = to_numbers(texts, self.raw.decimal, certain=bool(self.recipe.decimal)) if texts else np.array(cells)
+        values = to_numbers(texts, self.raw.decimal, certain=bool(self.recipe.decimal)) if texts else np.asarray(cells)
         wrong = ~np.isfinite(values)
         if name in ("set_pressure", "set_force") and texts:
             wrong &= [bool(cell.strip()) for cell in texts]
