@@ -92,7 +92,7 @@ def test_the_muscle_never_pushes_and_stays_in_its_band(path):
     force = FRICTION.path_response(*path, side=1.0)
     band = smooth_limit(12 + (pressure - 3 * bar) / bar, tension, np)
     assert np.all(np.abs(force) <= band * (1 + 1e-9) + 1e-12)
-    assert np.all(band <= tension / 2 + 1e-12)
+    assert np.all(band <= tension + 1e-12)
     assert np.all(force[tension == 0] == 0)
 
 
@@ -112,7 +112,7 @@ def test_the_band_grows_with_pressure_and_ends_at_none():
     assert float(FRICTION.half_width_at(0.0, 3 * bar)) == 0.0
     growing = dataclasses.replace(FRICTION, tension_growth=0.02, reference_tension=200.0)
     np.testing.assert_allclose(growing.half_width_at([100.0, 300.0], 3 * bar), [10, 14], rtol=1e-3)
-    assert float(FRICTION.half_width_at(48.0, 3 * bar)) == pytest.approx(12 * np.tanh(2))
+    assert float(FRICTION.half_width_at(48.0, 3 * bar)) == pytest.approx(12 * np.tanh(4))
 
 
 def test_viscous_friction_is_linear_until_the_muscle_would_push():

@@ -39,7 +39,7 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
 
     def moved(length, before, tension, pressure, deflection):
         width = 12 + 0.5 * (pressure - 3e5) / 1e5
-        limit = width * math.tanh(tension / (2 * width))
+        limit = width * math.tanh(tension / width)
         return [
             max(-w * limit / k, min(w * limit / k, x + length - before))
             for x, w, k in zip(deflection, shares, stiffnesses, strict=True)
@@ -54,7 +54,7 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
             stuck = sum(k * x for k, x in zip(stiffnesses, kept[i], strict=True))
             rate = -sign * arms[i] * velocity
             width = 12 + 0.5 * (pressure - 3e5) / 1e5
-            most = tension - width * math.tanh(tension / (2 * width))  # the muscle never pushes
+            most = tension - width * math.tanh(tension / width)  # the muscle never pushes
             viscous = max(-most, min(most, SLIP.viscous * rate))
             torque += sign * arms[i] * (tension + stuck + viscous)
         return (torque + paper.G * math.sin(math.pi / 6 - angle) - damping * velocity) / paper.inertia, kept

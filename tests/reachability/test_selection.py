@@ -216,13 +216,13 @@ def gravity_excess(plant, need):
 
 
 def test_friction_takes_its_torque():
-    """The band of the working muscle is nearly its half width, that of the other one half of its tension, 5 N."""
+    """The band of the working muscle is nearly its half width, that of the other one nearly its tension, 5 N."""
     ten = catalog_makes()[0]
     rubbing = Muscle(ten.muscle.specimen, ten.muscle.law, mk.MaxwellSlip(12.0, 0.5 * mm))
     need = dataclasses.replace(NEED, stiffness=None, torque=0.0)
     plain, found = (size(need, [Make("ten", muscle, 0.0)]).best for muscle in (ten.muscle, rubbing))
     lost = gravity_excess(found.plant, need) - found.torque[1]
-    assert lost == pytest.approx((12.0 + 12.0 * np.tanh(5.0 / 24.0)) * found.lengths["radius"], rel=1e-3)
+    assert lost == pytest.approx((12.0 + 12.0 * np.tanh(5.0 / 12.0)) * found.lengths["radius"], rel=1e-3)
     assert found.lengths["muscle_length"] >= plain.lengths["muscle_length"] and found.torque[1] >= need.reserve
 
 
@@ -238,7 +238,7 @@ def test_friction_is_that_of_the_highest_pressure_and_speed():
     highest = 7.0 + 60 * (5.4 - 3.5)
     assert 0.8 * highest < lost[0] < highest
     damping = 100.0 * second.lengths["radius"] * np.pi / 6 * np.pi
-    band = 12.0 * np.tanh(5.0 / 24.0)
+    band = 12.0 * np.tanh(5.0 / 12.0)
     opposing = band + min(damping, 5.0 - band)  # a muscle under 5 N never pushes
     assert lost[1] == pytest.approx(12.0 + damping + opposing, rel=1e-2)
 

@@ -24,7 +24,7 @@ from mckibben.identification.fit import Fit
 from mckibben.identification.grouping import RESOLUTION, at_fixed_lengths, measured_weights, neighbours_apart
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
-from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, laws_from, smooth_refit
 from mckibben.identification.summary import (
     CONTRACTION_NOISE,
@@ -107,21 +107,9 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
     check_design(taut)
     points = _within_validity(law_type, taut)
-    refit, simpler = None, ""
-    if smooth:
-        eq2 = FitProblem.of(ExponentialLaw, points)
-        start = solve(eq2, grid_search(eq2)).position
-        kinds = SMOOTH_LAWS if law_type is SmoothLaw else laws_from(law_type)
-        solution, simpler = fit_smooth(kinds, points, np.ones(len(points), bool), start)
-        law_type = solution.problem.law_type
-        refit = smooth_refit(() if simpler else laws_from(law_type), points, start)
-    else:
-        problem = FitProblem.of(law_type, points)
-        solution = solve(problem, grid_search(problem))
-        if (weights := measured_weights(problem.law(solution.values), points)).std():
-            problem = problem.weighted(weights)
-            solution = solve(problem, solution.position)
-    problem, parameters = solution.problem, law_type.parameters()
+    solution, refit, simpler = _solved(law_type, points)
+    problem, law_type = solution.problem, solution.problem.law_type
+    parameters = law_type.parameters()
     at_bound = solution.at_bound
     _check_determined(problem, solution, at_bound, points)
     if at_bound.all():
@@ -170,6 +158,29 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         regression=regression,
         outliers=outliers,
     )
+
+
+def _solved(law_type: type[ForceLaw], points: IsobaricDataset) -> tuple[Solution, Refit | None, str]:
+    """Solution, for smooth laws its refit to parts of the points, and why Eq. 2 is enough, if it is."""
+    if law_type in SMOOTH_LAWS:
+        eq2 = FitProblem.of(ExponentialLaw, points)
+        start = solve(eq2, grid_search(eq2)).position
+        kinds = SMOOTH_LAWS if law_type is SmoothLaw else laws_from(law_type)
+        solution, simpler = fit_smooth(kinds, points, np.ones(len(points), bool), start)
+        kinds = () if simpler else laws_from(solution.problem.law_type)
+        return solution, smooth_refit(kinds, points, start), simpler
+    problem = FitProblem.of(law_type, points)
+    solution = solve(problem, grid_search(problem))
+    if (weights := measured_weights(problem.law(solution.values), points)).std():
+        problem = problem.weighted(weights)
+        solution = solve(problem, solution.position)
+    return solution, None, ""
+
+
+def law_of(law_type: type[ForceLaw], points: IsobaricDataset) -> ForceLaw:
+    """Law of the taut points by least squares, without the checks and errors of `fit_means`."""
+    solution = _solved(law_type, _within_validity(law_type, points.taut))[0]
+    return solution.problem.law(solution.values)
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:

@@ -14,7 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
 from mckibben.identification.fit import warning_texts
-from mckibben.identification.fitting import check_law_type, fit_law
+from mckibben.identification.fitting import check_law_type, fit_law, law_of
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
 from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights
 from mckibben.identification.least_squares import UnitCube
@@ -246,7 +246,7 @@ def identify_hysteresis(
     if form is not None and (missing := model.missing(form)):
         message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
-    model, start = _started(model, half_gap, law, robust)
+    model, start = _started(model, half_gap, law)
     notes = [*left_out(outliers)]
     for name in _shapes_at_bound(model.template) & set(of_law):
         of_law = tuple(other for other in of_law if other != name)
@@ -271,7 +271,7 @@ def identify_hysteresis(
 
 
 def _started(
-    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw], robust: bool, *, rounds: int = 2
+    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw], *, rounds: int = 2
 ) -> tuple[PathDependentModel, dict[str, float]]:
     """Model and start of the fits, from alternate fits of the friction and of a law."""
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(model.paths.step))}
@@ -280,7 +280,7 @@ def _started(
         friction = model.components(start)[1]
         corrected = IsobaricDataset(model.means.table.assign(force=("point", model.means.force - friction)))
         try:
-            model = dataclasses.replace(model, template=fit_law(law_type, corrected, robust=robust).law)
+            model = dataclasses.replace(model, template=law_of(law_type, corrected.select(model.used)))
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
         model, start = _branched(model, start)

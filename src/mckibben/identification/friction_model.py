@@ -6,6 +6,7 @@ import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -23,9 +24,9 @@ from mckibben.identification.estimator import (
     unidentifiable,
 )
 from mckibben.identification.grouping import finest_grouping, group_labels
-from mckibben.identification.least_squares import design_matrix
+from mckibben.identification.least_squares import FitProblem
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, moving_rates
-from mckibben.muscle import ForceLaw, MaxwellSlip, forces
+from mckibben.muscle import ForceLaw, MaxwellSlip
 from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
 
@@ -151,7 +152,7 @@ class PathDependentModel:
 
     def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
         """Tension of the law and friction force [N] at each row, shape (rows,)."""
-        tension = self._tension(values)
+        tension = self._tension(values)[0]
         return tension, self._friction(tension[:, None], [values])[:, 0]
 
     def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
@@ -172,10 +173,9 @@ class PathDependentModel:
         -------
         Shape (points used, names and drift amplitudes).
         """
-        tension = self._tension(values)
+        tension, columns = self._tension(values)
         of_law = [name for name in names if name in self.law_names]
-        columns = design_matrix(self.law(values), of_law, self.means.contraction, self.means.pressure)
-        columns = columns * (tension > 0)[:, None]
+        columns = columns[:, [self._problem.names.index(name) for name in of_law]] * (tension > 0)[:, None]
         others = [name for name in names if name not in self.law_names]
         # All difference quotients of the friction in one pass along the paths.
         by_law = tension_step / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
@@ -197,8 +197,16 @@ class PathDependentModel:
         slopes[:, : len(of_law)] += columns
         return (self.weights[:, None] * np.concatenate([slopes, self.drift.points], axis=1))[self.used]
 
-    def _tension(self, values: Mapping[str, float]) -> Floats:
-        return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)
+    @cached_property
+    def _problem(self) -> FitProblem:
+        constants = {p.name: float(getattr(self.template, p.name)) for p in type(self.template).constants}
+        return dataclasses.replace(FitProblem.of(type(self.template), self.means), constants=constants)
+
+    def _tension(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
+        """Tension of the law [N] at each row, and its derivatives by all parameters, shape (rows, parameters)."""
+        own = [values[name] if name in values else getattr(self.template, name) for name in self._problem.names]
+        rows = self._problem.columns_and_residuals(np.array(own, np.float64))[:, : len(self.means)]
+        return np.maximum(self.means.force - rows[-1], 0.0), rows[:-1].T
 
     def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""

@@ -137,11 +137,11 @@ class MaxwellSlip(Friction):
     .. math::
 
         f = \sum_i \mathrm{clip}\big(k_i (l - a_i),\ \pm w_i A\big), \qquad a_i \leftarrow l - f_i/k_i,
-        \qquad A = B \tanh\frac{T}{2B}, \quad B = B_0 + B_1 (p - p_0) + B_2 (T - T_0)
+        \qquad A = B \tanh\frac{T}{B}, \quad B = B_0 + B_1 (p - p_0) + B_2 (T - T_0)
 
     The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A` of
-    the band is at most half the law's tension :math:`T`, so the muscle never pushes; the model is dissipative for any
-    path of length and pressure. The parameters of the elements follow from their number: their sum is the polygon
+    the band is below the law's tension :math:`T`, so the muscle never pushes; the model is dissipative for any path of
+    length and pressure. The parameters of the elements follow from their number: their sum is the polygon
     nearest to :math:`f = B(1 - e^{-2s/s_0})`, the response of an unstressed muscle to a displacement s (within 1.1 % of
     B with six). The part that follows the rate of the length, without presliding, is
 
@@ -350,8 +350,8 @@ def play_response(
 def smooth_limit(width: Any, tension: Any, xp: ModuleType) -> Any:
     """Half width A [N] of the band for B [N] at a tension [N], in NumPy or `jax.numpy`; zero for B or T below 0."""
     width = xp.maximum(width, _LEAST)
-    # tanh(T/2B) by one exponential, in half the time
-    return width * (2 / (1 + xp.exp(xp.minimum(-tension / width, 0.0))) - 1)
+    # tanh(T/B) by one exponential, in half the time
+    return width * (2 / (1 + xp.exp(xp.minimum(-2 * tension / width, 0.0))) - 1)
 
 
 class Polygon(NamedTuple):

@@ -159,9 +159,9 @@ class Muscle(Component):
     def force(self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Float[Array, "..."]:
         """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0; the arguments broadcast.
 
-        Friction and creep of an internal state contribute at most half of the law's force each. Except inside
-        `jax.jit`, a `DomainWarning` is issued outside the domain, where the law is extrapolated, and a warning for
-        pressures up to 1 kPa, which were probably given in bar.
+        An internal state adds friction, within the law's force, and creep, within half of it. Except inside `jax.jit`,
+        a `DomainWarning` is issued outside the domain, where the law is extrapolated, and a warning for pressures up to
+        1 kPa, which were probably given in bar.
         """
         warn_outside((self, contraction, pressure))
         return self.tension(contraction, pressure, state)
@@ -174,7 +174,9 @@ class Muscle(Component):
         if state.friction:
             length = self.specimen.length_at(contraction)
             total = total + self.friction.force(state.friction, length, tension, pressure)
-        return total + self.creep_force(contraction, tension, state) if state.creep else total
+        if state.creep:
+            total = total + self.creep_force(contraction, tension, state)
+        return jnp.maximum(total, 0.0) if state.friction and state.creep else total
 
     def creep_force(self, contraction: ArrayLike, tension: ArrayLike, state: MuscleState) -> Float[Array, "..."]:
         """Return the force [N] of creep at a contraction [-] and the law's tension [N] there."""
@@ -188,10 +190,9 @@ class Muscle(Component):
         self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike, state: MuscleState = NO_STATE
     ) -> Float[Array, "..."]:
         """Return the viscous force [N] at a rate of the length [m/s]; the sum with `force` is never below 0."""
-        tension = self.tension(contraction, pressure)
-        if state.creep:  # friction may use half of the tension; negative creep reduces the other half
-            tension = tension + 2 * jnp.minimum(self.creep_force(contraction, tension, state), 0.0)
-        return self.friction.viscous_force(self.specimen.length_at(contraction), tension, pressure, rate)
+        tension, length = self.tension(contraction, pressure), self.specimen.length_at(contraction)
+        force = self.friction.viscous_force(length, tension, pressure, rate)
+        return jnp.maximum(force, -self.tension(contraction, pressure, state)) if state.creep else force
 
     def state_rate(self, state: MuscleState, rate: ArrayLike, pressure: ArrayLike) -> MuscleState:
         """Return the time derivative of the state at a rate of the length [m/s] and a gauge pressure [Pa].

@@ -82,8 +82,8 @@ def test_the_rated_force_is_never_exceeded(measured):
 
 def test_slack_is_known(measured):
     slack = np.asarray(MUSCLE.tension(measured.contraction, measured.levels)) == 0
-    clear = np.abs(np.asarray(MUSCLE.law.force(measured.contraction, measured.levels))) > 3  # beyond the offsets
-    assert slack[clear].sum() > 200
+    clear = np.abs(np.asarray(MUSCLE.law.force(measured.contraction, measured.levels))) > 8  # beyond friction
+    assert slack[clear].sum() > 100
     np.testing.assert_array_equal(measured.slack[clear], slack[clear])
     assert measured.table.attrs["slack_force"] == pytest.approx(5 * 0.5 / np.sqrt(100))
 
@@ -96,7 +96,7 @@ def test_a_muscle_brings_its_own_friction():
     share = data.force - plain.force
     far = (data.levels == 6 * bar) & (data.contraction > 0.05) & (data.contraction < 0.18)
     loading = data.table["direction"].to_numpy() == "loading"
-    np.testing.assert_allclose(np.abs(share[far]), 11 * np.tanh(plain.force[far] / 22), rtol=1e-9)
+    np.testing.assert_allclose(np.abs(share[far]), 11 * np.tanh(plain.force[far] / 11), rtol=1e-9)
     assert np.all(share[far & loading] > 0) and np.all(share[far & ~loading] < 0)
     assert repr(own) in data.table.attrs["source"]
 

@@ -32,7 +32,7 @@ class SimulatedIsobaricTest(Checked):
 
     with the friction :math:`f` of the muscle, its creep :math:`c`, and the drift :math:`d` of the force sensor. Creep
     goes on while the rig waits and samples; each pressure begins with a relaxed muscle. A muscle without friction
-    is given a `MaxwellSlip` within the band :math:`\pm B \tanh(T/2B)`, which fades with the tension, so that
+    is given a `MaxwellSlip` within the band :math:`\pm B \tanh(T/B)`, which fades with the tension, so that
     the force is positive (T + f is at least T/2); that form is ours, and reaches 96 % of the band at T = 4B. The device
     is adjusted before each pressure so that the first plateau is reached by stretching. Every loop is then closed, as
     measured ones are: the first plateaus after a reversal still lie on the side of the previous pass. This biases a
