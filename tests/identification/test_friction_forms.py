@@ -44,7 +44,7 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
                 damping = np.where(side > 0, *DAMPING[kind])
                 friction = np.clip(damping * side * speed, -tension, tension)
             else:
-                friction = side * np.minimum(HALF_WIDTHS[kind](contraction, pressure, tension), tension / 2)
+                friction = side * np.minimum(HALF_WIDTHS[kind](contraction, pressure, tension), tension)
             force = tension + friction + noise * rng.standard_normal(len(time)) + drift / 3600 * time
             if clipped:
                 force = np.where(tension > 0, np.maximum(force, 0), 0.0)

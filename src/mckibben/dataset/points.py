@@ -150,7 +150,7 @@ def extracted_points(
         If most forces are negative, and do not rise with the pressure.
     """
     spread = np.asarray(columns.pop("force_spread"), np.float64)
-    attrs = {name: value for name, value in table.attrs.items() if name not in OF_FILE}
+    attrs = {name: value for name, value in table.attrs.items() if name not in (*OF_FILE, "preprocessing")}
     points = IsobaricDataset.of(**columns, **attrs).table  # type: ignore[arg-type]
     points = points.assign(force_spread=("point", spread)).assign_attrs(table.attrs)
     notes = [*account.notes]

@@ -100,7 +100,8 @@ def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     """
     rate, pressure = sample_rate(table), table["pressure"].to_numpy()
     rows = np.arange(len(pressure))
-    if not rate or "set_pressure" in table or np.isfinite(pressure_levels(pressure)).all():
+    counts = np.unique(pressure_levels(pressure), return_counts=True, equal_nan=False)[1]
+    if not rate or "set_pressure" in table or counts.min(initial=_FEWEST) >= _FEWEST:
         return table, rows, []
     held = np.zeros(len(pressure), bool)
     segments = steady_segments([(pressure, _LEVEL)], _restarts(table), int(rate))
@@ -155,7 +156,8 @@ def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     nominal, counts = np.unique(levels[np.isfinite(levels)], return_counts=True)
     exact = len(np.unique(pressure)) == len(nominal)
     nominal, counts = nominal[counts >= _FEWEST], counts[counts >= _FEWEST]
-    if "set_pressure" in table or exact or 2 * counts.sum() <= len(pressure):
+    unheld = exact or 2 * counts.sum() <= len(pressure) or held_loads(table) is not None
+    if "set_pressure" in table or unheld:
         return table, []
     levels = np.where(np.isin(levels, nominal), levels, np.nan)
     scatter = float(np.nanstd(pressure - levels)) / bar

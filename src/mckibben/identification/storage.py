@@ -33,7 +33,7 @@ _COLUMNS = ("pressure", "contraction", "force", "set_pressure", "set_force", "di
 class _FitPoints(ConfigModel):
     """Points of a fit, one value of each column per point, and the scales of its prior."""
 
-    model_config = ConfigDict(strict=False)
+    model_config = ConfigDict(strict=False, ser_json_inf_nan="strings")  # a pressure without a level is NaN
 
     slack_force: float
     pressure: list[float]
