@@ -22,20 +22,10 @@ from mckibben.identification import fit_law
 from mckibben.result import Severity
 from mckibben.units import bar, deg, mm
 
-KINDS = (
-    "one load",
-    "one pressure",
-    "one length",
-    "curve",
-    "no pressure",
-    "noisy pressure",
-    "two near loads",
-    "two near pressures",
-    "two near lengths",
-    "proportional",
-    "one loop",
-    "one other load",
-)
+KINDS = [
+    *("one load", "one pressure", "one length", "curve", "no pressure", "noisy pressure", "two near loads"),
+    *("two near pressures", "two near lengths", "proportional", "one loop", "one other load"),
+]
 
 
 def muscle(rng):

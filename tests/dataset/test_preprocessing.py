@@ -184,6 +184,19 @@ def test_scatter_about_one_pressure_is_one_level_and_determines_nothing_of_the_p
     assert caught.value.field == "pressure"
 
 
+def test_samples_in_which_the_pressure_changes_are_no_levels(tmp_path):
+    """Strokes at three pressures at 10 Hz, with two samples in each change of the pressure."""
+    once = np.concatenate([np.zeros(30), np.linspace(0, 0.1, 100), np.linspace(0.1, 0, 100), np.zeros(30)])
+    pressure = np.repeat([2.0, 3.0, 4.0], len(once))
+    for change in (1, 2):
+        pressure[change * len(once) - 1 : change * len(once) + 1] += 0.3, -0.3
+    force = 150 * pressure * (1 - np.tile(once, 3) / 0.3) ** 2
+    rows = np.transpose([0.1 * np.arange(len(force)), pressure, 250 * (1 - np.tile(once, 3)), force])
+    np.savetxt(tmp_path / "a.csv", rows, "%.4f", ",", header="time_s,pressure_bar,length_mm,force_N", comments="")
+    data = read_dataset(tmp_path / "a.csv", initial_length=LENGTH)
+    assert data.pressures.tolist() == [2e5, 3e5, 4e5] and len(data.directions) == 2
+
+
 def test_passes_need_reversals():
     up = np.linspace(0, 0.2, 10)
     one = np.zeros(30, int)

@@ -97,8 +97,9 @@ def test_directions_follow_from_the_order_of_the_rows_at_each_load(tmp_path):
     known = hanging_weights(6.0)
     rows = zip(known.pressure / bar, 260 * (1 - known.contraction), known.force, strict=True)
     path = tmp_path / "weights.csv"
-    path.write_text("\n".join(["pressure_bar,length_mm,load_N", *(",".join(map(str, row)) for row in rows)]))
-    read = read_dataset(path, initial_length=260 * mm)
+    path.write_text("\n".join(["pressure_bar,length_mm,hung", *(",".join(map(str, row)) for row in rows)]))
+    read = read_dataset(path, columns={"hung": "set_force_N"}, initial_length=260 * mm)
+    assert "set_pressure" not in read.table  # a sweep has no levels
     same = read.table["direction"].to_numpy() == known.table["direction"].to_numpy()
     assert np.count_nonzero(~same) <= 4  # the first row after each reversal, where the muscle still shortens
 
@@ -167,7 +168,11 @@ def test_one_load_gives_a_table_though_no_law(table):
         fit_law(ExponentialLaw, one)
     alone = inverse_table(one)
     assert alone.pressure_for(0.25, 60.0, "loading") == table.pressure_for(0.25, 60.0, "loading")
-    assert np.isnan(alone.load_rmse)
+    assert np.isnan(alone.load_rmse) and alone.directed
+    undirected = inverse_table(IsobaricDataset(one.table.drop_vars("direction")))
+    both = [undirected.pressure_for(0.25, 60.0, word) for word in ("loading", "unloading")]
+    ends = [table.pressure_for(0.25, 60.0, word) for word in ("loading", "unloading")]
+    assert not undirected.directed and both[0] == both[1] and min(ends) < both[0] < max(ends)
 
 
 def test_loads_that_are_not_held_are_refused():

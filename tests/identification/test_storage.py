@@ -46,11 +46,12 @@ def test_repeats_and_directions_of_the_points_come_back(tmp_path):
     chart = catalog.dataset("festo-tool-10mm")
     columns = {name: np.tile(chart.table[name].to_numpy(), 2) for name in ("pressure", "contraction", "force")}
     repeat = np.repeat([0, 1], len(chart))
-    direction = np.where(repeat, "unloading", "loading")
-    fit = fit_law(ExponentialLaw, IsobaricDataset.of(**columns, repeat=repeat, direction=direction))
+    labels = {"repeat": repeat, "direction": np.where(repeat, "unloading", "loading")}
+    labels["set_pressure"] = np.where(columns["pressure"] > 3 * bar, np.nan, columns["pressure"])
+    fit = fit_law(ExponentialLaw, IsobaricDataset.of(**columns, **labels))
     fit.to_yaml(tmp_path / "fit.yaml")
     points = Fit.from_yaml(tmp_path / "fit.yaml").require_regression().points
-    for name in ("repeat", "direction"):
+    for name in labels:
         np.testing.assert_array_equal(points.table[name], fit.require_regression().points.table[name])
 
 

@@ -97,8 +97,9 @@ class _Entry(NamedTuple):
     offset: float = 0.0
 
     def without_sensor(self) -> _Entry:
-        """The entry where no column is a force: a weight that hangs is."""
-        hung = self.header.quantity == "set_force" and _MASS.search(self.column.name)
+        """The entry where no column is a force: a weight that hangs is, or a load that the recipe names."""
+        named = self.source == "columns" or _MASS.search(self.column.name)
+        hung = named and self.header.quantity == "set_force"
         return self._replace(header=self.header._replace(quantity="force")) if hung else self
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,7 +18,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Floats
-from mckibben.result import Result, column
+from mckibben.result import Remark, Result, column
 from mckibben.storage.files import atomic_write
 from mckibben.units import show
 
@@ -34,6 +35,8 @@ class InverseTable(Result):
         RMSE of the pressure [Pa] at points that are left out: of one repeat after the other, or every fifth point.
     load_rmse
         The same at inner loads that are left out [Pa]; NaN with fewer than three loads.
+    directed
+        Whether the directions were known; else both have the mean pressures.
     """
 
     files: ClassVar = ("inverse.csv", "inverse.h")
@@ -44,11 +47,18 @@ class InverseTable(Result):
     pressure: Floats = column("Pa", "pressure", "bar", digits=5)
     rmse: float = column("Pa", "RMSE at held-out points", "bar", digits=3, default=np.nan)
     load_rmse: float = column("Pa", "RMSE at held-out loads", "bar", digits=3, default=np.nan)
+    directed: bool = True
 
     def verdict(self) -> str:
         """Return loads and error."""
         loads = ", ".join(f"{load:.4g}" for load in np.unique(self.load))
         return f"pressure over contraction at {loads} N: {show(self.rmse, 'bar', 3)} at held-out points (RMSE)"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return a warning of unknown directions."""
+        if not self.directed:
+            text = "the directions are not known: the pressures are the same for shortening and lengthening"
+            yield Remark.warning("direction", text, "give the direction of each point, or rows in the order of the test")
 
     def pressure_for(self, contraction: ArrayLike, load: ArrayLike, direction: str) -> Floats:
         """Return the gauge pressure [Pa] at contractions [-] and loads [N], linear in both; they broadcast.
@@ -97,7 +107,7 @@ def inverse_table(dataset: IsobaricDataset, *, folds: int = 5) -> InverseTable:
     Raises
     ------
     IdentificationError
-        If loads or directions are not known.
+        If the loads are not known.
 
     Examples
     --------
@@ -113,17 +123,19 @@ def inverse_table(dataset: IsobaricDataset, *, folds: int = 5) -> InverseTable:
     array([150000., 200000.])
     """
     means = dataset.plateau_means()
-    loads, unknown = held_loads(means.table), "loads that were held"
-    if loads is None or "direction" not in means.table:
-        raise IdentificationError(
-            f"the {'directions' if loads is not None else unknown} are not known",
-            remedy="give the loads (set_force_N) and the direction of each point, or rows in the order of the test",
-        )
-    columns = {"contraction": means.contraction, "pressure": means.pressure}
-    points = pd.DataFrame({"load": loads, "direction": means.table["direction"].to_numpy(), **columns})
-    repeats = means.table["repeat"].to_numpy() if len(means.repeats) > 1 else np.arange(len(points)) % folds
-    inner = np.where((loads > loads.min()) & (loads < loads.max()), loads, np.nan)
-    return dataclasses.replace(_table(points), rmse=_held_out(points, repeats), load_rmse=_held_out(points, inner))
+    loads = held_loads(means.table)
+    if loads is None:
+        remedy = "give the loads (set_force_N), or rows in the order of the test"
+        raise IdentificationError("the loads that were held are not known", remedy=remedy)
+    points = pd.DataFrame({"load": loads, "contraction": means.contraction, "pressure": means.pressure})
+    points["part"] = means.table["repeat"].to_numpy() if len(means.repeats) > 1 else np.arange(len(points)) % folds
+    if known := "direction" in means.table:
+        points["direction"] = means.table["direction"].to_numpy()
+    else:
+        points = pd.concat([points.assign(direction=word) for word in ("unloading", "loading")], ignore_index=True)
+    inner = points["load"].where((points["load"] > loads.min()) & (points["load"] < loads.max())).to_numpy()
+    errors = {"rmse": _held_out(points, points["part"].to_numpy()), "load_rmse": _held_out(points, inner)}
+    return dataclasses.replace(_table(points), directed=known, **errors)
 
 
 def _held_out(points: pd.DataFrame, parts: np.ndarray) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError, RangeError, printable
 from mckibben.identification.estimator import Bools
 from mckibben.identification.fit import Fit
@@ -43,7 +44,8 @@ class ErrorStatistics:
 class Validation(Result):
     """Errors of laws at the taut points of a dataset.
 
-    Per law: over all points, per direction, per pressure, and per pressure and direction.
+    Per law: over all points, per direction, and but for tests at constant loads per pressure, and per pressure and
+    direction.
     """
 
     errors: tuple[ErrorStatistics, ...]
@@ -148,7 +150,8 @@ def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None,
     directions = points.table["direction"].to_numpy() if "direction" in points.table else None
     known = [str(d) for d in np.unique(directions)] if directions is not None else []
     levels = points.levels
-    for pressure in (None, *points.pressures.tolist()):
+    pressures = points.pressures.tolist() if held_loads(points.table) is None else []  # weights have no levels
+    for pressure in (None, *pressures):
         at = np.ones(len(points), bool) if pressure is None else levels == pressure
         yield pressure, None, at
         for direction in known:
