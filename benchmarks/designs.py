@@ -56,10 +56,8 @@ def places(kind, force, rng):
             pressure = np.tile(np.append(pressure[::2], pressure[::-2]), 3)
             load, rubbing = np.full(len(pressure), load[0]), np.full(len(pressure), rng.uniform(0.002, 0.02) * largest)
             rubbing *= np.sign(np.gradient(pressure))
-        contraction = np.array(
-            [brentq(lambda e, p=p, f=f: force(e, p) - f, -0.5, 0.6) for p, f in zip(pressure, load + rubbing)]
-        )
-        return contraction, pressure, load
+        held = zip(pressure, load + rubbing, strict=True)
+        return np.array([brentq(lambda e, p=p, f=f: force(e, p) - f, -0.5, 0.6) for p, f in held]), pressure, load
     if kind in ("one pressure", "noisy pressure", "two near pressures"):
         pressure = np.full(count, rng.uniform(3, 6) * bar) * np.where(some & ("two" in kind), near, 1.0)
     elif kind in ("one length", "two near lengths"):

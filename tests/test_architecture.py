@@ -105,7 +105,7 @@ BUDGET = {
     "experiment_design": 700,
     "export": 2370,
     "firmware": 150,
-    "identification": 3760,
+    "identification": 3620,
     "joint": 1200,
     "robot": 4890,
     "muscle": 1620,

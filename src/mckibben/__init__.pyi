@@ -47,7 +47,6 @@ from .identification import (
     Fit as Fit,
     FitWithFriction as FitWithFriction,
     identify_hysteresis as identify_hysteresis,
-    identify_pooled as identify_pooled,
     rank as rank,
     read_law as read_law,
     validate as validate,

@@ -226,7 +226,7 @@ def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, option
     assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
 
 
-@pytest.mark.parametrize(("options", "named"), [(("creep", "--pool"), "--pool"), (("heat",), "heat")])
+@pytest.mark.parametrize(("options", "named"), [(("creep", "--inner", "20 mm"), "--inner"), (("heat",), "heat")])
 def test_mistakes_are_explained(cli, options, named):
     refused = cli("identify", "points.csv", "--of", *options)
     assert (refused.code, refused.out) == (2, "") and named in refused.err

@@ -50,7 +50,7 @@ def files(tmp_path, shortened):
         (("identify", "dmsp-10-250-martens207"), "did you mean 'dmsp-10-250-martens2017'?"),
         (("identify", FESTO, "--column", "force_N"), "--column 'force_N'"),
         (("identify", FESTO, "--friction", "coulombic"), "take auto, on, off, coulomb"),
-        (("identify", FESTO, "--pool", "--law", "all"), "--pool"),
+        (("identify", FESTO, "--friction", "on", "--law", "all"), "--friction"),
         (("validate", "nobody", FESTO), "there is no law 'nobody'; give a fit file"),
         (("validate", "chou", FESTO), "add --read specimen=NAME, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250"),
         (("plan", MARTENS, "--for", "happiness"), "is not a quantity of interest; give stiffness, force"),

@@ -14,12 +14,11 @@ from mckibben.errors import ParameterError
 from mckibben.identification.with_friction import titled
 from mckibben.result import Remark
 from mckibben.storage.files import make_folder
-from mckibben.units import show
 
 if TYPE_CHECKING:
     from mckibben.cli.reading import Reading
     from mckibben.dataset import IsobaricDataset, Recipe
-    from mckibben.identification import Fit, FitWithFriction, PooledFit, Ranking
+    from mckibben.identification import Fit, FitWithFriction, Ranking
 
 
 class Source(NamedTuple):
@@ -104,23 +103,3 @@ def ranked(ranking: Ranking, source: Source) -> Report:
 
     tables, remarks = titled(ranking.listings(), "points"), (*ranking.remarks(), *source.remarks())
     return Report(ranking.verdict(), tuple(tables), remarks, write)
-
-
-def pooled(pool: PooledFit, length: float | None) -> Report:
-    """Report of a law of several specimens, and of another one of an initial length [m] that it predicts."""
-    tables, remarks = [*titled(pool.listings(), "pool")], [*pool.remarks()]
-    if length is not None and pool.dead_length:
-        dead = show(pool.dead_length, "mm", 4)
-        text = f"the length in muscle.yaml is the active one; the dead length, {dead}, belongs to the connector"
-        remarks.append(Remark.note("dead_length", text))
-
-    def write(folder: Path) -> None:
-        from mckibben.scenario import write_muscle
-
-        pool.fit.to_yaml(folder / "fit.yaml")
-        if length is not None:
-            specimen = pool.specimen(length)
-            active = float(specimen.initial_length)
-            write_muscle(folder / "muscle.yaml", pool.fit.law, specimen=specimen.name, initial_length=active)
-
-    return Report(pool.verdict(), tuple(tables), tuple(remarks), write)

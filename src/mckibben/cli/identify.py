@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, check_unused, of_option, parse_optional
+from mckibben.cli.options import Progress, check_unused, of_option
 from mckibben.cli.reading import Data, Reading
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ def identify(
     law: str = "exponential",
     friction: str = "auto",
     inner: str = "",
-    pool: bool = False,
-    for_length: str = "",
     keep_outliers: bool = False,
     *,
     reading: Reading,
@@ -50,13 +48,9 @@ def identify(
         unloading differ, in the form that predicts held-out loops best).
     inner : SIZE
         Inner diameter or measured volume of air at contraction 0, for muscle.yaml.
-    pool
-        Each file is another specimen of one make; one law for all, and errors left out.
 
     Other Parameters
     ----------------
-    for_length : LENGTH
-        Initial length of a specimen that --pool predicts, for muscle.yaml.
     keep_outliers
         Fit all points, those off the surface through the others, too.
     """
@@ -66,7 +60,7 @@ def identify(
             from mckibben.identification import inverse_table
 
             return inverse_table(reading.data(data))
-        check_unused(f"--of {of}", inner=inner, pool=pool, friction=form)
+        check_unused(f"--of {of}", inner=inner, friction=form)
         if of == "torque":
             from mckibben.cli.identified import of_torque
 
@@ -74,20 +68,14 @@ def identify(
         from mckibben.identification import identify_pressure_creep
 
         return identify_pressure_creep(reading.recordings(data))
-    from mckibben.cli.identified import Source, identified, pooled, ranked
-    from mckibben.identification import identify_pooled, rank
+    from mckibben.cli.identified import Source, identified, ranked
+    from mckibben.identification import rank
     from mckibben.scenario import air_volume
     from mckibben.study import inputs
 
     law_type, robust = inputs.law_type_named(law) if law != _ALL else None, not keep_outliers
     if law_type is None:
-        check_unused("--law all", friction=form, pool=pool)
-    if not pool:
-        check_unused("specimens that are not pooled (--pool)", for_length=for_length)
-    elif law_type is not None:
-        check_unused("--pool", friction=form, inner=inner)
-        length = parse_optional("--for-length", for_length, "m", positive=True)
-        return pooled(identify_pooled(law_type, [reading.data([file]) for file in data], robust=robust), length)
+        check_unused("--law all", friction=form)
     points = reading.data(data)
     with of_option("--inner"):
         volume = air_volume(inner, points.table.attrs.get("initial_length"))

@@ -10,7 +10,6 @@ from mckibben.identification.grouping import Grouping
 from mckibben.identification.inverse import InverseTable, inverse_table
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, identify_pooled
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
@@ -33,9 +32,7 @@ __all__ = [
     "IntervalEstimate",
     "InverseTable",
     "LeaveOnePressureOut",
-    "LeftOutSpecimen",
     "Outlier",
-    "PooledFit",
     "RankedLaw",
     "Ranking",
     "SensorDrift",
@@ -45,7 +42,6 @@ __all__ = [
     "find_outliers",
     "fit_law",
     "identify_hysteresis",
-    "identify_pooled",
     "identify_pressure_creep",
     "identify_torque",
     "identify_with_friction",

@@ -231,8 +231,7 @@ def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, 
             f"(condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, pool specimens (identify_pooled, --pool), or "
-            "use a law with fewer parameters",
+            remedy="measure at more pressures and contractions, or use a law with fewer parameters",
         )
     if not solution.converged:
         raise IdentificationError(

@@ -58,7 +58,9 @@ class InverseTable(Result):
         """Return a warning of unknown directions."""
         if not self.directed:
             text = "the directions are not known: the pressures are the same for shortening and lengthening"
-            yield Remark.warning("direction", text, "give the direction of each point, or rows in the order of the test")
+            yield Remark.warning(
+                "direction", text, "give the direction of each point, or rows in the order of the test"
+            )
 
     def pressure_for(self, contraction: ArrayLike, load: ArrayLike, direction: str) -> Floats:
         """Return the gauge pressure [Pa] at contractions [-] and loads [N], linear in both; they broadcast.

@@ -174,9 +174,9 @@ class Muscle(Component):
         if state.friction:
             length = self.specimen.length_at(contraction)
             total = total + self.friction.force(state.friction, length, tension, pressure)
-        if state.creep:
-            total = total + self.creep_force(contraction, tension, state)
-        return jnp.maximum(total, 0.0) if state.friction and state.creep else total
+        if not state.creep:
+            return total
+        return jnp.maximum(total + self.creep_force(contraction, tension, state), 0.0)
 
     def creep_force(self, contraction: ArrayLike, tension: ArrayLike, state: MuscleState) -> Float[Array, "..."]:
         """Return the force [N] of creep at a contraction [-] and the law's tension [N] there."""
