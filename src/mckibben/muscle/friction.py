@@ -123,7 +123,6 @@ class NoFriction(Friction):
 FrictionForce = Annotated[float, Quantity("N", "N", MIN_HALF_WIDTH, 1e6)]
 FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
 TensionGrowth = Annotated[float, Quantity("1", "1", -1, 1)]
-Asymmetry = TensionGrowth
 Presliding = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]
 Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
 ViscousGrowth = Annotated[float, Quantity("N*s/m/Pa", "N*s/m/bar", -1e6, 1e6)]
@@ -211,7 +210,7 @@ class MaxwellSlip(Friction):
     viscous_growth: ViscousGrowth | None = eqx.field(default=None, kw_only=True)
     viscous_length_growth: ViscousLengthGrowth | None = eqx.field(default=None, kw_only=True)
     reference_length: Length | None = eqx.field(default=None, kw_only=True)
-    viscous_asymmetry: Asymmetry | None = eqx.field(default=None, kw_only=True)
+    viscous_asymmetry: TensionGrowth | None = eqx.field(default=None, kw_only=True)
     rate_growth: RateGrowth | None = eqx.field(default=None, kw_only=True)
     rate_speed: Speed | None = eqx.field(default=None, kw_only=True)
     elements: Elements = eqx.field(default=6, kw_only=True, static=True)
