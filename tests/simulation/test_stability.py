@@ -1,6 +1,7 @@
 """Margins of the linearised loop, against runs of the loop itself."""
 
 import dataclasses
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -132,10 +133,26 @@ def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
     angles, period = np.linspace(0.01, 1.0, 400), 1e-3
     locus = (1.5 - 0.7 * angles**4) * np.exp(-1j * (np.pi - 0.2 - angles))
     crossover = (0.5 / 0.7) ** 0.25
-    gain, phase, delay = _crossings(np.stack([locus, 0.1 * locus], axis=1), angles, period)
+    (gain,), (phase,), (delay,) = _crossings(np.stack([locus, 0.1 * locus], axis=1)[None], angles, period)
     assert gain == np.inf
     assert phase == pytest.approx(0.2 + crossover, rel=1e-4)
     assert delay == pytest.approx((0.2 + crossover) / crossover * period, rel=1e-4)
+
+
+def test_margins_take_no_call_for_each_frequency():
+    """A point costs its Schur decomposition alone, of two commands at 800 frequencies."""
+
+    def calls(points: int) -> int:
+        events: list[str] = []
+        turn = np.array([[0.9, 0.3], [-0.3, 0.9]]) * np.linspace(0.8, 0.99, points)[:, None, None]
+        loops = LinearLoop(turn, *2 * [np.broadcast_to(0.1 * np.eye(2), turn.shape)])
+        _margins_of(loops, 1e-3)
+        sys.setprofile(lambda _, event, __: events.append(event))
+        _margins_of(loops, 1e-3)
+        sys.setprofile(None)
+        return len(events)
+
+    assert calls(40) - calls(10) < 30 * 200
 
 
 @pytest.mark.slow

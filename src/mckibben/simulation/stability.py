@@ -523,7 +523,7 @@ def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -
     size = np.eye(sensitivity.shape[-1])
     opened = size - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
-    gain, phase, delay = np.array([_crossings(rows, angles, period) for rows in loci]).T
+    gain, phase, delay = _crossings(loci, angles, period)
     disk, peak, directions = triangular.peaks(period)
     if muscles:
         loop = np.array(muscles)[np.abs(directions).argmax(axis=1)]
@@ -537,19 +537,27 @@ def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -
     return margins | {"radius": radius, "sensitivity": _largest_singular(sensitivity), "loci": loci}
 
 
-def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> tuple[float, float, float]:
-    """Gain margin, phase margin [rad] and delay margin [s] from the loci of the open loop over the frequency."""
+def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> list[NDArray[np.float64]]:
+    """Gain margins, phase margins [rad] and delay margins [s] of loops, from the loci (loops, frequencies, commands).
+
+    The loci of a loop are followed over the frequency [rad of a period] to the nearest neighbours.
+    """
     from scipy.optimize import linear_sum_assignment
 
-    followed = [loci[0]]  # in the order of the nearest neighbours
-    for row in loci[1:]:
-        followed.append(row[linear_sum_assignment(np.abs(followed[-1][:, None] - row))[1]])
-    turned, size = np.unwrap(np.angle(np.array(followed)), axis=0), np.abs(followed)
-    k, locus = np.nonzero((size[:-1] - 1) * (size[1:] - 1) < 0)
-    part = (1 - size[k, locus]) / (size[k + 1, locus] - size[k, locus])
-    lag = np.mod(turned[k, locus] + part * (turned[k + 1, locus] - turned[k, locus]) + np.pi, 2 * np.pi)
-    phase = np.minimum(lag, 2 * np.pi - lag).min(initial=np.inf)
-    delay = (lag / (angles[k] + part * (angles[k + 1] - angles[k])) * period).min(initial=np.inf)
-    k, locus = np.nonzero(np.diff(np.floor((turned - np.pi) / (2 * np.pi)), axis=0))
-    at = (size[k, locus] + size[k + 1, locus]) / 2
-    return float((1 / at[at < 1]).min(initial=np.inf)), float(phase), float(delay)
+    distances, places = np.abs(loci[:, :-1, :, None] - loci[:, 1:, None]), np.arange(loci.shape[2])
+    nearest = distances.argmin(axis=3)
+    for at in zip(*np.nonzero((np.sort(nearest) != places).any(axis=2)), strict=True):  # two have the same neighbour
+        nearest[at] = linear_sum_assignment(distances[at])[1]
+    order = np.tile(places, (*loci.shape[:2], 1))
+    for k in np.flatnonzero((nearest != places).any(axis=(0, 2))):  # where the solver gives them in another order
+        order[:, k + 1 :] = np.take_along_axis(nearest[:, k], order[:, k], axis=1)[:, None]
+    followed = np.take_along_axis(loci, order, axis=2)
+    turned, size = np.unwrap(np.angle(followed), axis=1), np.abs(followed)
+    crosses = (size[:, :-1] - 1) * (size[:, 1:] - 1) < 0
+    part = (1 - size[:, :-1]) / np.where(crosses, np.diff(size, axis=1), np.inf)
+    lag = np.mod(turned[:, :-1] + part * np.diff(turned, axis=1) + np.pi, 2 * np.pi)
+    delay = lag / (angles[:-1] + part.swapaxes(1, 2) * np.diff(angles)).swapaxes(1, 2) * period
+    at = (size[:, :-1] + size[:, 1:]) / 2
+    turns = (np.diff(np.floor((turned - np.pi) / (2 * np.pi)), axis=1) != 0) & (at < 1)
+    found = (turns, 1 / np.where(turns, at, 1)), (crosses, np.minimum(lag, 2 * np.pi - lag)), (crosses, delay)
+    return [np.min(values, axis=(1, 2), where=valid, initial=np.inf) for valid, values in found]
