@@ -206,8 +206,8 @@ class SimulationResult(RunResult):
     ----------
     angle_resolution
         Step of the sensor of the angle [rad], 0 for none.
-    domains
-        Domains of the two muscles, as boxes if read from a file; empty if unknown.
+    boxes
+        Function of the domains of the two muscles, as boxes if read from a file; of none if unknown.
     known_outcome
         Outcome of a stored run; None to derive it from the columns.
     feasibility
@@ -221,7 +221,7 @@ class SimulationResult(RunResult):
     files: ClassVar = ("result.nc", "result.mcap", "scenario.yaml")
 
     angle_resolution: float = 0.0
-    domains: tuple[Domain, ...] = ()
+    boxes: Callable[[], tuple[Domain, ...]] = tuple
     known_outcome: Outcome | None = None
     feasibility: Feasibility | None = None
     notes: Callable[[], list[Remark]] = list
@@ -241,6 +241,11 @@ class SimulationResult(RunResult):
         known = moved._asdict() | dict(zip(BAND, band, strict=True))
         columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
         return cls(columns, control_period, scenario, angle_resolution=angle_resolution)
+
+    @functools.cached_property
+    def domains(self) -> tuple[Domain, ...]:
+        """Domains of the two muscles; empty if unknown."""
+        return self.boxes()
 
     @functools.cached_property
     def outcome(self) -> Outcome:
@@ -366,6 +371,7 @@ class SimulationResult(RunResult):
 
         table = load_netcdf(Path(path))
         period: Any = table.attrs.get("control_period")
+        boxes: Any = table.attrs.get("domains", ())
         columns = (*Trajectory._fields, *BAND)
         wrong = [name for name in columns if name not in table or table[name].dims != ("time",)]
         wrong += [] if str(table.attrs.get("outcome")) in Outcome.__members__ else ["outcome"]
@@ -378,7 +384,7 @@ class SimulationResult(RunResult):
             *(str(table.attrs.get(name, "")) for name in ("scenario", "engine")),
             resolution=Resolution.of(table.attrs),
             angle_resolution=float(table.attrs.get("angle_resolution", 0.0)),
-            domains=tuple(Domain(*bounds) for bounds in np.reshape(table.attrs.get("domains", ()), (-1, 4)).tolist()),
+            boxes=functools.partial(tuple, [Domain(*bounds) for bounds in np.reshape(boxes, (-1, 4)).tolist()]),
             known_outcome=Outcome[str(table.attrs["outcome"])],
         )
 
