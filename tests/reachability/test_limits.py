@@ -72,7 +72,7 @@ def test_simulation_and_envelope_have_the_same_limits():
             assert np.interp(at, static.angles, edge) == pytest.approx(band, rel=1e-3)
         domain = each.joint.muscle1.domain
         assert result["pressure1"].max() <= domain.pressure_max + 1
-        assert tuple(result.domains) == (domain, domain)
+        assert result.domains() == (domain, domain)
 
 
 @pytest.mark.slow

@@ -206,7 +206,7 @@ class SimulationResult(RunResult):
     ----------
     angle_resolution
         Step of the sensor of the angle [rad], 0 for none.
-    boxes
+    domains
         Function of the domains of the two muscles, as boxes if read from a file; of none if unknown.
     known_outcome
         Outcome of a stored run; None to derive it from the columns.
@@ -221,7 +221,7 @@ class SimulationResult(RunResult):
     files: ClassVar = ("result.nc", "result.mcap", "scenario.yaml")
 
     angle_resolution: float = 0.0
-    boxes: Callable[[], tuple[Domain, ...]] = tuple
+    domains: Callable[[], tuple[Domain, ...]] = tuple
     known_outcome: Outcome | None = None
     feasibility: Feasibility | None = None
     notes: Callable[[], list[Remark]] = list
@@ -241,11 +241,6 @@ class SimulationResult(RunResult):
         known = moved._asdict() | dict(zip(BAND, band, strict=True))
         columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
         return cls(columns, control_period, scenario, angle_resolution=angle_resolution)
-
-    @functools.cached_property
-    def domains(self) -> tuple[Domain, ...]:
-        """Domains of the two muscles; empty if unknown."""
-        return self.boxes()
 
     @functools.cached_property
     def outcome(self) -> Outcome:
@@ -313,7 +308,7 @@ class SimulationResult(RunResult):
         """Quantities that left the domain, by how much, and the domain."""
         furthest, pressures = float(self["excursion"].max()), (self["pressure1"], self["pressure2"])
         parts = [f"contraction by up to {furthest / percent:.3g} %"] if furthest > 0 else []
-        limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in self.domains]
+        limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in self.domains()]
         beyond = [
             max(low - float(p.min()), float(p.max()) - high) for p, (low, high) in zip(pressures, limits, strict=False)
         ]
@@ -321,7 +316,7 @@ class SimulationResult(RunResult):
             parts.append(f"pressure by up to {max(beyond) / bar:.3g} bar")
         elif not parts:
             parts.append(f"pressure {np.min(pressures) / bar:.3g}..{np.max(pressures) / bar:.3g} bar")
-        known = " or ".join(dict.fromkeys(domain.bounds() for domain in self.domains))
+        known = " or ".join(dict.fromkeys(domain.bounds() for domain in self.domains()))
         return f"outside the domain ({' and '.join(parts)}{f' outside {known}' if known else ''})"
 
     def remarks(self) -> Iterable[Remark]:
@@ -358,10 +353,7 @@ class SimulationResult(RunResult):
 
     def _attributes(self) -> dict[str, Any]:
         own = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
-        boxes = [
-            (domain.contraction_min, domain.contraction_max, domain.pressure_min, domain.pressure_max)
-            for domain in self.domains
-        ]
+        boxes = [(d.contraction_min, d.contraction_max, d.pressure_min, d.pressure_max) for d in self.domains()]
         return super()._attributes() | own | ({"domains": np.ravel(np.array(boxes, float))} if boxes else {})
 
     @classmethod
@@ -384,7 +376,7 @@ class SimulationResult(RunResult):
             *(str(table.attrs.get(name, "")) for name in ("scenario", "engine")),
             resolution=Resolution.of(table.attrs),
             angle_resolution=float(table.attrs.get("angle_resolution", 0.0)),
-            boxes=functools.partial(tuple, [Domain(*bounds) for bounds in np.reshape(boxes, (-1, 4)).tolist()]),
+            domains=functools.partial(tuple, [Domain(*bounds) for bounds in np.reshape(boxes, (-1, 4)).tolist()]),
             known_outcome=Outcome[str(table.attrs["outcome"])],
         )
 

@@ -312,7 +312,7 @@ def _result(
         used,
         resolution,
         angle_resolution=float(plant.sensors.angle_resolution),
-        boxes=functools.partial(_domains, plant),
+        domains=functools.partial(_domains, plant),
         feasibility=reach,
         notes=notes,
     )
