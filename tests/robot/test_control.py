@@ -41,6 +41,8 @@ controllers:
 """
 DECOUPLING = "\ncontrollers: {knee: {class: decoupling, feedback: {bandwidth: 40 rad/s}}}\n"
 TORQUE = "\ncontroller: {feedback: {bandwidth: 40 rad/s}}\n"
+THROUGH_THE_AXIS = """- name: on the axis
+      through: [{body: thigh, place: [0 mm, 0 mm, 100 mm]}, {body: shank, place: [0 mm, 0 mm, -75 mm]}]"""
 ROOT = Path(__file__).parents[2]
 FULL = "examples/robot/lei-leg-control.yaml"
 KEPT = ("angle", "pressure", "command", "stiffness")
@@ -95,6 +97,7 @@ def test_a_file_of_a_controlled_robot_reads_back():
             "reference.principle",
         ),
         (ONE.replace("  knee:", "  hip:") + TORQUE, "reference.hip"),
+        (re.sub(r"- over.*\n.*geometry.*", THROUGH_THE_AXIS, ONE) + TORQUE, "robot.joints[0]"),
     ],
 )
 def test_mistakes_are_named(text, field):

@@ -123,11 +123,11 @@ class Robot(Component):
         for number, name in enumerate(names[1:], 1):
             if name not in frames:
                 yield f"{name}: no joint carries it", f"bodies.{number}.name", name, "give its name to a joint's `body`"
-        for number, (joint, body) in enumerate(zip(self.joints, self.frame_bodies[1:], strict=True), 1):
-            light = body is None or (isinstance(body.mass, Real) and body.mass == 0)
-            if light and number not in self.parents:
-                remedy = "give it a body with mass and inertia"
-                yield f"{joint.name}: nothing with a mass is on it", f"joints.{number - 1}.body", joint.body, remedy
+        for number, joint in enumerate(self.joints):
+            if joint.rotor_inertia is None and not any(self._inertias(joint.direction, number, ZERO)):
+                message = f"{joint.name}: it turns no mass and no inertia about its axis"
+                remedy = "give it a body with mass and inertia, a rotor_inertia, or another axis"
+                yield message, f"joints.{number}.body", joint.body, remedy
 
     def _muscle_errors(self) -> Iterator[tuple[str, str, Any, str]]:
         """Muscles over unknown joints or through points of unknown bodies."""
@@ -236,6 +236,13 @@ class Robot(Component):
         joint = self.joints[index]
         rotor = 0.0 if joint.rotor_inertia is None else joint.rotor_inertia
         return total(rotor, self._least_inertia(joint.direction, index, ZERO))
+
+    def _inertias(self, axis: Vector, index: int, point: Vector) -> Iterator[bool]:
+        """Yield whether each body that a joint carries may have an inertia about an axis through a point."""
+        body = self.frame_bodies[index + 1]
+        yield body is not None and not (isinstance(own := body.inertia_about(axis, point), Real) and own == 0)
+        for number in (number for number, parent in enumerate(self.parents) if parent == index + 1):
+            yield from self._inertias(axis, number, point - self.joints[number].place.vector)
 
     def _least_inertia(self, axis: Vector, index: int, point: Vector) -> Any:
         """Least inertia about an axis through a point of what a joint carries, of its body or of those beyond."""

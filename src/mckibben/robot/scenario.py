@@ -46,9 +46,10 @@ from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import TrackingMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
+from mckibben.robot.point_stiffness import movable
 from mckibben.robot.reaching import PointReference, PointStiffnessValue
 from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
-from mckibben.robot.statics import holding_torques, is_affine, pressures_for_joint_stiffness
+from mckibben.robot.statics import SINGULAR, holding_torques, is_affine, pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
     BatchParts,
     ControllerPart,
@@ -426,6 +427,8 @@ class RobotScenario(StudiedScenario):
             except RangeError as error:
                 fail_validation(error.message, "give `controller`, which commands all muscles", field="controllers")
         _check_posture(self.robot, self.start.angles, "start.angles")
+        if self.controller:
+            _check_independent(self.robot)
         return self
 
     @property
@@ -635,6 +638,23 @@ def _check_each(robot: Robot, field: str, given: Collection[str]) -> None:
             fail_validation(*_unknown_joint(robot, name), field=f"{field}.{name}")
     if missing := [name for name in joints if name not in given]:
         fail_validation(f"lacks {', '.join(missing)}", "give one for each joint", field=field)
+
+
+def _check_independent(robot: Robot) -> None:
+    """Refuse joints that the muscles do not turn independently with all angles as near 0 as they can be."""
+    routed, arms = robot.routed_muscles(robot.posture_angles({})), np.zeros((len(robot.joints), len(robot.all_muscles)))
+    for number, muscle in enumerate(routed):
+        for joint, slope in muscle.slopes.items():
+            arms[joint, number] = slope
+    directions, sizes, _ = np.linalg.svd(arms[movable(robot)])
+    rank = int((sizes > SINGULAR * sizes.max(initial=0.0)).sum())
+    if rank < len(directions):
+        names = [joint.name for joint in robot.joints if joint.locked is None]
+        shares = np.abs(directions[:, rank:]).max(axis=1)
+        alike = [name for name, share in zip(names, shares, strict=True) if share > SINGULAR]
+        text = f"the muscles do not turn {', '.join(alike)}" + (" independently" if len(alike) > 1 else "")
+        remedy = "let muscles pass beside the axis of each joint, or lock it"
+        fail_validation(text, remedy, field=f"robot.joints.{robot.index(alike[-1])}")
 
 
 def _check_posture(robot: Robot, angles: Angles, field: str) -> None:

@@ -41,7 +41,7 @@ _WEIGHT = 1e5
 """Weight of the torques, which are constraints, relative to the errors of the stiffness."""
 _CENTRED = 1e-6
 """Weight of the distance of a pressure from the middle of its range: it selects among equal solutions."""
-_SINGULAR = 1e-6
+SINGULAR = 1e-6
 _STARTS, _MARGIN = 8, 0.1
 """Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
 _SURE = 0.01
@@ -698,7 +698,7 @@ def _check_jacobian(jacobian: Floats) -> Floats:
             remedy="unlock joints, or give the stiffness of the joints",
         )
     values = np.linalg.svd(jacobian, compute_uv=False)
-    if values[-1] < _SINGULAR * values[0]:
+    if values[-1] < SINGULAR * values[0]:
         raise RangeError(
             "the robot is stretched: along it the point does not yield",
             field="angles",

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.errors import McKibbenError
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark
 from mckibben.robot.mechanism import Robot
@@ -25,6 +25,7 @@ from mckibben.robot.statics import (
     is_affine,
     pressures_for_joint_stiffness,
 )
+from mckibben.scenario.scenario import errors_of
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.units import deg
@@ -81,9 +82,8 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
 
     Raises `ScenarioError` if the scenario has no controller, or its parts do not fit together.
     """
-    source = source or scenario.name
     period = scenario.control_period
-    try:
+    with errors_of(scenario, source):
         duration = scenario.run_duration
         references = scenario.references()
         for name, reference in references.items():
@@ -97,10 +97,6 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
         notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
-    except FileError:
-        raise
-    except McKibbenError as error:
-        raise ScenarioError(source, [Problem.of(error, field=error.field or "start")]) from error  # type: ignore
     lanes = tuple(run["angle"]), tuple(run["pressure"])
     stiffness, _ = _stiffness("auto", numeric(scenario.robot), lanes)
     columns = dict(run.columns) | desired | {"stiffness": np.stack(stiffness)}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import abc
+import contextlib
 import hashlib
 import importlib
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
@@ -452,7 +453,7 @@ def run_scenario(scenario: Scenario, *, source: str = "", warn_infeasible: bool 
 
     Raises `ScenarioError` if its parts do not fit together.
     """
-    try:
+    with errors_of(scenario, source):
         return simulate(
             scenario.plant(),
             scenario.control(),
@@ -462,9 +463,16 @@ def run_scenario(scenario: Scenario, *, source: str = "", warn_infeasible: bool 
             scenario=scenario.dumps(),
             warn_infeasible=warn_infeasible,
         )
+
+
+@contextlib.contextmanager
+def errors_of(scenario: StudiedScenario, source: str) -> Iterator[None]:
+    """Errors of a run as `ScenarioError` with the field of the scenario; `source` is its file."""
+    try:
+        yield
     except FileError:
         raise  # has its own file and line
     except McKibbenError as error:
         own = getattr(error, "field", "") or ""
-        field = own if own.partition(".")[0] in Scenario.model_fields else "start"  # all else has been checked
+        field = own if own.partition(".")[0] in type(scenario).model_fields else "start"  # all else has been checked
         raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
