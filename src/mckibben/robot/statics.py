@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_count, check_within
@@ -69,8 +68,13 @@ class StaticsMap(NamedTuple):
 
 
 def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
-    """Return the map at angles [rad] of a robot that `check_affine` accepts."""
-    terms, _ = _terms("auto", (numeric(robot), tuple(np.asarray(angle, float) for angle in angles)))
+    """Return the map at angles [rad] of a robot that `check_affine` accepts.
+
+    Raises `RangeError` for contractions outside the domains of the muscles.
+    """
+    (terms, paths), _ = _terms("auto", (numeric(robot), tuple(np.asarray(angle, float) for angle in angles)))
+    for name, muscle, path in zip(robot.muscle_names, robot.all_muscles, paths, strict=True):
+        check_contractions(name, muscle, np.reshape(path, (1,)), ["this posture"])
     count, muscles = len(robot.joints), len(terms.tension)
     torque, gain = np.zeros(count), np.zeros((count, muscles))
     stiffness, slopes = np.zeros((count, count)), np.zeros((count, count, muscles))
@@ -87,10 +91,11 @@ def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
 
 
 @BatchFunction
-def _terms(parts: tuple[Robot, tuple[ArrayLike, ...]], _: None) -> JointTerms:
-    """Terms in a posture."""
+def _terms(parts: tuple[Robot, tuple[ArrayLike, ...]], _: None) -> tuple[JointTerms, list[Array]]:
+    """Terms in a posture, and lengths [m] of the muscles' paths."""
     robot, angles = parts
-    return joint_terms(robot, robot.held(angles))
+    held = robot.held(angles)
+    return joint_terms(robot, held), [unit.path for unit in robot.routed_muscles(held)]
 
 
 def check_affine(robot: Robot) -> None:
@@ -677,14 +682,12 @@ def _checked(wanted: ArrayLike, directions: int) -> Floats:
 
 
 def _check_angles(robot: Robot, angles: Sequence[float]) -> None:
-    """Raise `RangeError` for a posture beyond stops, and for contractions outside the domains of the muscles."""
+    """Raise `RangeError` for a posture beyond stops."""
     for joint, angle in zip(robot.joints, angles, strict=True):
         if joint.locked is None:
             low, high = joint.lower - 1e-9, joint.upper + 1e-9
             remedy = "choose an angle between its stops"
             check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
-    for name, unit in zip(robot.muscle_names, robot.routed_muscles(robot.held(angles)), strict=True):
-        check_contractions(name, unit.muscle, jnp.reshape(unit.path, (1,)), ["this posture"])
 
 
 def _check_jacobian(jacobian: Floats) -> Floats:
