@@ -22,7 +22,8 @@ from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, jo
 from mckibben.robot.comparison import RobotSuite
 from mckibben.robot.dynamics import joint_equations, joint_load
 from mckibben.robot.point_stiffness import place_of, point_jacobian, point_of
-from mckibben.robot.statics import HeldPosture, stiffness_matrix
+from mckibben.robot.posture import HeldPosture
+from mckibben.robot.statics import stiffness_matrix
 from mckibben.scenario import batched, run_many, with_values
 from mckibben.study.compare import compare, draw, evaluate
 from mckibben.study.compare.runs import started
@@ -185,6 +186,9 @@ def test_a_point_is_a_spring_of_its_stiffness_about_its_reference():
     wanted = stiffness_matrix((22.7, 835.0), np.radians(-11.77))
     assert at[1] - reference[1] > 1e-3 and pressed[1] > 1
     np.testing.assert_allclose(pressed, wanted @ (at - reference), rtol=0.05)
+    grounds = (re.sub("ground: {.*}", f"ground: {{{text}}}", POINT) for text in ("", "slip_speed: 1 mm/s"))
+    default, sticking = (RobotScenario.parse(text).margins(4).disk[-1] for text in grounds)
+    assert sticking < 0.2 < default
     jacobian, _ = point_jacobian(robot, run["angle"][:, -1])
     springs = run["desired_stiffness"][:, -1] * (run["angle"] - run["desired_angle"])[:, -1]
     np.testing.assert_allclose(jacobian.T @ pressed, springs, atol=0.02)

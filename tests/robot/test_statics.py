@@ -31,7 +31,8 @@ from mckibben.robot import (
     stiffness_matrix,
 )
 from mckibben.robot.point_stiffness import point_jacobian
-from mckibben.robot.statics import map_at, solve_statics
+from mckibben.robot.posture import map_at
+from mckibben.robot.statics import solve_statics
 from mckibben.units import bar, deg
 from tests.robot.conftest import over_two, with_unit
 

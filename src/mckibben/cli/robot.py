@@ -72,7 +72,8 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
 def _stiffness(read: RobotScenario, source: str) -> Report:
     from mckibben import report
     from mckibben.report.robot import point_ellipses, posture
-    from mckibben.robot.statics import attainable_listing, solve_statics
+    from mckibben.robot.attainable import attainable_listing
+    from mckibben.robot.statics import solve_statics
 
     attainable, solved = solve_statics(read, source=source)
     tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"

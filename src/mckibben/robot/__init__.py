@@ -1,6 +1,6 @@
 """Robots with air muscles: bodies on hinges, muscles, ground contact; landing and jumping."""
 
-from mckibben.robot.attainable import attainable_point_stiffness
+from mckibben.robot.attainable import JointRange, attainable_point_stiffness, attainable_statics
 from mckibben.robot.bodies import Body, BodyPoint, Foot, Joint, Place
 from mckibben.robot.computed_torque import ComputedTorque
 from mckibben.robot.control import (
@@ -19,14 +19,12 @@ from mckibben.robot.metrics import RobotMetrics
 from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
 from mckibben.robot.point_stiffness import PointStiffness, point_stiffness
+from mckibben.robot.posture import holding_torques
 from mckibben.robot.reading import ReadRobot, read_mjcf
 from mckibben.robot.scenario import RobotScenario, read_robot
 from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
 from mckibben.robot.statics import (
-    JointRange,
     StaticPressures,
-    attainable_statics,
-    holding_torques,
     pressures_for_joint_stiffness,
     pressures_for_point_stiffness,
     stiffness_matrix,

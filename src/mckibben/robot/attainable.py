@@ -1,17 +1,89 @@
-"""The attainable stiffness of a point in a posture."""
+"""What is attainable in a posture: torques and stiffness of the joints, and the stiffness of a point."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import ArrayLike
 
 from mckibben.errors import UnreachableError
+from mckibben.result import Column, Listing
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.point_stiffness import Floats, PointStiffness, movable, point_jacobian, stiffness_through
-from mckibben.robot.statics import HeldPosture, is_affine
+from mckibben.robot.posture import HeldPosture, is_affine
 from mckibben.units import bar
+
+
+class JointRange(NamedTuple):
+    """Attainable torques and stiffnesses of a joint, with the torques of the others held, and the limiting muscles.
+
+    Attributes
+    ----------
+    torque
+        Least and greatest torque [N*m].
+    stiffness
+        Least and greatest stiffness [N*m/rad] at the torques that are held.
+    limits
+        Muscle and limit for each of these four: "lowest pressure", "highest pressure", "slack" or "rated force".
+    """
+
+    torque: tuple[float, float]
+    stiffness: tuple[float, float]
+    limits: tuple[str, str, str, str]
+
+
+def attainable_statics(
+    robot: Robot,
+    angles: Sequence[float],
+    *,
+    torques: ArrayLike | None = None,
+    supply: float = np.inf,
+    minimum_tension: float = 1.0,
+) -> dict[str, JointRange]:
+    """Return the attainable torques and stiffness of each movable joint in a posture, by its name.
+
+    Arguments and errors are those of `pressures_for_joint_stiffness`.
+
+    Examples
+    --------
+    >>> from mckibben.robot import read_robot
+    >>> knee = attainable_statics(read_robot("lei-leg-planar"), (0.0, 0.0))["knee"]
+    >>> [round(number, 1) for number in knee.stiffness], knee.limits[3]
+    ([9.5, 20.1], 'knee1 at highest pressure')
+    """
+    setting = HeldPosture.of(robot, angles, torques, supply, minimum_tension)
+    offset, slopes = setting.stiffness()
+    names = [joint.name for joint, free in zip(robot.joints, setting.free, strict=True) if free]
+    found = {}
+    for index, name in enumerate(names):
+        others = np.arange(len(names)) != index
+        row, own = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
+        rest = setting.equal[others], setting.held[others]
+        goals = (row, *rest), (slopes[index, index], setting.equal, setting.held)
+        ends = [setting.extreme(sign * goal, *equations) for goal, *equations in goals for sign in (1, -1)]
+        (least, by1), (most, by2), (softest, by3), (stiffest, by4) = ends
+        at = float(offset[index, index])
+        found[name] = JointRange((own + least, own - most), (at + softest, at - stiffest), (by1, by2, by3, by4))
+    return found
+
+
+def attainable_listing(attainable: dict[str, JointRange]) -> Listing:
+    """Return a table of what is attainable at each joint."""
+    rows = list(attainable.values())
+
+    def column(name: str, unit: str, title: str, values: list[float], limit: int) -> dict[str, tuple[Column, Any]]:
+        by = [row.limits[limit] for row in rows]
+        return {name: (Column(unit, title, digits=3), values), f"{name}_limit": (Column("", "limited by"), by)}
+
+    columns: dict[str, tuple[Column, Any]] = {"joint": (Column(), list(attainable))}
+    columns |= column("least_torque", "N*m", "least torque", [row.torque[0] for row in rows], 0)
+    columns |= column("greatest_torque", "N*m", "greatest torque", [row.torque[1] for row in rows], 1)
+    columns |= column("softest", "N*m/rad", "least stiffness", [row.stiffness[0] for row in rows], 2)
+    columns |= column("stiffest", "N*m/rad", "greatest stiffness", [row.stiffness[1] for row in rows], 3)
+    return Listing("Attainable at each joint", columns)
 
 
 def attainable_point_stiffness(

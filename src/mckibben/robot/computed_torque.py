@@ -30,7 +30,7 @@ from mckibben.robot.control import TrackingControl
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.plant import RobotMeasurement, muscle_air
-from mckibben.robot.statics import check_affine
+from mckibben.robot.posture import check_affine
 from mckibben.units import CommandDelay, Force, Gravity, bar
 
 Scalar = Float[Array, ""]

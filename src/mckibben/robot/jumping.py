@@ -26,9 +26,9 @@ from mckibben.robot.dynamics import at_rest, contacts, frames, motion, posture_o
 from mckibben.robot.landing import EDGES
 from mckibben.robot.plant import RobotPlant, RobotStart
 from mckibben.robot.point_stiffness import movable, point_jacobian
+from mckibben.robot.posture import holding_torques
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot, simulate_robots
-from mckibben.robot.statics import holding_torques
 from mckibben.robot.uncertainty import drawn_plant, take
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
@@ -384,12 +384,7 @@ def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
     )
 
 
-def _jump(
-    scenario: RobotScenario,
-    runs: JumpRuns,
-    controller: PressureSchedule,
-    standing: Floats,
-) -> Jump:
+def _jump(scenario: RobotScenario, runs: JumpRuns, controller: PressureSchedule, standing: Floats) -> Jump:
     """A jump with its traces, and its results for plants that differ."""
     plant, drawn, start = runs.plant, runs.drawn, runs.start
     duration = scenario.whole_steps(runs.duration + _LANDING)
@@ -401,9 +396,7 @@ def _jump(
     ends = zip(run["angle"][:, bottom], plant.robot.joints, strict=True)
     weight = np.asarray(drawn.robot.total_mass) * plant.gravity
     return Jump(
-        controller,
-        run,
-        runs.substeps,
+        *(controller, run, runs.substeps),
         heights=table["apex"] - standing,
         push_force=float(before.max(initial=0.0)) / float(np.ravel(weight)[0]),
         landing_force=table["peak_landing_force"] / weight,

@@ -49,9 +49,6 @@ class RobotMetrics(NamedTuple):
             "foot stays on the ground",
         ),
     ]
-    take_off_speed: Annotated[
-        Scalar, Tracked("m/s", "upward speed of the centre of mass at take-off", of="take_off_speed")
-    ]
     peak_landing_force: Annotated[
         Scalar,
         Tracked(
@@ -142,7 +139,6 @@ class Flight(NamedTuple):
     drawn: Scalar  # air so far [kg]
     air: tuple[Scalar, ...]
     apex: Scalar  # -inf before a flight
-    take_off_speed: Scalar
     landing_force: Scalar
     muscle_work: Scalar
     stop_energy: Scalar
@@ -152,7 +148,7 @@ class Flight(NamedTuple):
     def of(cls, first: RobotSample) -> Flight:
         zero = jnp.zeros_like(first.z)
         none = zero - jnp.inf
-        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, *[zero] * 5)
+        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, *[zero] * 4)
 
     def after(self, sample: RobotSample, period: ArrayLike, plant: RobotPlant) -> tuple[Flight, RobotMetricSample]:
         """Return the state after a further sample, a period [s] later, and what metrics are made of."""
@@ -177,7 +173,6 @@ class Flight(NamedTuple):
             drawn=drawn,
             air=sample.air_mass,
             apex=jnp.where(higher, ballistic, self.apex),
-            take_off_speed=jnp.where(higher, sample.mass_speed, self.take_off_speed),
             landing_force=jnp.where(counts, 0.0, jnp.maximum(self.landing_force, force)),
             muscle_work=jnp.where(counts, work, self.muscle_work),
             stop_energy=jnp.where(counts, absorbed, self.stop_energy),

@@ -291,7 +291,9 @@ def _check_known(joint: Joint, low: float, high: float) -> None:
             )
 
 
-def check_contractions(owner: str, muscle: Muscle, paths: ArrayLike, places: Sequence[str], field: str = "muscle") -> None:
+def check_contractions(
+    owner: str, muscle: Muscle, paths: ArrayLike, places: Sequence[str], field: str = "muscle"
+) -> None:
     """Raise where a path of a muscle is longer or shorter than its domain permits."""
     numbers = muscle.specimen.initial_length, muscle.domain.contraction_min, muscle.domain.contraction_max
     if not all(isinstance(one, Real) for one in numbers):

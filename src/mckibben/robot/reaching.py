@@ -23,7 +23,8 @@ from mckibben.result import Remark
 from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.point_stiffness import Floats, place_of, point_of
-from mckibben.robot.statics import holding_torques, pressures_for_point_stiffness, stiffness_matrix
+from mckibben.robot.posture import holding_torques
+from mckibben.robot.statics import pressures_for_point_stiffness, stiffness_matrix
 from mckibben.robot.tree import solve_symmetric
 from mckibben.units import Angle, Quantity, deg, mm
 

@@ -47,9 +47,10 @@ from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import TrackingMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
 from mckibben.robot.point_stiffness import movable
+from mckibben.robot.posture import holding_torques, is_affine
 from mckibben.robot.reaching import PointReference, PointStiffnessValue
 from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
-from mckibben.robot.statics import SINGULAR, holding_torques, is_affine, pressures_for_joint_stiffness
+from mckibben.robot.statics import SINGULAR, pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
     BatchParts,
     ControllerPart,

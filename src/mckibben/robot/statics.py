@@ -1,287 +1,43 @@
-"""Statics: what torques and stiffness taut muscles attain in a posture, and the pressures for them.
+"""Statics: pressures of taut muscles for a stiffness of the joints or of a point in a posture.
 
 In a posture, torques and stiffness of the joints are affine in the pressures of taut muscles with laws that are affine
-in pressure. What they attain is a linear program, and the pressures for a stiffness are a linear least-squares problem
-with bounds: exact where it is attainable, otherwise the nearest, with a certificate.
+in pressure. The pressures for a stiffness are a linear least-squares problem with bounds: exact where it is attainable,
+otherwise the nearest, with a certificate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, ArrayLike
-from numpy.typing import NDArray
+from jaxtyping import ArrayLike
 
 from mckibben.component.checks import check_count, check_within
-from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
-from mckibben.joint import RigidTendon
-from mckibben.muscle import PressureAffineLaw
-from mckibben.numerics.compiled import numeric
+from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.result import Column, Listing
-from mckibben.robot.allocation import JointTerms, joint_terms
+from mckibben.robot.attainable import JointRange, attainable_statics
 from mckibben.robot.bodies import BodyPoint, Foot
-from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.muscles import check_contractions
-from mckibben.robot.point_stiffness import PointStiffness, movable, point_jacobian, stiffness_of, stiffness_through
-from mckibben.simulation.engine import BatchFunction
+from mckibben.robot.point_stiffness import (
+    Floats,
+    PointStiffness,
+    movable,
+    point_jacobian,
+    stiffness_of,
+    stiffness_through,
+)
+from mckibben.robot.posture import EXACT, HeldPosture, check_affine, check_angles, holding_torques
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.robot.scenario import RobotScenario
 
-Floats = NDArray[np.float64]
-
-EXACT = 1e-6
-"""Relative error of a stiffness below which it is exact."""
-_WEIGHT = 1e5
-"""Weight of the torques, which are constraints, relative to the errors of the stiffness."""
-_CENTRED = 1e-6
-"""Weight of the distance of a pressure from the middle of its range: it selects among equal solutions."""
 SINGULAR = 1e-6
 _STARTS, _MARGIN = 8, 0.1
 """Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
 _SURE = 0.01
 """Relative difference of error and bound below which the error is called the least possible."""
-
-
-class StaticsMap(NamedTuple):
-    """Torques, stiffness and tensions at a posture, affine in the pressures of taut muscles: offset + slope p.
-
-    Torques [N*m] of the joints, (joints,) and (joints, muscles); stiffness matrix [N*m/rad], minus the derivative of
-    the torques, (joints, joints) and (joints, joints, muscles); tensions [N], (muscles,), each by its own pressure.
-    """
-
-    torque: tuple[Floats, Floats]
-    stiffness: tuple[Floats, Floats]
-    tension: tuple[Floats, Floats]
-
-    def torque_at(self, pressures: ArrayLike) -> Floats:
-        """Return the torques [N*m] at gauge pressures [Pa]."""
-        return self.torque[0] + self.torque[1] @ np.asarray(pressures, float)
-
-    def stiffness_at(self, pressures: ArrayLike) -> Floats:
-        """Return the stiffness matrix [N*m/rad] at gauge pressures [Pa]."""
-        return self.stiffness[0] + self.stiffness[1] @ np.asarray(pressures, float)
-
-
-def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
-    """Return the map at angles [rad] of a robot that `check_affine` accepts.
-
-    Raises `RangeError` for contractions outside the domains of the muscles.
-    """
-    (terms, paths), _ = _terms("auto", (numeric(robot), tuple(np.asarray(angle, float) for angle in angles)))
-    for name, muscle, path in zip(robot.muscle_names, robot.all_muscles, paths, strict=True):
-        check_contractions(name, muscle, np.reshape(path, (1,)), ["this posture"])
-    count, muscles = len(robot.joints), len(terms.tension)
-    torque, gain = np.zeros(count), np.zeros((count, muscles))
-    stiffness, slopes = np.zeros((count, count)), np.zeros((count, count, muscles))
-    for i, row in enumerate(terms.torque):
-        for muscle, (offset, slope) in row.items():
-            torque[i] += offset
-            gain[i, muscle] = slope
-    for (i, j), row in terms.stiffness.items():
-        stiffness[i, j] = stiffness[j, i] = sum(float(offset) for offset, _ in row.values())
-        for muscle, (_, slope) in row.items():
-            slopes[i, j, muscle] = slopes[j, i, muscle] = slope
-    tension = np.array(terms.tension, float).reshape(muscles, 2).T
-    return StaticsMap((torque, gain), (stiffness, slopes), (tension[0], tension[1]))
-
-
-@BatchFunction
-def _terms(parts: tuple[Robot, tuple[ArrayLike, ...]], _: None) -> tuple[JointTerms, list[Array]]:
-    """Terms in a posture, and lengths [m] of the muscles' paths."""
-    robot, angles = parts
-    held = robot.held(angles)
-    return joint_terms(robot, held), [unit.path for unit in robot.routed_muscles(held)]
-
-
-def check_affine(robot: Robot) -> None:
-    """Raise `RangeError` unless laws are affine in pressure and tendons rigid."""
-    for name, kind in _not_affine(robot):
-        raise RangeError(
-            f"{name}: with a {kind} the stiffness is not affine in the pressures",
-            field="muscle",
-            value=kind,
-            remedy="give it a law that is affine in pressure, and a rigid tendon",
-        )
-
-
-def is_affine(robot: Robot) -> bool:
-    """Whether laws are affine in pressure and tendons rigid."""
-    return not any(_not_affine(robot))
-
-
-def _not_affine(robot: Robot) -> Iterator[tuple[str, str]]:
-    """Muscles, and the class of what is not affine in them."""
-    for name, muscle, tendon in zip(robot.muscle_names, robot.all_muscles, robot.tendons, strict=True):
-        for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
-            if not isinstance(part, kind):
-                yield name, type(part).__name__
-
-
-class HeldPosture(NamedTuple):
-    """A posture with its map, the movable joints, the limits of the pressures, and the torques that are held.
-
-    Pressures are in bar here, so that the problems are well scaled. `equal` and `held` are the equations of the torques
-    of the movable joints.
-    """
-
-    robot: Robot
-    affine: StaticsMap
-    free: NDArray[np.bool_]
-    low: Floats
-    high: Floats
-    names: list[tuple[str, str]]
-    equal: Floats
-    held: Floats
-
-    @classmethod
-    def of(
-        cls,
-        robot: Robot,
-        angles: Sequence[float],
-        torques: ArrayLike | None,
-        supply: float = np.inf,
-        minimum_tension: float = 1.0,
-    ) -> HeldPosture:
-        """Raises as `pressures_for_joint_stiffness` does."""
-        check_affine(robot)
-        check_count("angles", len(angles), len(robot.joints), "joint")
-        _check_angles(robot, angles)
-        affine, free = map_at(robot, angles), movable(robot)
-        torques = np.zeros(len(free)) if torques is None else np.asarray(torques, float)
-        low, high, names = _pressure_ranges(robot, affine, supply, minimum_tension)
-        equal, held = affine.torque[1][free] * bar, torques[free] - affine.torque[0][free]
-        setting = cls(robot, affine, free, low / bar, high / bar, names, equal, held)
-        setting.check_torques()
-        return setting
-
-    @property
-    def bounds(self) -> Floats:
-        """Lowest and highest pressure of each muscle [bar]."""
-        return np.stack([self.low, self.high], axis=-1)
-
-    def stiffness(self) -> tuple[Floats, Floats]:
-        """Return offset and slopes per bar of the stiffness matrix of the movable joints."""
-        inner = np.ix_(self.free, self.free)
-        return self.affine.stiffness[0][inner], self.affine.stiffness[1][inner] * bar
-
-    def check_torques(self) -> None:
-        """Raise `UnreachableError` unless pressures within the limits give the torques."""
-        from scipy.optimize import linprog
-
-        equal, held = self.equal, self.held
-        if linprog(np.zeros(self.low.size), A_eq=equal, b_eq=held, bounds=self.bounds).status == 0:
-            return
-        names = [joint.name for joint in self.robot.joints if joint.locked is None]
-        for name, row, torque in zip(names, equal, held, strict=True):
-            least, most = (np.where(row * sign > 0, self.low, self.high) @ row for sign in (1, -1))
-            if not least <= torque <= most:
-                raise UnreachableError(
-                    f"{name}: its torque is outside what taut muscles can hold, by "
-                    f"{max(least - torque, torque - most):.3g} N*m",
-                    value=float(torque),
-                    lower=float(least),
-                    upper=float(most),
-                    unit="N*m",
-                    remedy="choose another posture or less force",
-                )
-        raise UnreachableError(
-            "no pressures hold the torques of all joints at once",
-            unit="N*m",
-            remedy="choose another posture, less force or weaker muscles over several joints",
-        )
-
-    def extreme(self, goal: Floats, equal: Floats, held: Floats) -> tuple[float, str]:
-        """Return the least value of a goal over the pressures, and the muscle whose limit keeps it from being less."""
-        from scipy.optimize import linprog
-
-        found = linprog(goal, A_eq=equal, b_eq=held, bounds=self.bounds)
-        multipliers = -(found.lower.marginals + found.upper.marginals)
-        limits = self.limits(multipliers)
-        return float(found.fun), " at ".join(limits[0]) if limits else ""
-
-    def limits(self, multipliers: Floats) -> tuple[tuple[str, str], ...]:
-        """Return muscles whose limits keep a value from being smaller, and these limits, the strongest first."""
-        strength = np.abs(multipliers)
-        order = np.argsort(-strength, kind="stable")
-        counted = [i for i in order if strength[i] > EXACT * max(1.0, float(strength.max()))]
-        names = self.robot.muscle_names
-        return tuple((names[i], self.names[i][1 if multipliers[i] > 0 else 0]) for i in counted)
-
-    def nearest(self, factors: Floats, target: Floats) -> Floats:
-        """Return the pressures [bar] whose ``factors @ pressures`` are nearest to a target."""
-        from scipy.optimize import lsq_linear
-
-        scale = _WEIGHT / np.linalg.norm(self.equal, axis=1)
-        centred = _CENTRED / np.maximum(self.high - self.low, 1e-9)
-        rows = np.concatenate([factors, scale[:, None] * self.equal, np.diag(centred)])
-        right = np.concatenate([target, scale * self.held, centred * (self.low + self.high) / 2])
-        bounds = self.low - 1e-12, self.high + 1e-12  # not empty for a spring, whose pressure is 0
-        return lsq_linear(rows, right, bounds, method="bvls", tol=1e-15, max_iter=100).x
-
-
-class JointRange(NamedTuple):
-    """Attainable torques and stiffnesses of a joint, with the torques of the others held, and the limiting muscles.
-
-    Attributes
-    ----------
-    torque
-        Least and greatest torque [N*m].
-    stiffness
-        Least and greatest stiffness [N*m/rad] at the torques that are held.
-    limits
-        Muscle and limit for each of these four: "lowest pressure", "highest pressure", "slack" or "rated force".
-    """
-
-    torque: tuple[float, float]
-    stiffness: tuple[float, float]
-    limits: tuple[str, str, str, str]
-
-
-def attainable_statics(
-    robot: Robot,
-    angles: Sequence[float],
-    *,
-    torques: ArrayLike | None = None,
-    supply: float = np.inf,
-    minimum_tension: float = 1.0,
-) -> dict[str, JointRange]:
-    """Return the attainable torques and stiffness of each movable joint in a posture, by its name.
-
-    Arguments and errors are those of `pressures_for_joint_stiffness`.
-
-    Examples
-    --------
-    >>> from mckibben.robot import read_robot
-    >>> knee = attainable_statics(read_robot("lei-leg-planar"), (0.0, 0.0))["knee"]
-    >>> [round(number, 1) for number in knee.stiffness], knee.limits[3]
-    ([9.5, 20.1], 'knee1 at highest pressure')
-    """
-    setting = HeldPosture.of(robot, angles, torques, supply, minimum_tension)
-    offset, slopes = setting.stiffness()
-    names = [joint.name for joint, free in zip(robot.joints, setting.free, strict=True) if free]
-    found = {}
-    for index, name in enumerate(names):
-        others = np.arange(len(names)) != index
-        row, own = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
-        rest = setting.equal[others], setting.held[others]
-        goals = (row, *rest), (slopes[index, index], setting.equal, setting.held)
-        ends = [setting.extreme(sign * goal, *equations) for goal, *equations in goals for sign in (1, -1)]
-        (least, by1), (most, by2), (softest, by3), (stiffest, by4) = ends
-        at = float(offset[index, index])
-        found[name] = JointRange((own + least, own - most), (at + softest, at - stiffest), (by1, by2, by3, by4))
-    return found
-
-
-def holding_torques(robot: Robot, angles: Sequence[float], gravity: float = 9.81) -> Floats:
-    """Return the torques [N*m] with which the muscles hold a posture, the base held; 0 of locked joints."""
-    torques, free = np.zeros(len(robot.joints)), movable(robot)
-    torques[free] = np.array(joint_equations(robot, tuple(angles), (0.0,) * len(angles), gravity).bias, float)
-    return torques
 
 
 class StaticPressures(NamedTuple):
@@ -513,7 +269,7 @@ def pressures_for_point_stiffness(
     from scipy.linalg import sqrtm
 
     check_affine(robot)
-    _check_angles(robot, angles)
+    check_angles(robot, angles)
     jacobian, geometric = point_jacobian(robot, angles, force, point)
     wanted = _checked(wanted, len(jacobian))
     pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
@@ -624,22 +380,6 @@ def solve_statics(scenario: RobotScenario, *, source: str = "") -> tuple[dict[st
         raise ScenarioError(source, [Problem.of(error, field="stiffness")]) from error
 
 
-def attainable_listing(attainable: dict[str, JointRange]) -> Listing:
-    """Return a table of what is attainable at each joint."""
-    rows = list(attainable.values())
-
-    def column(name: str, unit: str, title: str, values: list[float], limit: int) -> dict[str, tuple[Column, Any]]:
-        by = [row.limits[limit] for row in rows]
-        return {name: (Column(unit, title, digits=3), values), f"{name}_limit": (Column("", "limited by"), by)}
-
-    columns: dict[str, tuple[Column, Any]] = {"joint": (Column(), list(attainable))}
-    columns |= column("least_torque", "N*m", "least torque", [row.torque[0] for row in rows], 0)
-    columns |= column("greatest_torque", "N*m", "greatest torque", [row.torque[1] for row in rows], 1)
-    columns |= column("softest", "N*m/rad", "least stiffness", [row.stiffness[0] for row in rows], 2)
-    columns |= column("stiffest", "N*m/rad", "greatest stiffness", [row.stiffness[1] for row in rows], 3)
-    return Listing("Attainable at each joint", columns)
-
-
 def stiffness_matrix(principal: Sequence[float], direction: float, sideways: float | None = None) -> Floats:
     """Return the stiffness matrix [N/m] of a point with principal stiffness [N/m] in the plane of x and z.
 
@@ -681,15 +421,6 @@ def _checked(wanted: ArrayLike, directions: int) -> Floats:
     return matrix
 
 
-def _check_angles(robot: Robot, angles: Sequence[float]) -> None:
-    """Raise `RangeError` for a posture beyond stops."""
-    for joint, angle in zip(robot.joints, angles, strict=True):
-        if joint.locked is None:
-            low, high = joint.lower - 1e-9, joint.upper + 1e-9
-            remedy = "choose an angle between its stops"
-            check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
-
-
 def _check_jacobian(jacobian: Floats) -> Floats:
     """Return the Jacobian of the movable joints; `RangeError` unless they move the point in all directions."""
     directions, joints = jacobian.shape
@@ -708,43 +439,6 @@ def _check_jacobian(jacobian: Floats) -> Floats:
             remedy="bend it",
         )
     return jacobian
-
-
-def _pressure_ranges(
-    robot: Robot, affine: StaticsMap, supply: float, minimum_tension: float
-) -> tuple[Floats, Floats, list[tuple[str, str]]]:
-    """Lowest and highest pressure [Pa] of each taut muscle, and what limits it below and above."""
-    lows, highs, names = [], [], []
-    muscles = zip(robot.muscle_names, robot.all_muscles, *affine.tension, strict=True)
-    for name, muscle, offset, slope in muscles:
-        domain = muscle.domain
-        below = {"lowest pressure": float(domain.pressure_min)}
-        above = {"highest pressure": min(float(domain.pressure_max), supply)}
-        if slope > 0:
-            below["slack"] = float((minimum_tension - offset) / slope)
-            above["rated force"] = float((muscle.specimen.force_limit - offset) / slope)
-        elif offset < minimum_tension:
-            raise UnreachableError(
-                f"{name}: it is slack, and pressure does not tighten it",
-                value=float(offset),
-                lower=minimum_tension,
-                unit="N",
-                remedy="choose a posture that stretches it more, or a shorter spring",
-            )
-        lower, upper = max(below, key=lambda key: below[key]), min(above, key=lambda key: above[key])
-        low, high = below[lower], above[upper]
-        if low > high:
-            raise UnreachableError(
-                f"{name}: no pressure within its limits holds it taut",
-                value=low,
-                upper=high,
-                unit="Pa",
-                remedy="choose a posture that stretches it more",
-            )
-        lows.append(low)
-        highs.append(high)
-        names.append((lower, upper))
-    return np.array(lows), np.array(highs), names
 
 
 def _certificate(setting: HeldPosture, at: Floats, gradient: Floats, residual: Floats) -> tuple[float, Floats]:

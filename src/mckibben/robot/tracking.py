@@ -13,18 +13,13 @@ from jaxtyping import Array, PyTree
 from mckibben.errors import McKibbenError
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark
+from mckibben.robot.attainable import attainable_statics
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import TrackingMetrics, TrackingSample
+from mckibben.robot.posture import EXACT, Floats, holding_torques, is_affine
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot
-from mckibben.robot.statics import (
-    EXACT,
-    Floats,
-    attainable_statics,
-    holding_torques,
-    is_affine,
-    pressures_for_joint_stiffness,
-)
+from mckibben.robot.statics import pressures_for_joint_stiffness
 from mckibben.scenario.scenario import errors_of
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import check_frequencies, sampled

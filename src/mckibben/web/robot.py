@@ -18,14 +18,11 @@ from mckibben.errors import McKibbenError, RangeError, printable
 from mckibben.muscle import Muscle
 from mckibben.report.palette import BLUE, GREY
 from mckibben.result import Listing, Remark
+from mckibben.robot.attainable import attainable_listing, attainable_statics
 from mckibben.robot.outline import Ellipsoid, Outline, outline, stiffness_ellipsoid
+from mckibben.robot.posture import holding_torques
 from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.statics import (
-    attainable_listing,
-    attainable_statics,
-    holding_torques,
-    pressures_for_joint_stiffness,
-)
+from mckibben.robot.statics import pressures_for_joint_stiffness
 from mckibben.units import deg
 from mckibben.web.charts import pressure_colour
 from mckibben.web.design import muscles
