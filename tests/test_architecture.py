@@ -115,7 +115,7 @@ BUDGET = {
     "reachability": 1120,
     "report": 2390,
     "rig": 4550,
-    "scenario": 870,
+    "scenario": 880,
     "serial_protocol": 160,
     "simulation": 2860,
     "storage": 570,

@@ -244,34 +244,6 @@ def test_draws_of_the_air(scenario):
     assert abs(np.corrcoef(np.log(wall), index)[0, 1]) < 0.1
 
 
-def test_draws_of_the_air_may_be_correlated(scenario):
-    valve = dataclasses.replace(scenario.valve, wall_conductance=0.5, leak=2e-12, dead_volume=3e-6)
-    correlations = {"wall_conductance": {"leak": 0.9}, "leak": {"dead_volume": -0.3}}
-    spec = DrawSettings(wall_conductance=0.1, leak=0.2, dead_volume=0.05, correlations=correlations, draws=4000)
-    drawn = drawn_air(valve, spec)
-    logs = np.log([drawn.wall_conductance, drawn.leak, drawn.dead_volume])
-    assert logs[:, 0] == pytest.approx(np.log([0.5, 2e-12, 3e-6]))
-    np.testing.assert_allclose(logs[:, 1:].std(axis=1), [0.1, 0.2, 0.05], rtol=0.05)
-    np.testing.assert_allclose(np.corrcoef(logs[:, 1:])[np.triu_indices(3, 1)], [0.9, 0.0, -0.3], atol=0.05)
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        "leak: 10 %, correlations: {leak: {dead_volume: 0.5}}",
-        "leak: 10 %, correlations: {leak: {leak: 0.5}}",
-        "leak: 10 %, dead_volume: 5 %, correlations: {leak: {dead_volume: 1}}",
-        "leak: 10 %, dead_volume: 5 %, correlations: {leak: {dead_volume: 1.5}}",
-    ],
-)
-def test_correlations_that_cannot_be(given):
-    valve = "{from: smc-itv0050, supply: 7 bar, leak: 1e-5 L/(s*bar), dead_volume: 3 cm^3}"
-    with pytest.raises(ScenarioError) as caught:
-        robots.RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{given}}}\n")
-    (problem,) = caught.value.problems
-    assert problem.field.startswith("uncertainty.correlations")
-
-
 REGULATOR = "{from: smc-itv0050, supply: 7 bar}"
 WARM = "{from: smc-itv0050, supply: 7 bar, wall_conductance: 0.5 W/K}"
 

@@ -83,7 +83,6 @@ from mckibben.units import (
 
 DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Spread = Annotated[float, Percent("1", "%", 0, 50)]
-Correlation = Annotated[float, Quantity("1", "1", -1, 1)]
 
 _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the robot."""
@@ -97,7 +96,7 @@ Angles = dict[str, Angle]
 class DrawSettings(ConfigModel):
     """Relative standard deviations of the strength of each muscle, of the mass of each body, and of the air.
 
-    All but the air with `correlations` are independent; the inertia of a body follows its mass. Muscles whose law is a
+    All are independent; the inertia of a body follows its mass. Muscles whose law is a
     fit file vary within the errors of the fit as well, those with the same file identically. The numbers of the air are
     those of the valve, which all muscles share, with logarithmic deviations; 0 where they are not given. Fewer than 20
     draws have no 5th and 95th percentiles.
@@ -109,7 +108,6 @@ class DrawSettings(ConfigModel):
     leak: Spread = 0.0
     dead_volume: Spread = 0.0
     polytropic_index: Spread = 0.0
-    correlations: dict[str, dict[str, Correlation]] = Field(default_factory=dict)
     draws: Annotated[int, BoundedInt(20, 10_000)] = 64
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
@@ -118,31 +116,6 @@ class DrawSettings(ConfigModel):
         """Deviations of the uncertain numbers of the air, by the fields of valves."""
         names = ("wall_conductance", "leak", "dead_volume", "polytropic_index")
         return {name: spread for name in names if (spread := getattr(self, name))}
-
-    @property
-    def air_correlation(self) -> NDArray[np.float64]:
-        """Matrix of the correlations of `air`."""
-        names = list(self.air)
-        found = np.eye(len(names))
-        for one, others in self.correlations.items():
-            for other, value in others.items():
-                i, j = names.index(one), names.index(other)
-                found[i, j] = found[j, i] = value
-        return found
-
-    @model_validator(mode="after")
-    def _correlated(self) -> DrawSettings:
-        for one, others in self.correlations.items():
-            for name in (one, *others):
-                if name not in self.air:
-                    remedy = f"give a deviation of {name}, or leave this out"
-                    fail_validation(f"{quoted(name)} does not vary", remedy, field="correlations")
-            if one in others:
-                fail_validation(f"{one} is correlated with itself", "leave this out", field="correlations")
-        if np.linalg.eigvalsh(self.air_correlation).min(initial=1.0) <= 0:
-            remedy = "give those of one covariance matrix"
-            fail_validation("no quantities have these correlations", remedy, field="correlations")
-        return self
 
 
 class LandingSettings(ConfigModel):

@@ -69,8 +69,7 @@ def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
     if not (valve.holds_air and spec.air):
         return valve
     own = [np.random.default_rng((spec.seed, *name.encode())) for name in spec.air]  # as spreads must not affect others
-    normal = np.linalg.cholesky(spec.air_correlation) @ [rng.standard_normal(spec.draws) for rng in own]
-    normal = np.pad(normal, ((0, 0), (1, 0)))  # the first is nominal
+    normal = [np.append(0.0, rng.standard_normal(spec.draws)) for rng in own]  # the first is nominal
     drawn = {
         name: getattr(valve, name) * np.exp(spread * values)
         for (name, spread), values in zip(spec.air.items(), normal, strict=True)
