@@ -111,7 +111,7 @@ BUDGET = {
     "muscle": 1620,
     "numerics": 840,
     "paper": 740,
-    "plant": 530,
+    "plant": 600,
     "reachability": 1120,
     "report": 2390,
     "rig": 4550,

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import mckibben as mk
 from mckibben.errors import McKibbenWarning, SimulationError
+from mckibben.plant import TorquePulses
 from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, resolution_of
 from mckibben.units import bar, deg, mm
 
@@ -45,15 +46,22 @@ def test_a_smooth_run_needs_one_step_and_says_how_far_it_is_from_two():
     assert angle_error(run, reference=SMOOTH, duration=0.5) == pytest.approx(run.resolution.error, rel=0.1)
 
 
+def test_steps_of_one_evaluation_converge_to_those_of_runge_kutta():
+    disturbed = dataclasses.replace(PLANT, disturbance=TorquePulses(0.0))  # by nothing, but integrated by RK4
+    fine = mk.simulate(disturbed, CONTROL, SMOOTH, substeps=16, **RUN)["angle"]
+    errors = [np.abs(mk.simulate(PLANT, CONTROL, SMOOTH, substeps=n, **RUN)["angle"] - fine).max() for n in (1, 2)]
+    assert errors[0] < 1e-10 and errors[1] < errors[0] / 7
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")
 @pytest.mark.parametrize("case", [(15, 1.0, 6.0, 20.0), (25, 1.0, 5.0, 22.0), (18, 1.3, 7.0, 18.0)])
 @pytest.mark.parametrize("accuracy", [1e-5, 1e-6])
-def test_the_estimated_error_is_within_a_factor_of_2_where_muscles_are_slack(case, accuracy):
+def test_the_estimated_error_is_at_least_half_the_true_one_where_muscles_are_slack(case, accuracy):
     reference = slack(*case)
     run = mk.simulate(PLANT, CONTROL, reference, initial=START, duration=3.0, accuracy=accuracy)
     assert run["slack"].any() and run.resolution.resolved
-    assert 0.5 < angle_error(run, reference=reference, duration=3.0) / run.resolution.error < 2
+    assert angle_error(run, reference=reference, duration=3.0) < 2 * run.resolution.error
 
 
 @pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")

@@ -10,7 +10,9 @@ from jax.flatten_util import ravel_pytree
 
 import mckibben as mk
 from mckibben.errors import SimulationError
+from mckibben.plant import NoDisturbance, TorquePulses
 from mckibben.plant.base import STABILITY_LIMIT, Motion
+from mckibben.plant.joint_plant import HERMITE_LIMIT
 from mckibben.simulation import Outcome
 from mckibben.units import deg, mm
 
@@ -82,13 +84,16 @@ def test_the_fastest_mode_is_that_of_the_linearised_plant(parts, friction):
     assert found["the motion"] == pytest.approx(np.abs(modes).max(), rel=2e-3)
 
 
-def test_the_limit_is_that_of_the_runge_kutta_method():
-    damping = STABILITY_LIMIT / 0.25e-3 * float(LOAD.total_inertia)
-    heavily_damped(0.99 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
-    assert [heavily_damped(part * damping).needed_substeps([0.0], [72.5], 1e-3) for part in (0.99, 1.01)] == [4, 5]
-    with pytest.raises(SimulationError) as caught:
-        heavily_damped(1.01 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
-    assert caught.value.lower == 5
+def test_the_limit_is_that_of_the_method():
+    for limit, disturbance in ((STABILITY_LIMIT, TorquePulses(0.0)), (HERMITE_LIMIT, NoDisturbance())):
+        damping = limit / 0.25e-3 * float(LOAD.total_inertia)
+        below, above = (
+            dataclasses.replace(heavily_damped(part * damping), disturbance=disturbance) for part in (0.99, 1.01)
+        )
+        assert [plant.needed_substeps([0.0], [72.5], 1e-3) for plant in (below, above)] == [4, 5]
+        with pytest.raises(SimulationError) as caught:
+            above.check_substeps([0.0], [72.5], 1e-3, 4)
+        assert caught.value.lower == 5
 
 
 SINE = mk.Reference(mk.Sine(0.1, 1.0), 72.5)

@@ -294,7 +294,8 @@ class Graph:
             return simple
         if self.reciprocals and name == "div" and kind is Kind.REAL:
             numerator, divisor = arguments
-            if divisor.scope.depth < numerator.scope.depth:
+            number = numerator.constant or 1.0
+            if divisor.scope.depth < numerator.scope.depth or (number != 1.0 and abs(math.frexp(number)[0]) == 0.5):
                 reciprocal = self.operation("div", kind, self.constant(1.0, kind), divisor)
                 return self.operation("mul", kind, numerator, reciprocal)
         scope = self._place(arguments)
@@ -373,7 +374,7 @@ class Graph:
         return arguments[1] if known[0] == neutral and name in ("add", "mul") else None
 
     def power(self, x: Value, exponent: int) -> Value:
-        """Integer power by squaring: 2 log2(n) multiplications at most, and a division for a negative one.
+        """Integer power by squaring: 2 log2(n) multiplications at most, of the reciprocal for a negative one.
 
         >>> graph = Graph()
         >>> float(graph.power(graph.constant(2.0, Kind.REAL), -3).constant)
@@ -381,14 +382,16 @@ class Graph:
         """
         if exponent == 0:
             return self.constant(1.0, x.kind)
-        result, square, rest = None, x, abs(exponent)
+        if exponent < 0:
+            x, exponent = self.operation("div", x.kind, self.constant(1.0, x.kind), x), -exponent
+        result, square, rest = None, x, exponent
         while rest:
             if rest & 1:
                 result = square if result is None else self.operation("mul", x.kind, result, square)
             rest >>= 1
             square = self.operation("mul", x.kind, square, square) if rest else square
         assert result is not None
-        return result if exponent > 0 else self.operation("div", x.kind, self.constant(1.0, x.kind), result)
+        return result
 
     def array(self, elements: Sequence[Value]) -> tuple[StoredArray, int]:
         """An array with these elements, and the position of the first.

@@ -414,7 +414,8 @@ def write_native(
     threads
         Whether each run is a thread of a kernel, instead of an element of a vector.
     """
-    graph = Graph(lanes=bool(varying), single=single, threads=threads, most=_LARGEST)
+    lanes = bool(varying)
+    graph = Graph(lanes=lanes, single=single, threads=threads, reciprocals=lanes, most=_LARGEST)
     graph.scope = graph.root.inner()
     common, varying = ([_example(x) for x in arrays] for arrays in (common, varying))
     graph.input(_PERIODS, Kind.INTEGER)

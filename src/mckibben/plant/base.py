@@ -107,9 +107,9 @@ class Motion(NamedTuple):
 class Plant(Component, Generic[S]):
     """Bodies moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
 
-    Commands are constant over a control period. Within it, the motion is integrated in steps of equal length by the
-    classical method of Runge and Kutta; pressures follow in closed form, or, with air, are integrated along. After each
-    step `project` updates the internal states of friction and creep, by which no force changes.
+    Commands are constant over a control period. Within it, the motion is integrated in steps of equal length, by
+    default of the classical method of Runge and Kutta; pressures follow in closed form, or, with air, are integrated
+    along. After each step `project` updates the internal states of friction and creep, by which no force changes.
 
     Parameters
     ----------
@@ -157,6 +157,11 @@ class Plant(Component, Generic[S]):
         """Return the torque [N*m] of the disturbances at a time [s] since the start."""
 
     @property
+    def stability_limit(self) -> float:
+        """Largest product of an integration step and the fastest rate."""
+        return STABILITY_LIMIT
+
+    @property
     def integrator(self) -> Callable[..., Motion]:
         """Method of one integration step, called as `rk4`."""
         return rk4
@@ -191,7 +196,7 @@ class Plant(Component, Generic[S]):
         At the extreme angles [rad] of a joint, with a stiffness [N*m/rad], or at the angles of all joints of a robot.
         Raises `SimulationError` if there is none up to 1000.
         """
-        needed = max(self.fastest_rates(angles, stiffness).values()) * period / STABILITY_LIMIT
+        needed = max(self.fastest_rates(angles, stiffness).values()) * period / self.stability_limit
         if not needed <= MOST_SUBSTEPS:
             self.check_substeps(angles, stiffness, period, MOST_SUBSTEPS)
         return max(math.ceil(needed * (1 - _ROUNDING)), 1) if math.isfinite(needed) else 1
@@ -199,7 +204,7 @@ class Plant(Component, Generic[S]):
     def check_substeps(self, angles: Angles, stiffness: ArrayLike | None, period: float, substeps: int) -> None:
         """Raise `SimulationError` if integration steps do not resolve the fastest rate, as for `needed_substeps`."""
         what, fastest = max(self.fastest_rates(angles, stiffness).items(), key=lambda item: item[1])
-        needed = fastest * period / STABILITY_LIMIT
+        needed = fastest * period / self.stability_limit
         if math.isfinite(needed) and needed > substeps * (1 + _ROUNDING):
             raise SimulationError(
                 f"integration steps of {period / substeps * 1e3:g} ms do not resolve {what}: "
@@ -214,6 +219,10 @@ class Plant(Component, Generic[S]):
     def begin(self, start: Any) -> Any:
         """Return the state of a start; by default a start is a state."""
         return start
+
+    def with_last_step(self, state: S, step: ArrayLike) -> S:
+        """Return a state from which steps of a length [s] take fewer evaluations; by default the state."""
+        return state
 
     def observe(self, state: S) -> Any:
         """Return what a run records of a state at the start of a control period; by default the state."""

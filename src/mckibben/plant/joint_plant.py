@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+import operator
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -21,14 +23,27 @@ from mckibben.joint.attainable import StaticSolution, check_finite, raise_unatta
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
-from mckibben.plant.base import Angles, IOState, Motion, Plant
+from mckibben.plant.base import STABILITY_LIMIT, Angles, IOState, Motion, Plant
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
 from mckibben.units import deg
 
 Scalar = Float[Array, ""]
+
+
+HERMITE_LIMIT = 1.19
+"""Largest product of step and mode, of any damping, at which the steps of `JointPlant.with_last_step` are stable."""
+
+
+class LastStep(NamedTuple):
+    """What a smooth motion keeps of its last integration step; see `JointPlant.with_last_step`."""
+
+    angle: Scalar  # terms of the end of the step that its beginning gives [rad]
+    velocity: Scalar  # likewise [rad/s]
+    rates: tuple[Scalar, Scalar]  # of the pressures at its end [Pa/s]
 
 
 class PlantState(NamedTuple):
@@ -42,6 +57,7 @@ class PlantState(NamedTuple):
     air: AirState | tuple[()] = ()
     friction: FrictionState = ()  # of the joint
     sent: tuple[tuple[Scalar, Scalar], ...] = ()  # commands [Pa] on their way, the latest first
+    last: LastStep | tuple[()] = ()
 
 
 def _rated(joint: AntagonisticJoint) -> tuple[Any, ...]:
@@ -149,7 +165,7 @@ class JointPlant(Plant[PlantState]):
 
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) and of creep, at the pressures of a state."""
-        angle, velocity, pressures, muscles, io, _, friction, _ = state
+        angle, velocity, pressures, muscles, io, _, friction, *_ = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity, pressures))
         if muscles == NO_STATES:
             torque = self.joint.torque(angle, pressures)
@@ -160,6 +176,83 @@ class JointPlant(Plant[PlantState]):
         if self.friction is not None and friction:
             torque = torque - self.friction.resisting_torque(friction, angle)
         return Motion(velocity, self.load.acceleration(angle, velocity, torque), (creep1, creep2))
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether nothing slips, pressures are continuous and in closed form, and no torque disturbs."""
+        return not self.slips and self.valve.holds_pressure and not self.valve.holds_air and self.has_ideal_io
+
+    @property
+    def stability_limit(self) -> float:
+        return HERMITE_LIMIT if self.is_smooth else STABILITY_LIMIT
+
+    def with_last_step(self, state: PlantState, step: ArrayLike) -> PlantState:
+        """Return the state from which steps of a length [s] evaluate the torque once; unchanged unless `is_smooth`.
+
+        They are those of the two-point Hermite method of order 4, which is implicit (E. Hairer, S. P. Norsett and G.
+        Wanner, Solving Ordinary Differential Equations I, III.4). The next state is predicted by a Taylor polynomial;
+        the torque and its derivatives there, which a controller and the metrics need as well, correct it in the step
+        that follows.
+        """
+        if not self.is_smooth:
+            return state
+        acceleration, (slope, damping, *_) = self._derivatives(state)
+        change = slope * state.velocity + damping * acceleration
+        velocity = state.velocity - step / 2 * acceleration + step**2 / 12 * change
+        angle = state.angle - step / 2 * state.velocity + step**2 / 12 * acceleration
+        zero = jnp.zeros_like(angle)
+        return state._replace(last=LastStep(angle, velocity, (zero, zero)))
+
+    def begin(self, start: PlantState) -> PlantState:
+        return start._replace(last=())
+
+    def observe(self, state: PlantState) -> PlantState:
+        return state._replace(last=())
+
+    def _derivatives(self, state: PlantState) -> tuple[Scalar, list[Scalar]]:
+        """Acceleration [rad/s^2] and its derivatives by angle, velocity and both pressures."""
+        point = (state.angle, state.velocity, *state.pressures)
+
+        def along(place: int) -> tuple[Scalar, Scalar]:
+            def acceleration(x: Scalar) -> Scalar:
+                angle, velocity, p1, p2 = (*point[:place], x, *point[place + 1 :])
+                return self.rate(state._replace(angle=angle, velocity=velocity, pressures=(p1, p2))).velocity
+
+            return value_and_derivative(acceleration, point[place])
+
+        (acceleration, *_), slopes = zip(*map(along, range(len(point))), strict=True)
+        return acceleration, list(slopes)
+
+    def _step(self, valve: Actuator, state: PlantState, commands: Sequence[ArrayLike], step: ArrayLike) -> PlantState:
+        """State after a step [s] with the pressures of a closed form; see `with_last_step`."""
+        if not isinstance(last := state.last, LastStep):
+            return super()._step(valve, state, commands, step)
+        at_prediction, slopes = self._derivatives(state)
+
+        def slope(*rates: ArrayLike) -> Scalar:
+            return functools.reduce(operator.add, map(operator.mul, slopes, rates))
+
+        def pressures(elapsed: ArrayLike) -> Any:
+            return valve.all_after(state.pressures, state.air, commands, elapsed)[0]
+
+        third = step**2 / 12
+        velocity = last.velocity + step / 2 * at_prediction - third * slope(state.velocity, at_prediction, *last.rates)
+        angle = last.angle + step / 2 * velocity - third * at_prediction
+        acceleration = at_prediction + slope(angle - state.angle, velocity - state.velocity)
+        rates, bends = value_and_derivative(lambda t: value_and_derivative(pressures, t)[1], jnp.zeros_like(step))
+        change = slope(velocity, acceleration, *rates)
+        snap = slope(acceleration, change, *bends)  # without products of rates
+        return state._replace(
+            angle=angle + step * (velocity + step / 2 * (acceleration + step / 3 * (change + step / 4 * snap))),
+            velocity=velocity + step * (acceleration + step / 2 * (change + step / 3 * snap)),
+            pressures=pressures(step),
+            air=valve.all_after(state.pressures, state.air, commands, step)[1],
+            last=LastStep(
+                angle + step / 2 * velocity + third * acceleration,
+                velocity + step / 2 * acceleration + third * change,
+                value_and_derivative(pressures, step)[1],
+            ),
+        )
 
     def project(self, state: PlantState) -> PlantState:
         """Return the state after an integration step with updated internal states; no force changes by it."""

@@ -47,10 +47,17 @@ def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: PyTree) ->
 
 
 def begun(
-    plant: Plant, controller: DiscreteTimeSystem, setpoints: PyTree, start: PyTree, period: ArrayLike
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    setpoints: PyTree,
+    start: PyTree,
+    period: ArrayLike,
+    substeps: int | None = None,
 ) -> tuple[LoopState, PyTree]:
     """`initial_loop` before the first of setpoints, and the setpoints that the controller gets in each period."""
     state, held = initial_loop(plant, controller, start)
+    if substeps is not None:
+        state = plant.with_last_step(state, period / substeps)
     held, setpoints = with_preview(controller, held, setpoints, period)
     return (state, held), setpoints
 
@@ -81,7 +88,7 @@ def episode(
     def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
-    (final, _), record = lax.scan(next_period, *begun(plant, controller, setpoints, initial, period))
+    (final, _), record = lax.scan(next_period, *begun(plant, controller, setpoints, initial, period, substeps))
     return final, record
 
 
@@ -111,7 +118,7 @@ def positions_over_time(
         following = next_period(state, setpoints) if every == 1 else lax.scan(next_period, state, setpoints)
         return following[0], tuple(jax.tree.leaves(state[0][0]))
 
-    loop, setpoints = begun(plant, controller, setpoints, initial, period)
+    loop, setpoints = begun(plant, controller, setpoints, initial, period, substeps)
     if every > 1:
         setpoints = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
     return lax.scan(next_kept, loop, setpoints)[1]
@@ -184,7 +191,7 @@ def streaming_episode(
         without = step_without_change(carry, following, seen, index)
         return _Carry(following, without, so_far), {name: getattr(now, name) for name in keep}
 
-    loop, seen = begun(plant, controller, setpoints, initial, period)
+    loop, seen = begun(plant, controller, setpoints, initial, period, substeps)
     start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
     carry, columns = lax.scan(next_period, start, (lax.iota(int, setpoints.angle.shape[0]), setpoints, seen))
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
