@@ -380,17 +380,14 @@ class Graph:
         >>> float(graph.power(graph.constant(2.0, Kind.REAL), -3).constant)
         0.125
         """
-        if exponent == 0:
-            return self.constant(1.0, x.kind)
         if exponent < 0:
-            x, exponent = self.operation("div", x.kind, self.constant(1.0, x.kind), x), -exponent
-        result, square, rest = None, x, exponent
+            return self.power(self.operation("div", x.kind, self.constant(1.0, x.kind), x), -exponent)
+        result, square, rest = self.constant(1.0, x.kind), x, exponent
         while rest:
             if rest & 1:
-                result = square if result is None else self.operation("mul", x.kind, result, square)
+                result = self.operation("mul", x.kind, result, square)
             rest >>= 1
             square = self.operation("mul", x.kind, square, square) if rest else square
-        assert result is not None
         return result
 
     def array(self, elements: Sequence[Value]) -> tuple[StoredArray, int]:

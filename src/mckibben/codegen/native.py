@@ -414,8 +414,7 @@ def write_native(
     threads
         Whether each run is a thread of a kernel, instead of an element of a vector.
     """
-    lanes = bool(varying)
-    graph = Graph(lanes=lanes, single=single, threads=threads, reciprocals=lanes, most=_LARGEST)
+    graph = Graph(lanes=bool(varying), single=single, threads=threads, reciprocals=bool(varying), most=_LARGEST)
     graph.scope = graph.root.inner()
     common, varying = ([_example(x) for x in arrays] for arrays in (common, varying))
     graph.input(_PERIODS, Kind.INTEGER)

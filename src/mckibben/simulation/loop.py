@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,17 +47,14 @@ def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: PyTree) ->
 
 
 def begun(
-    plant: Plant,
-    controller: DiscreteTimeSystem,
-    setpoints: PyTree,
-    start: PyTree,
-    period: ArrayLike,
-    substeps: int | None = None,
+    plant: Plant, controller: DiscreteTimeSystem, setpoints: PyTree, start: PyTree, period: ArrayLike, step: Any = None
 ) -> tuple[LoopState, PyTree]:
-    """`initial_loop` before the first of setpoints, and the setpoints that the controller gets in each period."""
+    """`initial_loop` before the first of setpoints, and the setpoints that the controller gets in each period.
+
+    With the length of the integration steps [s] the plant's state is one from which they take fewest evaluations.
+    """
     state, held = initial_loop(plant, controller, start)
-    if substeps is not None:
-        state = plant.with_last_step(state, period / substeps)
+    state = state if step is None else plant.with_last_step(state, step)
     held, setpoints = with_preview(controller, held, setpoints, period)
     return (state, held), setpoints
 
@@ -88,7 +85,7 @@ def episode(
     def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
-    (final, _), record = lax.scan(next_period, *begun(plant, controller, setpoints, initial, period, substeps))
+    (final, _), record = lax.scan(next_period, *begun(plant, controller, setpoints, initial, period, period / substeps))
     return final, record
 
 
@@ -118,18 +115,17 @@ def positions_over_time(
         following = next_period(state, setpoints) if every == 1 else lax.scan(next_period, state, setpoints)
         return following[0], tuple(jax.tree.leaves(state[0][0]))
 
-    loop, setpoints = begun(plant, controller, setpoints, initial, period, substeps)
+    loop, setpoints = begun(plant, controller, setpoints, initial, period, period / substeps)
     if every > 1:
         setpoints = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
     return lax.scan(next_kept, loop, setpoints)[1]
 
 
 class Streamed(NamedTuple):
-    """Metrics of a whole episode, the RMS angle error at its end, the plant's final state, and the kept columns."""
+    """Metrics of a whole episode, the RMS angle error at its end, and the kept columns."""
 
     metrics: Metrics
     angle_at_end: Array
-    final: PlantState
     kept: dict[str, Array]
 
 
@@ -191,11 +187,11 @@ def streaming_episode(
         without = step_without_change(carry, following, seen, index)
         return _Carry(following, without, so_far), {name: getattr(now, name) for name in keep}
 
-    loop, seen = begun(plant, controller, setpoints, initial, period, substeps)
+    loop, seen = begun(plant, controller, setpoints, initial, period, period / substeps)
     start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
     carry, columns = lax.scan(next_period, start, (lax.iota(int, setpoints.angle.shape[0]), setpoints, seen))
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
     metrics = values_of(Metrics, totals, run)
     if not coupling:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
-    return Streamed(metrics, angle_at_end(totals, run), carry.loop[0], columns)
+    return Streamed(metrics, angle_at_end(totals, run), columns)
