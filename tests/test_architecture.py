@@ -78,7 +78,6 @@ def test_every_public_name_is_there_and_documented(name):
     [
         ("force_law", "read_law"),
         ("SarosiLaw", "from mckibben.muscle import SarosiLaw"),
-        ("Trackability", "mckibben.reachability"),
         ("ExponentialLaws", "did you mean ExponentialLaw"),
     ],
 )
@@ -112,7 +111,7 @@ BUDGET = {
     "numerics": 840,
     "paper": 740,
     "plant": 600,
-    "reachability": 1120,
+    "reachability": 860,
     "report": 2390,
     "rig": 4550,
     "scenario": 880,

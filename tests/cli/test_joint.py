@@ -1,6 +1,7 @@
 """`mckibben simulate`, `envelope`, `stiffness` and `size`: our examples, warnings, and what is kept."""
 
 import csv
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from mckibben.dataset.formats import read_table
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import SimulationResult
+from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
 
@@ -89,14 +91,19 @@ INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequen
 
 
 @pytest.mark.slow
-def test_an_infeasible_reference_and_what_would_be_trackable(cli, tmp_path, shortened):
+def test_an_infeasible_reference_and_what_would_be_feasible(cli, tmp_path, shortened):
     text = shortened("as-printed-constant-pid").replace(*INFEASIBLE)
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     found = cli("envelope", "s.yaml", "--out", "kept")
     assert found.code == 0
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert "not even statically trackable" in numbers["verdict"]
-    assert 0 < numbers["scalars"]["amplitude"]["value"] < 0.2 and numbers["scalars"]["speed"]["value"] is None
+    assert "the joint cannot hold the desired angle" in numbers["verdict"]
+    amplitude = numbers["scalars"]["amplitude"]["value"]
+    scenario = Scenario.read(tmp_path / "s.yaml")
+    for factor, feasible in ((amplitude, True), (amplitude + 0.002, False)):
+        smaller = dataclasses.replace(scenario.signals.angle, amplitude=factor * 20 * deg)
+        changed = scenario.model_copy(update={"signals": dataclasses.replace(scenario.signals, angle=smaller)})
+        assert changed.envelope().reference.feasible == feasible
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {"results.json", "envelope.png", "envelope.svg"}
 
 

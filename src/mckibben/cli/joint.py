@@ -50,7 +50,7 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
 @command
 def envelope(scenario: ScenarioFile) -> Envelope:
-    """Show the attainable set, whether the reference is trackable, and what would be."""
+    """Show the attainable set, whether the reference is feasible, and what would be."""
     from mckibben import reachability
     from mckibben.scenario import Scenario
 

@@ -1,4 +1,4 @@
-"""Reachability: static envelope, trackability and sizing of a joint."""
+"""Reachability: static envelope, feasibility of a reference and sizing of a joint."""
 
 import lazy_loader
 

@@ -10,8 +10,3 @@ from .selection import size as size
 from .static import AttainableRange as AttainableRange
 from .static import StaticEnvelope as StaticEnvelope
 from .static import static_envelope as static_envelope
-from .trackability import StiffnessBands as StiffnessBands
-from .trackability import Trackability as Trackability
-from .trackability import check_trackability as check_trackability
-from .trajectory import ReferenceTrajectory as ReferenceTrajectory
-from .trajectory import reference_trajectory as reference_trajectory

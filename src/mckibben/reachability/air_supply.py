@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.actuator import AirValve, FlowValve
@@ -13,7 +14,6 @@ from mckibben.catalog import entries
 from mckibben.errors import UnreachableError
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, mass_flow
 from mckibben.plant import JointPlant
-from mckibben.reachability.trajectory import ReferenceTrajectory
 from mckibben.units import mm
 
 
@@ -45,7 +45,9 @@ def tube_conductance(diameter: float, length: float) -> float:
 
 def air_supply(
     plant: JointPlant,
-    motion: ReferenceTrajectory,
+    times: NDArray[np.float64],
+    motion: tuple[NDArray[np.float64], ...],
+    stiffness: NDArray[np.float64],
     cycle: float,
     supply: float,
     tube_length: float,
@@ -57,19 +59,20 @@ def air_supply(
 ) -> AirSupply:
     """Size the air supply for a motion whose last cycle [s] is periodic; isothermal air in the muscles.
 
+    The motion is angle [rad], velocity and acceleration at times [s], with a stiffness [N*m/rad] of the joint.
     Valve and tube have multiples of the needed conductance, of a critical pressure ratio of 0.3; the compressor has a
     margin for leaks and its rests. In a cycle the absolute pressure of the reservoir drops by a part of the supply.
     Raises `UnreachableError` if no pressures give the motion, or no valve of the catalog is large enough.
     """
-    torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
-    pressures = plant.joint.pressures_for(motion.angle, torque, motion.stiffness)
-    contractions = plant.joint.contractions(motion.angle, pressures)
-    last = motion.times >= motion.times[-1] - cycle * (1 + 1e-9)
+    torque = plant.load.required_torque(*motion)
+    pressures = plant.joint.pressures_for(motion[0], torque, stiffness)
+    contractions = plant.joint.contractions(motion[0], pressures)
+    last = times >= times[-1] - cycle * (1 + 1e-9)
     needed = taken = 0.0
     for muscle, pressure, contraction in zip(plant.muscles, pressures, contractions, strict=True):
         absolute = np.asarray(pressure, float) + ATMOSPHERE
         mass = absolute * np.asarray(muscle.specimen.volume(contraction)) / ENERGY
-        flow = np.gradient(mass, motion.times)
+        flow = np.gradient(mass, times)
         fill = np.asarray(mass_flow(1.0, 0.3, supply + ATMOSPHERE, absolute))
         vent = np.asarray(mass_flow(1.0, 0.3, absolute, ATMOSPHERE))
         needed = max(needed, float((flow / fill).max()), float((-flow / np.maximum(vent, 1e-12)).max()))

@@ -1,4 +1,4 @@
-"""Reachability of a scenario: static envelope, trackability, and what would be trackable."""
+"""Reachability of a scenario: static envelope, feasibility of its reference, and what would be feasible."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import unattainable
 from mckibben.muscle import Muscle
 from mckibben.reachability.static import StaticEnvelope, Values, static_envelope
-from mckibben.reachability.trackability import Trackability, bands_along, check_trackability
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.scenario import Scenario
+from mckibben.simulation import Feasibility, check_reference
+from mckibben.simulation.feasibility import distance_from, static_band
 from mckibben.units import bar, deg
 
 _ENDS = "lowest", "highest"
-_NONE = "no smaller or slower motion about the same centre, and no constant stiffness along it, is trackable either"
+_NONE = "no smaller motion about the same centre, and no constant stiffness along it, is feasible either"
 
 
 class Envelope(Result):
-    """Reachability of a scenario: static envelope of its joint, check of its reference, and what would be trackable.
+    """Reachability of a scenario: static envelope, feasibility of its reference, and what would be feasible.
 
     Attributes
     ----------
-    static, trackability
-        Static envelope of the joint, and the check of the reference.
-    amplitude, speed
-        Largest factors, each alone, on the amplitude of the angle about its centre and on the speed, to 0.001, with
-        which the reference is trackable; NaN if there is none.
+    static, reference
+        Static envelope of the joint, and its reference compared with it at each control period.
+    amplitude
+        Largest factor on the amplitude of the angle about its centre, to 0.001, with which the reference is feasible;
+        NaN if there is none.
     stiffness
-        Constant stiffness [N*m/rad] that is trackable along the reference, lowest and highest; None if there is none.
+        Constant stiffness [N*m/rad] that is feasible along the reference, lowest and highest; None if there is none.
     """
 
     suggestions: ClassVar[Mapping[str, str]] = {
         **{name: f"static.{name}" for name in ("small_motion", "torque_range", "angles")},
-        **{name: f"trackability.{name}" for name in ("trackable", "violated", "bands", "trajectory")},
+        **{name: f"reference.{name}" for name in ("feasible", "shortfall")},
     }
 
     scenario: Scenario
     static: StaticEnvelope
-    trackability: Trackability
-    amplitude: float = column("1", "trackable factor on the amplitude", digits=3)
-    speed: float = column("1", "trackable factor on the speed", digits=3)
+    reference: Feasibility
+    amplitude: float = column("1", "feasible factor on the amplitude", digits=3)
     stiffness: tuple[float, float] | None
 
     figures = ("envelope",)
@@ -57,25 +57,22 @@ class Envelope(Result):
     def verdict(self) -> str:
         """Verdict on the reference, in words."""
         if not self.static.exists:
-            plant, angle = self.scenario.plant(), float(self.trackability.trajectory.angle[0])
+            plant, angle = self.scenario.plant(), float(self.reference.desired_angle[0])
             why = unattainable(plant.supplied_joint, angle, -float(plant.load.gravity_torque(angle)))
             return f"the joint cannot hold its load at any angle; at {angle / deg:.4g} deg, {why}"
-        return self.trackability.verdict()
+        return self.reference.verdict()
 
     def remarks(self) -> list[Remark]:
-        """Trackable changes, active limits at both ends of the attainable stiffness with remedies, and the joint's."""
+        """Feasible changes, active limits at both ends of the attainable stiffness with remedies, and the joint's."""
         static, plant = self.static, self.scenario.plant()
         if not static.exists:
             return []
         remarks = []
-        if not self.trackability.trackable:
+        if not self.reference.feasible:
             nearest = ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness or (0.0, 0.0))]
-            nearest = nearest * bool(self.stiffness) + [
-                f"at {part:.3g} of its {name}"
-                for name, part in (("amplitude", self.amplitude), ("speed", self.speed))
-                if part > 0
-            ]
-            text = f"the reference is trackable, each alone, {', '.join(nearest)}" if nearest else _NONE
+            nearest = nearest * bool(self.stiffness)
+            nearest += [f"at {self.amplitude:.3g} of its amplitude"] * (self.amplitude > 0)
+            text = f"the reference is feasible, each alone, {', '.join(nearest)}" if nearest else _NONE
             remarks.append(Remark.warning("reference", text))
         ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
         limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
@@ -83,7 +80,7 @@ class Envelope(Result):
         return remarks + [Remark.note("stiffness", text) for text in limits]
 
     def listings(self) -> list[Listing]:
-        """Trackable factors, and the static envelope at no more than 11 angles."""
+        """Feasible factor, and the static envelope at no more than 11 angles."""
         static, at = self.static, self.static.table_rows()
         torque, stiffness = Column("N*m", digits=3), Column("N*m/rad")
         bands = {"torque": (torque, static.torque_range), "stiffness": (stiffness, static.stiffness)}
@@ -145,26 +142,24 @@ def active_limits(
 
 
 @checked_call
-def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
-    """Compute static envelope, trackability and trackable changes of the reference of a scenario.
+def envelope(scenario: Scenario) -> Envelope:
+    """Compute the static envelope of a scenario's joint, and whether its reference, or a change of it, is feasible.
 
-    Raises `RangeError` if the smoothing is not positive, or the controller has a `stiffness_amplitude`.
+    Feasible is what the joint can hold at rest: `simulate` shows what inertia, valves and a controller make of it.
+    Raises `RangeError` if the controller has a `stiffness_amplitude`.
 
     Parameters
     ----------
     scenario
-        Joint, load, valve, reference and times; the controller is ignored.
-    smoothing
-        Smoothing of jumps and corners [s], see `check_trackability`.
+        Joint, load, supply of the valve, reference and times; the controller is ignored.
 
     Examples
     --------
     >>> found = envelope(Scenario.read("examples/pre-contracted-step-pid.yaml"))
-    >>> found.trackability.trackable, found.amplitude, found.speed
-    (True, 1.0, 1.0)
+    >>> found.reference.feasible, found.amplitude
+    (True, 1.0)
     >>> print(found.verdict())
-    trackable throughout: statically, dynamically and within the rate limit of the valves; jump or corner at 5 s
-    smoothed over 16.6 ms
+    the reference is statically feasible throughout
     """
     if scenario.controller.stiffness_amplitude is not None:
         raise RangeError(
@@ -175,20 +170,22 @@ def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
             remedy="leave stiffness_amplitude out, and give the reference of the stiffness without friction",
         )
     plant, times = scenario.plant(), {"duration": scenario.duration, "control_period": scenario.control_period}
-    checked = check_trackability(plant, scenario.reference(), **times, smoothing=smoothing)
-    static = static_envelope(plant, about=float(np.mean(checked.trajectory.angle)))
-    low, high = np.max(checked.bands.rate_limited.lowest), np.min(checked.bands.rate_limited.highest)
+    checked = check_reference(plant, scenario.reference(), **times)
+    angle, desired = checked.desired_angle, checked.desired_stiffness
+    centre, low, high = (angle.min() + angle.max()) / 2, np.max(checked.lowest), np.min(checked.highest)
 
-    def largest(change: str) -> float:
-        def trackable(factor: float) -> bool:
-            trajectory = checked.trajectory.scaled(**{change: factor})
-            return bool(np.all(bands_along(plant, trajectory).rate_limited.violation(trajectory.stiffness) == 0))
+    def feasible(factor: float) -> bool:
+        lowest, highest = static_band(plant, centre + factor * (angle - centre), None)
+        band = np.asarray(lowest)[: angle.size], np.asarray(highest)[: angle.size]
+        return bool(np.all(distance_from(*band, desired) == 0))
 
-        return _largest(trackable)
-
-    amplitude, speed = (1.0 if checked.trackable else largest(change) for change in ("amplitude", "speed"))
-    common = (float(low), float(high)) if low <= high else None
-    return Envelope(scenario, static, checked, amplitude, speed, common)
+    return Envelope(
+        scenario,
+        static_envelope(plant, about=float(np.mean(angle))),
+        checked,
+        1.0 if checked.feasible else _largest(feasible),
+        (float(low), float(high)) if low <= high else None,
+    )
 
 
 def _largest(trial: Callable[[float], bool]) -> float:

@@ -28,10 +28,10 @@ from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
 from mckibben.reachability.requirement import SHORTEST, Make, Requirement, catalog_makes, read_make
-from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
+from mckibben.simulation.problem import sampled_reference
 from mckibben.storage.files import atomic_write
 from mckibben.units import deg, mm, show
 
@@ -394,12 +394,19 @@ def _candidate(
         low, high = plant.joint.attainable_torque(angles, minimum_tension=_TENSION)
         gravity = -plant.load.gravity_torque(angles)
         torque.append(float(np.minimum(high - gravity, gravity - low).min()) - opposed)
-    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * 32 + 1)
-    motion = reference_trajectory(_reference(need, plants[1]), times, smoothing=need.cycle / 20)
-    supply = air_supply(plants[1], motion, need.cycle, need.supply, need.tube)
+    times, motion = _motion(need)
+    held = sampled_reference(_reference(need, plants[1]), times).stiffness
+    supply = air_supply(plants[1], times, motion, np.asarray(held), need.cycle, need.supply, need.tube)
     plant = dataclasses.replace(plants[1], valve=supply.valve)
     limiting = CONSTRAINTS[int(np.argmin(margins))]
     return Candidate(name, uncertainty, lengths, plant, limiting, tuple(torque), tuple(stiffness), supply)
+
+
+def _motion(need: Requirement) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
+    """Times [s]; angle [rad], velocity and acceleration of the sine of `_reference`."""
+    times, rate = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * 32 + 1), 2 * math.pi / need.cycle
+    swing, quarter = need.amplitude * np.cos(rate * times), need.amplitude * np.sin(rate * times)
+    return times, (need.middle - swing, rate * quarter, rate**2 * swing)
 
 
 def _reference(need: Requirement, plant: JointPlant) -> Reference:
@@ -409,10 +416,9 @@ def _reference(need: Requirement, plant: JointPlant) -> Reference:
         low, high = need.stiffness
         held: Signal = Constant(low) if low == high else Ramp(low, high, start=need.cycle, duration=need.cycle)
         return Reference(angle=angle, stiffness=held)
-    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * 32 + 1)
-    motion = reference_trajectory(Reference(angle=angle, stiffness=0.0), times, smoothing=0.0)
-    torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
-    low, high = plant.joint.attainable_stiffness(motion.angle, torque, minimum_tension=_TENSION)
+    times, motion = _motion(need)
+    torque = plant.load.required_torque(*motion)
+    low, high = plant.joint.attainable_stiffness(motion[0], torque, minimum_tension=_TENSION)
     middle = [float(f"{value:.4g}") for value in (np.asarray(low) + np.asarray(high)) / 2]
     return Reference(angle=angle, stiffness=Samples(tuple(times.tolist()), tuple(middle)))
 

@@ -17,7 +17,6 @@ from mckibben.joint.attainable import cocontraction_segment, is_affine, stiffnes
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
-from mckibben.simulation.feasibility import distance_from
 from mckibben.units import deg
 
 Values = NDArray[np.float64]
@@ -35,10 +34,6 @@ class AttainableRange(NamedTuple):
     def width(self) -> Values:
         """Upper minus lower bound."""
         return self.highest - self.lowest
-
-    def violation(self, value: Values) -> Values:
-        """Distance of a value from the range: 0 inside, NaN where nothing is attainable."""
-        return distance_from(*self, value)
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,7 @@ class StaticEnvelope:
         """Indices of about ten whole angles [deg] of the static range, 0 deg among them; empty if there is none."""
         inside = np.flatnonzero(self.inside)
         degrees = np.round(self.angles[inside] / deg, 6)
-        return inside[degrees % max(math.ceil(np.ptp(degrees) if degrees.size else 0.0 / 10), 1) == 0]
+        return inside[degrees % max(math.ceil((np.ptp(degrees) if degrees.size else 0.0) / 10), 1) == 0]
 
 
 def scan_points(affine: bool) -> Values:

@@ -132,16 +132,15 @@ def _levels(*values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(MaxNLocator(12).tick_values(float(np.nanmin(values)), float(np.nanmax(values))))
 
 
-_STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
+_STATIC = "#DCE9F2"
 
 
 @styled
 def envelope(envelope: Envelope) -> Figure:
     """Attainable set of a scenario's joint, and its reference.
 
-    Panels: torque of the reference motion over the angle, with the width of the stiffness range [N*m/rad] as contours;
-    static stiffness over the angle; stiffness over time, with the ranges at rest and in the motion, which the rate of
-    the pressures limits; angle over time, with the static range.
+    Panels: torque that balances gravity over the angle, with the width of the stiffness range [N*m/rad] as contours;
+    stiffness over the angle; stiffness and angle over time, each with its static range.
 
     Parameters
     ----------
@@ -162,33 +161,33 @@ def envelope(envelope: Envelope) -> Figure:
 
 
 def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
-    """Draw the torque [N*m] of the reference motion over the width of the stiffness range."""
-    static, trackability = envelope.static, envelope.trackability
-    torque = trackability.bands.torque
+    """Draw the torque [N*m] that balances gravity over the width of the stiffness range."""
+    static = envelope.static
+    angles, torque = static.angles[static.inside] / deg, static.torque[static.inside]
     if static.map_angles.size:
         width = np.nan_to_num(static.map_stiffness.width)
         drawn = axes.contourf(static.map_angles / deg, static.map_torques, width, 10, cmap="cividis")
         drawn.set_rasterized(True)
         figure.colorbar(drawn, ax=axes, label="range of stiffness [N·m/rad]", pad=0.02)
-    angles = trackability.trajectory.angle / deg
     axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
-    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion")
+    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque that balances gravity")
     axes.grid(False)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
 
 
 def _over_angle(axes: Axes, envelope: Envelope) -> None:
     """Draw the static stiffness range over the angle; with friction on a logarithmic axis."""
-    static, motion = envelope.static, envelope.trackability.trajectory
+    static, reference = envelope.static, envelope.reference
     inside = static.inside
     if inside.any():
         _band(axes, static, color=_STATIC, label="attainable, static")
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
-    axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
+    desired = reference.desired_stiffness
+    axes.plot(reference.desired_angle / deg, desired, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     if static.small_motion is None:
-        _limits(axes, *(edge[inside] for edge in static.stiffness), motion.stiffness)
+        _limits(axes, *(edge[inside] for edge in static.stiffness), desired)
     else:  # often many times the isobaric stiffness
         axes.set_yscale("log")
         plain_numbers(axes.yaxis)
@@ -206,23 +205,21 @@ def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None
 
 
 def _over_time(axes: Axes, envelope: Envelope) -> None:
-    """Draw stiffness ranges and reference [N*m/rad] over time [s]."""
-    motion, bands = envelope.trackability.trajectory, envelope.trackability.bands
-    times = motion.times
-    draw_band(axes, times, *bands.static, color=_STATIC, label="attainable, static")
-    draw_band(axes, times, *bands.rate_limited, color=_DYNAMIC, label="attainable, reference motion", zorder=1)
-    axes.plot(times, motion.stiffness, label="reference", **DESIRED)
+    """Draw stiffness range and reference [N*m/rad] over time [s]."""
+    reference = envelope.reference
+    times, desired = reference.times, reference.desired_stiffness
+    draw_band(axes, times, reference.lowest, reference.highest, color=_STATIC, label="attainable, static")
+    axes.plot(times, desired, label="reference", **DESIRED)
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS, xlim=(times[0], times[-1]))
-    _limits(axes, *bands.static, *bands.rate_limited, motion.stiffness)
+    _limits(axes, reference.lowest, reference.highest, desired)
 
 
 def _angle(axes: Axes, envelope: Envelope) -> None:
     """Draw the reference of the angle [deg] over time, and the range in which the load can be held."""
-    motion, static = envelope.trackability.trajectory, envelope.static
-    times = motion.times
+    static, times = envelope.static, envelope.reference.times
     if static.angle_min <= static.angle_max:
         axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
-    axes.plot(times, motion.angle / deg, label="reference", **DESIRED)
+    axes.plot(times, envelope.reference.desired_angle / deg, label="reference", **DESIRED)
     axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(times[0], times[-1]))
 
 

@@ -373,9 +373,9 @@ class Scenario(StudiedScenario):
         return run_scenario(self.replace(**changes) if changes else self, warn_infeasible=True)
 
     @checked_call
-    def envelope(self, **options: Any) -> Any:
-        """Return attainable set and trackability, see `mckibben.reachability.envelope`."""
-        return _above("reachability").envelope(self, **options)
+    def envelope(self) -> Any:
+        """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
+        return _above("reachability").envelope(self)
 
     @checked_call
     def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:

@@ -54,9 +54,21 @@ class Feasibility(Result):
         """When and by how much the reference is not feasible."""
         if self.feasible:
             return "the reference is statically feasible throughout"
-        run = self.times, self.desired_angle, self.desired_stiffness, self.lowest, self.highest
-        failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
-        return "; ".join(filter(None, (*shortcomings(*run, self.shortfall, failure), self.cause)))
+        sentences, missing = [], self.shortfall
+        unheld, short = np.isnan(missing), np.nan_to_num(missing) > 0
+        if unheld.any():
+            failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
+            at = int(unheld.argmax())
+            when = f"{_span(self.times, unheld)}, first at {self.times[at]:.3g} s"
+            sentences.append(f"{failure} {when} ({self.desired_angle[at] / deg:.3g} deg)")
+        if short.any():
+            at = int(np.nanargmax(missing))
+            sentences.append(
+                f"the desired stiffness is not attainable {_span(self.times, short)}, by up to {missing[at]:.3g} "
+                f"N*m/rad at {self.times[at]:.3g} s (desired {self.desired_stiffness[at]:.4g}, attainable "
+                f"{self.lowest[at]:.4g}..{self.highest[at]:.4g} N*m/rad at {self.desired_angle[at] / deg:.3g} deg)"
+            )
+        return "; ".join(filter(None, (*sentences, self.cause)))
 
     def remarks(self) -> Iterable[Remark]:
         """A severe remark on a reference that is not feasible."""
@@ -69,37 +81,6 @@ def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np
     """Distance of a stiffness from a range, 0 inside to rounding; NaN where nothing is attainable."""
     out = np.maximum(low - stiffness, stiffness - high)
     return np.where(out > _ROUNDING, out, np.where(np.isnan(out), np.nan, 0.0))
-
-
-def shortcomings(
-    times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, failure: str
-) -> list[str]:
-    """Return sentences on when, and by how much, a stiffness is missed.
-
-    Parameters
-    ----------
-    times
-        Times [s], shape (n,), as all other arrays.
-    angle, stiffness, low, high
-        Desired angle [rad] and stiffness, and the attainable range of it [N*m/rad].
-    missing
-        Distance of the stiffness from the range [N*m/rad]; NaN where nothing is attainable.
-    failure
-        Beginning of the sentence on the times where nothing is attainable.
-    """
-    sentences, unheld, short = [], np.isnan(missing), np.nan_to_num(missing) > 0
-    if unheld.any():
-        at = int(unheld.argmax())
-        when = f"{_span(times, unheld)}, first at {times[at]:.3g} s ({angle[at] / deg:.3g} deg)"
-        sentences.append(f"{failure} {when}")
-    if short.any():
-        at = int(np.nanargmax(missing))
-        sentences.append(
-            f"the desired stiffness is not attainable {_span(times, short)}, by up to {missing[at]:.3g} N*m/rad at "
-            f"{times[at]:.3g} s (desired {stiffness[at]:.4g}, attainable {low[at]:.4g}..{high[at]:.4g} N*m/rad at "
-            f"{angle[at] / deg:.3g} deg)"
-        )
-    return sentences
 
 
 def _span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
