@@ -24,8 +24,12 @@ def batch(
     chunk: int | None = None,
     engine: str = "auto",
     substeps: int | None = SUBSTEPS,
+    accuracy: float = 1e-6,
 ) -> Callable[[], NDArray[Any]]:
-    """One episode for each external load [kg]: two RMS errors a lane, shape (lanes, 2); None for substeps: 1e-6 rad."""
+    """One episode for each external load [kg]: two RMS errors a lane, shape (lanes, 2).
+
+    Without substeps the accuracy [rad] chooses them.
+    """
 
     def run() -> NDArray[Any]:
         found = simulate_many(
@@ -37,6 +41,7 @@ def batch(
             duration=problem.periods * PERIOD,
             metrics=METRICS,
             substeps=substeps,
+            accuracy=accuracy,
             precision=np.finfo(dtype).bits,
             chunk=chunk,
             workers=cores,

@@ -70,7 +70,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
     def mujoco() -> Candidate:
         from engines import mujoco_hinge
 
-        note = "torque from Python at each stage: the same method as ours"
+        note = "torque from Python at each stage"
         return candidate("MuJoCo, RK4", mujoco_hinge.angles(problem), note)
 
     note = "1 and 2 substeps, for an accuracy of 1e-6 rad; with the feasibility of the reference"
@@ -84,8 +84,8 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
     bench.add("MuJoCo, RK4", mujoco, install="mujoco")
     bench.add("SciPy solve_ivp", scipy)
     notes = (
-        "10 s, control at 1 kHz with held commands, RK4 with 4 substeps, first-order valves, PID loops over position "
-        "and stiffness.",
+        "10 s, control at 1 kHz with held commands, 4 substeps (RK4, ours of the Hermite method), first-order valves, "
+        "PID loops over position and stiffness.",
         "Other engines compute the stiffness by an explicit formula, ours differentiates the torque. Deviation: the "
         "largest of the angle from plain C [rad]; beyond 1e-9 (SciPy 1e-6) nothing is timed.",
     )

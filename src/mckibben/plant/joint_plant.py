@@ -23,6 +23,7 @@ from mckibben.joint.attainable import StaticSolution, check_finite, raise_unatta
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.batching import fusion_barrier
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
@@ -227,7 +228,7 @@ class JointPlant(Plant[PlantState]):
         """State after a step [s] with the pressures of a closed form; see `with_last_step`."""
         if not isinstance(last := state.last, LastStep):
             return super()._step(valve, state, commands, step)
-        at_prediction, slopes = self._derivatives(state)
+        at_prediction, slopes = fusion_barrier(self._derivatives, state)
 
         def slope(*rates: ArrayLike) -> Scalar:
             return functools.reduce(operator.add, map(operator.mul, slopes, rates))
