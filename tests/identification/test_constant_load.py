@@ -51,6 +51,7 @@ def test_law_and_friction_of_a_test_with_weights(friction):
     data = hanging_weights(friction)
     found = identify_with_friction(ExponentialLaw, data)
     assert found.hysteresis.friction.half_width == pytest.approx(friction, abs=0.3)
+    assert found.robust.groups == 8  # ways of four loads, also without friction in the forces
     points = np.array([0.24, 0.23, 0.2]), np.array([5, 4, 3]) * bar
     np.testing.assert_allclose(forces(found.law, *points), force_at(*points), atol=1.0)
     figure = loops(data, found.hysteresis)

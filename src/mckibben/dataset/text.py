@@ -244,6 +244,8 @@ def find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | No
                 return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))])
             if numbers or by_position or len(cells) < 2:
                 continue
+            if separator == " " and len(_split(lines[min(row + 1, len(lines) - 1)], separator)) < 2:
+                continue  # blanks within names
             cells = _named_channels(cells, lines[:row], separator)
             if (score := _score(cells, mapping) - 0.25 * commented) > most:
                 best, most = Layout(row, separator, cells), score

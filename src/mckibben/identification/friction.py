@@ -16,7 +16,7 @@ from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors
 from mckibben.identification.fit import warning_texts
 from mckibben.identification.fitting import check_law_type, fit_law, law_of
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
-from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights
+from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights, with_loads
 from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.loading_path import (
     TURN_TRAVELS,
@@ -156,7 +156,7 @@ class HysteresisFit(Result):
 
         Points that are slack, as measured or by the law, remain slack.
         """
-        means = dataset.plateau_means()
+        means = with_loads(dataset.plateau_means())
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
             raise IdentificationError(
                 f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
@@ -226,7 +226,7 @@ def identify_hysteresis(
     (12.0, 0.5)
     """
     check_law_type(law)
-    means = with_last_motion(dataset.plateau_means())
+    means = with_last_motion(with_loads(dataset.plateau_means()))
     paths = LoadingPaths.of(means)
     taut = ~means.slack
     half_gap, gap_error = loop_half_width(means, taut)

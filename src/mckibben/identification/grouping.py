@@ -40,6 +40,12 @@ def held_values(points: IsobaricDataset) -> Floats:
     return points.levels if loads is None else loads
 
 
+def with_loads(points: IsobaricDataset) -> IsobaricDataset:
+    """Points with the loads that were held as set forces: without friction, their forces are no levels."""
+    loads = held_loads(points.table)
+    return points if loads is None else IsobaricDataset(points.table.assign(set_force=("point", loads)))
+
+
 def at_fixed_lengths(points: IsobaricDataset) -> bool:
     """Whether most points were filled or vented at a fixed length."""
     phases = points.table["phase"].to_numpy() if "phase" in points.table else np.empty(0, "<U9")
