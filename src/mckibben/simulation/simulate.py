@@ -68,8 +68,8 @@ def simulate(
 ) -> SimulationResult:
     """Run a controller on a plant.
 
-    Commands are constant over each control period, in which the plant is integrated by a method of order 4: the Hermite
-    one of a smooth plant (`JointPlant.with_last_step`), else the classical one of Runge and Kutta. The run is computed
+    Commands are constant over each control period, in which the plant is integrated by the two-point Hermite method
+    if it is smooth (`JointPlant.with_last_step`), else by the classical one of Runge and Kutta. The run is computed
     with one integration step per period, with two, with four and so on, until the angles of the last two solutions
     agree within the accuracy; the result is the coarser one, with the steps that it needs, and their distance its
     error, within a factor of 2 where motions are smooth. The plant limits commands to the rated pressures of its
