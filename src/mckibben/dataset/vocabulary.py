@@ -38,7 +38,8 @@ as `relative_length` is. `pressure1` and `pressure2` are those of the muscles of
 _NAMES: Mapping[str, str] = {
     "pressure": """p, pressure, muscle pressure, air pressure, inner pressure, internal pressure, actuator pressure,
         druck, muskeldruck, innendruck, istdruck, p muskel, p ist, messdruck, überdruck, absolutdruck""",
-    "force": """f, force, axial force, tension, tensile force, pull, pulling force, contractile force, load, load cell, kraft, zugkraft, axialkraft,
+    "force": """f, force, axial force, tension, tensile force, pull, pulling force, contractile force, load,
+    load cell, kraft, zugkraft, axialkraft,
         muskelkraft, standardkraft, kraftaufnehmer, standard force, last""",
     "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
         verkuerzung, relative verkürzung""",
