@@ -394,13 +394,6 @@ def t_quantile(level: float, freedom: ArrayLike) -> Floats:
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
 
-def bounded_minimum(cost: Callable[[float], float], lower: float, upper: float, xatol: float) -> float:
-    """Position of the minimum of a cost between bounds, within an absolute tolerance."""
-    from scipy.optimize import minimize_scalar  # takes 0.1 s to import
-
-    return float(minimize_scalar(cost, bounds=(lower, upper), method="bounded", options={"xatol": xatol}).x)  # type: ignore
-
-
 def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:
     """T interval of a sum of independent variances V, with Satterthwaite's (sum V)^2 / sum(V^2/nu)."""
     value = np.asarray(value, np.float64)
