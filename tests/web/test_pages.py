@@ -202,7 +202,7 @@ def test_points_are_uploaded_fitted_downloaded_and_give_a_joint(tmp_path):
         async with visitor() as user:
             await user.open("/identify")
             await give(user, RIG)
-            await user.should_see("204 points, 31 slack", retries=60)
+            await user.should_see("204 points, 32 slack", retries=60)
             user.find(marker="fit").click()
             await user.should_see("ExponentialLaw describes", retries=400)
             user.find(marker="download-fit").click()

@@ -114,7 +114,7 @@ class FirstOrderValve(Valve):
         error = pressure - command
         if self.rate is not None:
             excess = jnp.maximum(jnp.abs(error) / self.rate - self.time_constant, 0.0)  # [s]
-            limited = jnp.where(excess > elapsed, elapsed, excess)  # the minimum, with its derivative at 0
+            limited = jnp.minimum(elapsed, excess)
             error, elapsed = error - jnp.sign(error) * self.rate * limited, elapsed - limited
         return command + error * jnp.exp(-elapsed / self.time_constant)
 

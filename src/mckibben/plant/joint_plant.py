@@ -180,8 +180,9 @@ class JointPlant(Plant[PlantState]):
 
     @property
     def is_smooth(self) -> bool:
-        """Whether nothing slips, pressures are continuous and in closed form, and no torque disturbs."""
-        return not self.slips and self.valve.holds_pressure and not self.valve.holds_air and self.has_ideal_io
+        """Whether nothing slips, pressures are those of linear valves in closed form, and no torque disturbs."""
+        valve = self.valve
+        return not self.slips and valve.is_linear and valve.holds_pressure and not valve.holds_air and self.has_ideal_io
 
     @property
     def stability_limit(self) -> float:

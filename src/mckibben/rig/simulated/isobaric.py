@@ -72,7 +72,7 @@ class SimulatedIsobaricTest(Checked):
     >>> from mckibben.rig import IsobaricProtocol
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     >>> SimulatedIsobaricTest(muscle).run(IsobaricProtocol(pressures=[2 * bar, 6 * bar], repeats=1), seed=1)
-    <IsobaricDataset 'MAS-10-180N-AA-MC-O': 126 points (10 slack), 2 pressures 2..6 bar, contraction
+    <IsobaricDataset 'MAS-10-180N-AA-MC-O': 126 points (11 slack), 2 pressures 2..6 bar, contraction
     -3..24.78 %, loading and unloading, repeats 0, 1000 samples per point>
     """
 
