@@ -38,7 +38,7 @@ def main(page: Path, target: Path) -> None:
     from nbclient import NotebookClient
 
     book = new_notebook(cells=cells(page.read_text(encoding="utf-8")))
-    NotebookClient(book, timeout=600, resources={"metadata": {"path": target.parent}}).execute()
+    NotebookClient(book, timeout=600, record_timing=False, resources={"metadata": {"path": target.parent}}).execute()
     nbformat.write(book, target)
     outputs = (output for cell in book.cells for output in cell.get("outputs", ()))
     images = [output.data["image/png"] for output in outputs if "image/png" in output.get("data", {})]
