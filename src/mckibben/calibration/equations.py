@@ -312,7 +312,7 @@ def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Arr
     return low, high, muscle.tension(*at), muscle.slope(*at)
 
 
-def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
+def corrected(problem: CalibrationProblem, z: Any) -> _Corrected:
     """The model for parameters in prior standard deviations from their prior mean."""
     prior, joint, load, n = problem.prior, problem.joint, problem.load, COEFFICIENTS
     muscles, shrink = [], 0.5 ** np.arange(n)

@@ -431,7 +431,7 @@ class _Triangular(NamedTuple):
         from scipy.linalg import get_lapack_funcs, schur
 
         balance = get_lapack_funcs("gebal", (loops.a,))
-        triangular = []
+        triangular: list[Any] = []
         for a, b, c in zip(*loops, strict=True):
             scale = np.clip(balance(a, scale=1)[3], 1 / _RANGE, _RANGE)
             upper, basis = map(np.asarray, schur(a * scale / scale[:, None], output="complex")[:2])

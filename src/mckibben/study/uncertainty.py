@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -112,6 +113,6 @@ def torque_and_stiffness_gradients(
     return answer(values), jax.jacfwd(answer)(values), joint.contractions(angle, (pressure1, pressure2))
 
 
-def _with(law: ForceLaw, values: Array | NDArray) -> ForceLaw:
+def _with(law: ForceLaw, values: Any) -> ForceLaw:
     names = [p.name for p in type(law).parameters()]
     return dataclasses.replace(law, **dict(zip(names, values, strict=True)))

@@ -197,7 +197,7 @@ class Clamps(NamedTuple):
         return self.mounted_at - stretch / self.muscle.specimen.initial_length
 
 
-def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Array, inputs: Array) -> Array:
+def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Array, inputs: Any) -> Array:
     """State after a move at constant speed, followed by the force [N] at its end.
 
     Inputs are the command [Pa], the stretch at the end [m], the duration [s], the conductances of the regulator and of
