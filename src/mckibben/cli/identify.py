@@ -70,15 +70,18 @@ def identify(
         return identify_pressure_creep(reading.recordings(data))
     from mckibben.cli.identified import Source, identified, ranked
     from mckibben.identification import rank
-    from mckibben.scenario import air_volume
     from mckibben.study import inputs
 
     law_type, robust = inputs.law_type_named(law) if law != _ALL else None, not keep_outliers
     if law_type is None:
         check_unused("--law all", friction=form)
     points = reading.data(data)
-    with of_option("--inner"):
-        volume = air_volume(inner, points.table.attrs.get("initial_length"))
+    volume = None
+    if inner:
+        from mckibben.scenario import air_volume  # 0.2 s to import
+
+        with of_option("--inner"):
+            volume = air_volume(inner, points.table.attrs.get("initial_length"))
     source = Source(data, points, reading.recipe, volume)
     if law_type is None:
         return ranked(rank(points, robust=robust, progress=progress), source)

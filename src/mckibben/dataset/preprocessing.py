@@ -208,9 +208,11 @@ def held_loads(table: xr.Dataset) -> Floats | None:
         return np.asarray(table["set_force"].to_numpy())
     force, pressure = table["force"].to_numpy(), table["pressure"].to_numpy()
     levels = level_means(force, 0.01 * np.abs(force).max(initial=0.0))
-    spans = pd.Series(pressure).groupby(levels).agg(["size", np.ptp])
-    held = np.isfinite(levels).all() and spans["size"].min() >= _FEWEST and spans["ptp"].min() > 3 * _LEVEL
-    return levels if held and len(spans) < len(np.unique(_levels(table))) else None
+    distinct, counts = np.unique(levels, return_counts=True)
+    if not np.isfinite(levels).all() or counts.min(initial=len(levels)) < _FEWEST:
+        return None
+    spans = (np.ptp(pressure[levels == level]) for level in distinct)
+    return levels if len(distinct) < len(np.unique(_levels(table))) and min(spans) > 3 * _LEVEL else None
 
 
 def _levels(table: xr.Dataset) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from mckibben.identification.estimator import (
     Minimum,
     condition_number,
     least_squares,
+    remembered,
     robust_errors,
     standard_errors,
     unidentifiable,
@@ -202,11 +203,20 @@ class PathDependentModel:
         constants = {p.name: float(getattr(self.template, p.name)) for p in type(self.template).constants}
         return dataclasses.replace(FitProblem.of(type(self.template), self.means), constants=constants)
 
+    @cached_property
+    def _law(self) -> Callable[[Floats], tuple[Floats, Floats]]:
+        """Tension [N] and its derivatives from the parameters of the law: a fit of the friction alone keeps them."""
+
+        def at(parameters: Floats) -> tuple[Floats, Floats]:
+            rows = self._problem.columns_and_residuals(parameters)[:, : len(self.means)]
+            return np.maximum(self.means.force - rows[-1], 0.0), rows[:-1].T
+
+        return remembered(at)
+
     def _tension(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
         """Tension of the law [N] at each row, and its derivatives by all parameters, shape (rows, parameters)."""
         own = [values[name] if name in values else getattr(self.template, name) for name in self._problem.names]
-        rows = self._problem.columns_and_residuals(np.array(own, np.float64))[:, : len(self.means)]
-        return np.maximum(self.means.force - rows[-1], 0.0), rows[:-1].T
+        return self._law(np.array(own, np.float64))
 
     def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""

@@ -112,11 +112,11 @@ def _limit_texts(figure: Figure) -> None:
     def limited(text: str) -> str:
         return "\n".join(printable(line, _LONGEST_LINE) for line in text.split("\n"))
 
-    for axes in figure.findobj(Axes):
-        for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(formatter := axis.get_major_formatter(), FixedFormatter):
-                formatter.seq = [limited(text) for text in formatter.seq]
-    for text in figure.findobj(Text):
+    artists = figure.findobj()  # once: it makes all ticks
+    for axis in (artist for artist in artists if isinstance(artist, Axis)):
+        if isinstance(formatter := axis.get_major_formatter(), FixedFormatter):
+            formatter.seq = [limited(text) for text in formatter.seq]
+    for text in (artist for artist in artists if isinstance(artist, Text)):
         if text.get_text() != (short := limited(text.get_text())):
             text.set_text(short)
 
