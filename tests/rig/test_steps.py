@@ -73,7 +73,7 @@ def test_without_a_law_the_whole_stroke_is_the_upper_bound():
     found = dry_run(plan.steps_of(protocol, bench.of), bench)
     assert found.estimated and found.problems == []
     assert found.plateaus == 4 * 51
-    assert any("until 598.5 N" in line for line in plan.describe_steps(plan.steps_of(protocol, bench.of)))
+    assert "force: 598.5 N" in plan.steps_text(plan.steps_of(protocol, bench.of))
 
 
 @pytest.mark.parametrize("protocol", [plan.IsometricProtocol(), plan.IsotonicProtocol()])

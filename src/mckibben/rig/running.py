@@ -30,7 +30,7 @@ from mckibben.rig.record import (
 )
 from mckibben.rig.runner import BLOCK, DONE, VENTED, ProgressCallback, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
-from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
+from mckibben.rig.steps import ProtocolStep, steps_of, steps_text
 from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.units import bar, mm, percent
 
@@ -75,7 +75,7 @@ class CheckedTest:
         return "\n".join(
             [
                 f"{self.test.name}: {self.setup.bench.specimen.name} on the {self.rig} rig",
-                *describe_steps(self.steps, 1),
+                steps_text(self.steps).rstrip(),
                 f"{about}{_time(run.duration)}, {run.plateaus} points, {run.samples} samples, "
                 f"{run.travel:.3g} m of travel, {self.disk_space / 1e6:.0f} MB on disk",
                 f"contraction {run.contraction[0] / percent:.4g}..{run.contraction[1] / percent:.4g} %, pressure "
@@ -335,7 +335,7 @@ def _check_same(checked: CheckedTest, folder: Path) -> None:
     if not checked.test.is_same(recorded):
         remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
         raise ScenarioError(str(folder), [Problem("contains another test", remedy=remedy)])
-    if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):
+    if segments(folder) and header_of(folder)[0]["steps"] != steps_text(checked.steps):
         remedy = "restore the files that the protocol names, such as that of its law"
         raise ScenarioError(str(folder), [Problem("contains a test of other steps", field="steps", remedy=remedy)])
 
@@ -345,7 +345,7 @@ def _header(checked: CheckedTest, protocol: str) -> dict[str, object]:
     specimen = bench.specimen
     return {
         "protocol": protocol,
-        "steps": describe_steps(checked.steps),
+        "steps": steps_text(checked.steps),
         "specimen": {
             "name": specimen.name,
             "initial_length_m": float(specimen.initial_length),

@@ -13,6 +13,7 @@ import numpy as np
 
 from mckibben.component.base import Checked, check_fields, field_problems
 from mckibben.component.classes import Keyed
+from mckibben.component.schema import write_text
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.bench import Bench
@@ -48,12 +49,8 @@ SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
-class ProtocolStep(Keyed, Checked, abc.ABC):
+class ProtocolStep(Keyed, Checked):
     """A step of a test."""
-
-    @abc.abstractmethod
-    def describe(self) -> str:
-        """Description as text."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +71,6 @@ class Move(ProtocolStep):
     to: Contraction
     speed: Speed = SPEED
 
-    def describe(self) -> str:
-        return f"move to {self.to / percent:.4g} % contraction at {self.speed / mm:g} mm/s"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Dwell(ProtocolStep):
@@ -93,9 +87,6 @@ class Dwell(ProtocolStep):
 
     duration: WaitTime
 
-    def describe(self) -> str:
-        return f"wait {self.duration:g} s"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Pressurise(ProtocolStep):
@@ -109,16 +100,6 @@ class Pressurise(ProtocolStep):
         Rate of the set pressure [Pa/s]. Default: a step.
     holding
         Force [N] that is held meanwhile by moving, see `HoldForce`. Default: constant length.
-
-    Raises
-    ------
-    RangeError
-        If `shut` comes with `rate` or `holding`.
-
-    Examples
-    --------
-    >>> Pressurise(pressure=3 * bar, rate=0.1 * bar).describe()
-    'pressurise to 3 bar at 0.1 bar/s'
     """
 
     short_name = "pressurise"
@@ -127,11 +108,6 @@ class Pressurise(ProtocolStep):
     pressure: SetPressure
     rate: PressureRate | None = None
     holding: Tension | None = None
-
-    def describe(self) -> str:
-        rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
-        holding = f", holding {self.holding:g} N" if self.holding is not None else ""
-        return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,9 +134,6 @@ class HoldForce(ProtocolStep):
     speed: Speed = SPEED
     longest: Duration = 300 * s
 
-    def describe(self) -> str:
-        return f"move until the force is {self.force:g} N +- {self.tolerance:g} N"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Acquire(ProtocolStep):
@@ -183,9 +156,6 @@ class Acquire(ProtocolStep):
     direction: Literal["", "loading", "unloading"] = ""
     phase: Phase = ""
     keep: bool = True
-
-    def describe(self) -> str:
-        return f"acquire {self.samples} samples in {self.duration:g} s"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,26 +189,12 @@ class Walk(ProtocolStep):
     slack: Repeats | None = None
     slack_force: Force = 1 * N
 
-    def describe(self) -> str:
-        to = "back" if self.to is None else f"to {self.to / percent:.4g} % contraction"
-        ends = [f"until {self.force:g} N"] if self.force is not None else []
-        ends += [f"until {self.slack} slack plateaus"] if self.slack is not None else []
-        what = f" ({self.acquire.direction})" if self.acquire.direction else ""
-        each = self.acquire.describe().removeprefix("acquire ")
-        return (
-            f"walk {to} in steps of {self.step / mm:g} mm{what}{''.join(f', {end}' for end in ends)}; at each: "
-            f"{self.step / self.speed:g} s move, {self.dwell:g} s wait, {each}"
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Vent(ProtocolStep):
     """Vent, and wait until the muscle is empty."""
 
     short_name = "vent"
-
-    def describe(self) -> str:
-        return "vent"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,9 +220,6 @@ class Repeat(ProtocolStep):
         if not self.steps:
             raise RangeError("Repeat: no steps", field="steps", remedy="give at least one")
 
-    def describe(self) -> str:
-        return f"{self.times} times"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Steps(Protocol):
@@ -280,8 +233,11 @@ class Steps(Protocol):
     Examples
     --------
     >>> protocol = Steps(steps=(Pressurise(pressure=2 * bar), Dwell(duration=5.0), Vent()))
-    >>> describe_steps(protocol.steps)
-    ['pressurise to 2 bar', 'wait 5 s', 'vent']
+    >>> print(steps_text(protocol.steps), end="")
+    steps:
+      - pressurise: 2 bar
+      - dwell: 5 s
+      - vent
     """
 
     short_name = "steps"
@@ -295,14 +251,9 @@ class Steps(Protocol):
             raise RangeError("a protocol of no steps", field="steps", remedy="give at least one")
 
 
-def describe_steps(steps: Sequence[ProtocolStep], indent: int = 0) -> list[str]:
-    """Lines of text of steps, those of a repeat indented."""
-    lines: list[str] = []
-    for step in steps:
-        lines.append("  " * indent + step.describe())
-        if isinstance(step, Repeat):
-            lines += describe_steps(step.steps, indent + 1)
-    return lines
+def steps_text(steps: Sequence[ProtocolStep]) -> str:
+    """Steps as a protocol of a file."""
+    return write_text(Steps(steps=tuple(steps)), base=Protocol)
 
 
 TURNING = 5 * mm
