@@ -48,7 +48,7 @@ def asleep(duration, period):
 
 
 def spread(times):
-    return " / ".join(f"{time:.0f}" for time in times.values())
+    return " / ".join(f"{time * 1e6:.0f}" for time in times)
 
 
 def main():

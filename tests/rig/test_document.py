@@ -129,8 +129,8 @@ def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_pa
     with pytest.raises(ScenarioError) as found:
         check(test, document, source="p.yaml")
     said = str(found.value)
-    assert "line 11, protocol.steps[4].pressurise.pressure: 7 bar is above the limit of 6.5 bar" in said
-    assert "line 19, protocol.steps[9].repeat.steps[0].walk.speed: 6 mm/s is faster than the motor" in said
+    assert "line 11, protocol.steps[4].pressurise.pressure: 7 bar is above 6.5 bar" in said
+    assert "line 19, protocol.steps[9].repeat.steps[0].walk.speed: 6 mm/s is above 5 mm/s" in said
 
 
 def test_the_example_is_the_papers_test():

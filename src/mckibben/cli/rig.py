@@ -17,26 +17,18 @@ from typer import Argument
 from mckibben.cli.command import plain_command, present
 from mckibben.cli.help import Command, Commands
 from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_optional, required_folder
-from mckibben.cli.report import Report
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
-from mckibben.result import Column, Listing
 from mckibben.storage.files import check_free, make_folder
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
-    from mckibben.rig import JointRunResult, JointSession, RunProgress
+    from mckibben.rig import RunProgress
     from mckibben.rig.runner import Progress, ProgressCallback
     from mckibben.rig.running import CheckedTest
 
 
 _RECORDING = "recording.nc"
 _INTERVAL = 0.25  # s
-
-
-class RunReport(Report):
-    """Report of a run on a joint rig."""
-
-    files = "scenario.yaml", "result.nc", "tracking.png", "tracking.svg"
 
 
 @plain_command
@@ -69,7 +61,7 @@ def control(
     json
         Print machine-readable results instead of a table.
     """
-    from mckibben.rig import JointRig, prepare
+    from mckibben.rig import JointRig, JointRunResult, prepare
     from mckibben.rig.running import status_line
     from mckibben.scenario import Scenario
 
@@ -82,7 +74,7 @@ def control(
         _show_status(map(status_line, session.backend.status()))
         return
     out = required_folder(out, "run")
-    check_free(make_folder(out), (*RunReport.file_names(), "record-0001.mcap"))
+    check_free(make_folder(out), (*JointRunResult.file_names(), "record-0001.mcap"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
         echo(f"warning: {session.reach.verdict()}", err=True)
@@ -96,56 +88,10 @@ def control(
     if error is not None:  # before the results, as the disk may be full
         echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
     try:
-        read.to_yaml(out / "scenario.yaml")  # not of a refused run; the record has it too
-        present(_report(ran, session, paced=not unpaced), json=json, out=out, force=True)
+        present(ran, json=json, out=out, force=True)
     finally:
         if error is not None:
             raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
-
-
-def _report(ran: JointRunResult, session: JointSession, *, paced: bool) -> RunReport:
-    """Report of a run, with its files."""
-    from mckibben import report
-    from mckibben.simulation.metrics import in_shown_units
-
-    result, timing = ran.result, ran.timing
-    numbers: dict[str, object] = {
-        "scenario": session.scenario.name,
-        "ended": ran.outcome.kind,
-        "reason": ran.outcome.text,
-        "vented_after_s": ran.outcome.vented_after,
-        "remaining_Pa": ran.outcome.remaining,
-        "outcome": None if result is None else result.outcome.name.lower(),
-        "infeasible": "" if ran.reach.feasible else ran.reach.verdict(),
-        "metrics": {} if result is None else in_shown_units(result.metrics),
-        "priority": ran.priority,
-        "timing": timing._asdict() if paced else None,
-    }
-    spreads = {
-        "sample to loop": timing.lateness,
-        "loop to valves": timing.work,
-        "jitter between commands": timing.jitter,
-    }
-    values = zip(*(spread.values() for spread in spreads.values()), strict=True)
-    times = {
-        name: (Column("s", name, "us"), [time * 1e-6 for time in row])
-        for name, row in zip(("median", "95 %", "99.9 %", "worst"), values, strict=True)
-    }
-    title = (
-        f"{timing.missed} of {timing.periods} deadlines missed ({timing.skipped} periods skipped, "
-        f"{timing.dropped} samples dropped), {ran.priority} priority"
-    )
-    tables = [] if result is None else [*result.listings()]
-    tables += [Listing(title, {"time": (Column(), list(spreads)), **times})] if paced else []
-
-    def write(folder: Path) -> None:
-        if result is not None:
-            result.to_netcdf(folder / "result.nc")
-            report.save(report.tracking({session.scenario.name: result}), folder, "tracking")
-
-    completed = result is not None and ran.outcome.completed
-    verdict = f"{result.verdict() if completed else ran.outcome.kind}; {ran.outcome.venting}"
-    return RunReport(verdict, tuple(tables), () if result is None else tuple(result.remarks()), write, numbers)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
 from mckibben.rig.protocol import MOST_POINTS
 from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, StepInterpreter, Walk
-from mckibben.units import bar, mm, percent
+from mckibben.units import bar, factor, percent, show
 
 
 class DryRun(StepInterpreter):
@@ -70,13 +70,9 @@ class DryRun(StepInterpreter):
         if 2 * bench.cycle > patience:
             message = f"{bench.cycle:g} s is more than half of the {patience:g} s after which the rig vents by itself"
             self._report(message, "recording.cycle", "shorten it")
-        name, rated = bench.specimen.name, float(bench.specimen.force_limit)
-        if limits.force > rated:
-            self._report(f"{limits.force:g} N is above the rated {rated:g} N of {name}", "limits.force", "lower it")
-        highest = float(self._domain.pressure_max)
-        if limits.pressure > 1.1 * highest:
-            message = f"{limits.pressure / bar:g} bar is more than a tenth above the {highest / bar:g} bar of {name}"
-            self._report(message, "limits.pressure", "lower it")
+        name, highest = bench.specimen.name, 1.1 * float(self._domain.pressure_max)
+        self._check_most(limits.force, float(bench.specimen.force_limit), "N", f"rated for {name}", "limits.force")
+        self._check_most(limits.pressure, highest, "bar", f"a tenth above the range of {name}", "limits.pressure")
         if self.duration > 365 * 86400:
             message = f"the test takes {self.duration / 86400:.3g} days, more than a year"
             self._report(message, self._place, "raise the speed or rate, or split it into several tests")
@@ -93,18 +89,16 @@ class DryRun(StepInterpreter):
         self._steps += 1
         self._check_count(self._steps, "steps")
         self._by_force = isinstance(step, Walk) and step.force is not None
+        if isinstance(step, Move | HoldForce | Walk):
+            self._check_most(step.speed, bench.fastest, "mm/s", "the speed of the motor", f"{place}.speed")
         match step:
             case Move():
-                self._check_speed(step.speed)
                 self._check_reach(step.to)
             case Pressurise():
                 self._check_pressure(step.pressure)
-            case HoldForce():
-                self._check_speed(step.speed)
             case Acquire():
                 self._check_sampling(step, place)
             case Walk():
-                self._check_speed(step.speed)
                 self._check_reach(bench.contraction_at(self._walk_end(step)) if step.to is None else step.to)
                 self._check_sampling(step.acquire, f"{place}.acquire")
                 self.estimated |= step.force is not None or step.slack is not None
@@ -158,19 +152,14 @@ class DryRun(StepInterpreter):
         """Move to where the muscle has this force [N] by its law, if there is one."""
         bench = self.bench
         self.estimated = True
-        if force > bench.limits.force:
-            self._report(f"{force:g} N is above the limit of {bench.limits.force:g} N", self._place, "lower it")
+        self._check_most(force, bench.limits.force, "N", "limits.force", self._place)
         if not isinstance(bench.of, Muscle):
             return
         domain = self._domain
         grid = np.linspace(float(domain.contraction_min), float(domain.contraction_max), 512)
         there = forces(bench.of, grid, self._set_pressure)
-        if not there.min() <= force <= there.max():
-            message = (
-                f"at {self._set_pressure / bar:g} bar the force is {there.min():.0f} to {there.max():.0f} N within the "
-                f"range of the muscle, and {force:g} N are to be held"
-            )
-            self._report(message, self._place, "choose another force, or other pressures")
+        where = f"the force of the muscle at {self._set_pressure / bar:g} bar"
+        if not self._check_range(force, (there.min(), there.max()), "N", where, self._place, "choose other pressures"):
             return
         to = float(np.interp(-force, -there, grid))
         self._check_reach(to)
@@ -191,40 +180,35 @@ class DryRun(StepInterpreter):
             self._report(message, self._place, "repeat less often, lengthen the step of walks, or split the test")
             raise _TooLongError
 
-    def _check_speed(self, speed: float) -> None:
-        fastest = self.bench.fastest / mm
-        if speed / mm > fastest * (1 + 1e-9):
-            message = f"{speed / mm:g} mm/s is faster than the motor, which does {fastest:g} mm/s"
-            self._report(message, f"{self._place}.speed", "move more slowly")
+    def _check_range(
+        self, number: float, limits: tuple[float, float], unit: str, what: str, place: str, remedy: str = "stay inside"
+    ) -> bool:
+        """Report a number [SI] outside the limits of something, but for rounding; whether it is inside."""
+        low, high = limits
+        inside = low <= number <= high or any(math.isclose(number, end, abs_tol=1e-9) for end in limits)
+        if not inside:
+            shown = show(high, unit, 4) if low == -math.inf else f"{low / factor(unit):.4g}..{show(high, unit, 4)}"
+            relation = "above" if low == -math.inf else "outside"
+            self._report(f"{show(number, unit, 4)} is {relation} {shown}, {what}", place, remedy)
+        return inside
+
+    def _check_most(self, number: float, most: float, unit: str, what: str, place: str) -> None:
+        self._check_range(number, (-math.inf, most), unit, what, place, "lower it")
 
     def _check_reach(self, contraction: float) -> None:
-        bench, limits, domain = self.bench, self.bench.limits, self._domain
-        low, high = float(domain.contraction_min), float(domain.contraction_max)
-        place = f"{self._place}.to"
-        if not low - 1e-9 <= contraction <= high + 1e-9:
-            allowed = f"{low / percent:g}..{high / percent:g} % of {bench.specimen.name}"
-            self._report(f"{contraction / percent:.4g} % is outside {allowed}", place, "stay inside")
-        stretch = (bench.mounted_at - contraction) * float(bench.specimen.initial_length)
-        for travel, most, key in ((stretch, limits.stretch, "stretch"), (-stretch, limits.shorten, "shorten")):
-            if travel > most + 1e-9:
-                message = (
-                    f"{contraction / percent:.4g} % is {travel / mm:.4g} mm from the mounted position, and the travel "
-                    f"is {most / mm:.4g} mm"
-                )
-                self._report(message, place, f"raise limits.{key}, if the rig has this travel")
+        bench, limits, domain, place = self.bench, self.bench.limits, self._domain, f"{self._place}.to"
+        ends = float(domain.contraction_min), float(domain.contraction_max)
+        self._check_range(contraction, ends, "%", f"the range of {bench.specimen.name}", place)
+        stretch, travel = bench.position_at(contraction), (-limits.shorten, limits.stretch)
+        remedy = f"raise limits.{'stretch' if stretch > 0 else 'shorten'}, if the rig has this travel"
+        self._check_range(stretch, travel, "mm", "the travel from the mounted position", place, remedy)
 
     def _check_pressure(self, pressure: float) -> None:
-        domain, highest, place = self._domain, self.bench.limits.pressure, f"{self._place}.pressure"
-        low, high = float(domain.pressure_min), float(domain.pressure_max)
-        if not low - 1e-3 <= pressure <= high + 1e-3:
-            allowed = f"{low / bar:g}..{high / bar:g} bar of {self.bench.specimen.name}"
-            self._report(f"{pressure / bar:g} bar is outside {allowed}", place, "stay inside")
-        if pressure > self.bench.supply:
-            message = f"{pressure / bar:g} bar is above the {self.bench.supply / bar:g} bar of supply and regulator"
-            self._report(message, place, "lower it, or raise the supply")
-        if pressure > highest:
-            message = f"{pressure / bar:g} bar is above the limit of {highest / bar:g} bar"
-            self._report(message, place, "lower it, or raise limits.pressure")
+        domain, place = self._domain, f"{self._place}.pressure"
+        ends = float(domain.pressure_min), float(domain.pressure_max)
+        self._check_range(pressure, ends, "bar", f"the range of {self.bench.specimen.name}", place)
+        self._check_most(pressure, self.bench.supply, "bar", "the pressure of supply and regulator", place)
+        self._check_most(pressure, self.bench.limits.pressure, "bar", "limits.pressure", place)
 
     def _check_sampling(self, acquire: Acquire, place: str) -> None:
         rate = self.bench.rate
@@ -244,12 +228,9 @@ class DryRun(StepInterpreter):
         there = forces(bench.of, contractions, pressures)
         at = int(np.argmax(there))
         self.force = float(there[at])
-        if self.force > limit:
-            message = (
-                f"the force by the law is {self.force:.0f} N at {contractions[at] / percent:.4g} % and "
-                f"{pressures[at] / bar:g} bar, above the limit of {limit:g} N"
-            )
-            self._report(message, [*self._visited.values()][at], "stay at higher contractions, or lower the pressure")
+        where = f"limits.force, by the law at {contractions[at] / percent:.4g} % and {pressures[at] / bar:g} bar"
+        remedy = "stay at higher contractions, or lower the pressure"
+        self._check_range(self.force, (-math.inf, limit), "N", where, [*self._visited.values()][at], remedy)
 
     def _check_sensors(self, channels: Sequence[Channel]) -> None:
         """Check the ranges of sensors and valve."""
@@ -258,9 +239,10 @@ class DryRun(StepInterpreter):
             channel = named.get(name)
             if channel is None:
                 self._report(f"there is no {name}", "rig", "a test needs force, pressure and valve")
-            elif not (channel.low <= 0 and highest <= channel.high):
-                message = f"0..{highest:g} leaves its range {channel.low:g}..{channel.high:g} {channel.unit}"
-                self._report(message, f"rig.{name}", "stay within it, or use another one")
+                continue
+            for end in (0.0, highest):
+                ends, remedy = (channel.low, channel.high), "stay within it, or use another one"
+                self._check_range(end, ends, channel.unit, "the range of the channel", f"rig.{name}", remedy)
 
 
 class _TooLongError(Exception):

@@ -14,9 +14,10 @@ from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
+from mckibben.result import Column, Listing
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
 from mckibben.simulation.loop import Record
-from mckibben.storage.mcap import Column
+from mckibben.storage import mcap
 
 
 class JointReading(NamedTuple):
@@ -64,13 +65,13 @@ COMMANDED_AT, READING, REFERENCE, COMMANDS = 4, slice(5, 8), slice(8, 10), slice
 """Places in a row."""
 
 
-def columns(telemetry: Sequence[str]) -> list[Column]:
+def columns(telemetry: Sequence[str]) -> list[mcap.Column]:
     """Columns of a record; the telemetry of the controller has the prefix ``controller_``.
 
     Without a command, those from `commanded_at` on are NaN, but for the reading.
     """
-    reported = [Column(f"controller_{name}", attributes(name).get("units", "")) for name in telemetry]
-    return [*(Column(*column) for column in _OWN), *reported]
+    reported = [mcap.Column(f"controller_{name}", attributes(name).get("units", "")) for name in telemetry]
+    return [*(mcap.Column(*column) for column in _OWN), *reported]
 
 
 _PREFIX = "controller_"
@@ -118,9 +119,10 @@ def measured_result(
     moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     resolution = float(plant.sensors.angle_resolution)
-    return SimulationResult.of(
+    result = SimulationResult.of(
         moved, period, band=band, telemetry=telemetry, scenario=scenario, angle_resolution=resolution
     )
+    return dataclasses.replace(result, feasibility=reach)
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -146,18 +148,13 @@ def _by_laws(plant: JointPlant) -> JointPlant:
     return dataclasses.replace(plant, joint=dataclasses.replace(joint, muscle1=muscle1, muscle2=muscle2))
 
 
-PERCENTILES = {"median_us": 50, "p95_us": 95, "p999_us": 99.9, "worst_us": 100}
-"""Percentiles of the times of a loop, by name."""
+PERCENTILES = {"median": 50, "95 %": 95, "99.9 %": 99.9, "worst": 100}
+"""Percentiles of the times of a loop, by title."""
 
 
-def percentiles(times: NDArray[np.float64]) -> dict[str, float]:
-    """Percentiles of times [s] of shape (times,), in microseconds; NaN of none.
-
-    >>> round(percentiles(np.arange(101.0) * 1e-6)["p95_us"], 6)
-    95.0
-    """
-    values = np.percentile(times * 1e6, [*PERCENTILES.values()]) if times.size else np.full(len(PERCENTILES), np.nan)
-    return dict(zip(PERCENTILES, values.tolist(), strict=True))
+def percentiles(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The `PERCENTILES` of times of shape (times,); NaN of none."""
+    return np.percentile(times, [*PERCENTILES.values()]) if times.size else np.full(len(PERCENTILES), np.nan)
 
 
 class Timing(NamedTuple):
@@ -172,17 +169,32 @@ class Timing(NamedTuple):
     skipped, dropped
         Of these: without a command, because the loop was late and took the next sample; lost by the device.
     lateness, work, jitter
-        Percentiles of the times from a sample to its reading by the loop; from the reading to the commands; and of the
-        absolute differences between the time between commands and the period, in microseconds.
+        `PERCENTILES` [s] of the times from a sample to its reading by the loop; from the reading to the commands; and
+        of the absolute differences between the time between commands and the period.
     """
 
     periods: int
     missed: int
     skipped: int
     dropped: int
-    lateness: dict[str, float]
-    work: dict[str, float]
-    jitter: dict[str, float]
+    lateness: NDArray[np.float64]
+    work: NDArray[np.float64]
+    jitter: NDArray[np.float64]
+
+    def listing(self, priority: str) -> Listing:
+        """Table of the percentiles; its title has the missed deadlines, and the priority of the process."""
+        title = (
+            f"{self.missed} of {self.periods} deadlines missed ({self.skipped} periods skipped, "
+            f"{self.dropped} samples dropped), {priority}"
+        )
+        spreads = {
+            "sample to loop": self.lateness,
+            "loop to valves": self.work,
+            "jitter between commands": self.jitter,
+        }
+        values = zip(PERCENTILES, zip(*spreads.values(), strict=True), strict=True)
+        times = {name: (Column("s", name, "us"), list(row)) for name, row in values}
+        return Listing(title, {"time": (Column(), list(spreads)), **times})
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:

@@ -6,12 +6,14 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
+from mckibben.result import Column, Listing, Remark, Result
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
@@ -30,7 +32,7 @@ _BEYOND = 10 * deg  # of the angle limits beyond the reference
 _ABOVE = 1.05  # pressure limit over the rated pressure
 
 
-class JointRunResult(NamedTuple):
+class JointRunResult(Result):
     """Result of a run.
 
     Attributes
@@ -38,22 +40,51 @@ class JointRunResult(NamedTuple):
     outcome
         Outcome of the run.
     result
-        Measured motion, pressures and stiffness; None without a run.
-    reach
-        Feasibility of the reference.
+        Measured motion, pressures and stiffness, with the columns of a simulation; None if the run did not begin.
     timing
-        Timing of the loop; meaningless for an unpaced run.
+        Timing of the loop; meaningless unless the run is `paced`.
     priority
         Priority of the process: "real-time" or "ordinary".
     """
 
+    files: ClassVar = (*SimulationResult.files, "tracking.png", "tracking.svg")
+
     outcome: RunOutcome
-    result: (
-        SimulationResult | None
-    )  # measured trajectory, with the columns of a simulation; None if the run did not begin
-    reach: Feasibility
-    timing: Timing  # of the loop; meaningless for an unpaced run
-    priority: str  # of the process: "real-time" or "ordinary"
+    result: SimulationResult | None
+    timing: Timing
+    paced: bool
+    priority: str
+
+    def verdict(self) -> str:
+        """The outcome of the run, and that of the venting."""
+        ran = self.result is not None and self.outcome.completed
+        return f"{self.result.verdict() if ran else self.outcome.kind}; {self.outcome.venting}"
+
+    def remarks(self) -> Iterator[Remark]:
+        """The reason of a stop, and the remarks on the motion."""
+        if not self.outcome.completed:
+            yield Remark.severe("run", self.outcome.text)
+        yield from self.result.remarks() if self.result else ()
+
+    def declared(self) -> dict[str, tuple[Column, object]]:
+        """How the run ended and was vented, and the metrics of the motion."""
+        own: dict[str, tuple[Column, object]] = {
+            "ended": (Column(title="end of the run"), self.outcome.kind),
+            "vented_after": (Column("s", "duration of the venting"), self.outcome.vented_after),
+            "remaining_pressure": (Column("Pa", "pressure after the venting", "bar"), self.outcome.remaining),
+        }
+        return own | (self.result.declared() if self.result else {})
+
+    def listings(self) -> Iterator[Listing]:
+        """The metrics of the motion, and the timing of a paced run."""
+        yield from self.result.listings() if self.result else ()
+        if self.paced:
+            yield self.timing.listing(f"{self.priority} priority")
+
+    def write(self, folder: Path) -> None:
+        """Write the files of a simulation."""
+        if self.result:
+            self.result.save(folder, force=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +161,7 @@ class JointSession:
         result = measured_result(
             table, self.plant, self.reach, period, self.scenario.controller.stiffness_amplitude, scenario=text
         )
-        return JointRunResult(outcome, result, self.reach, Timing.of(table, period), priority)
+        return JointRunResult(outcome, result, Timing.of(table, period), self.backend.paced, priority)
 
 
 def prepare(
