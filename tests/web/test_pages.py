@@ -239,9 +239,9 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
         .replace("duration: 6", "duration: 0.1")
         .replace("at: 3 s", "at: 0.05 s")
     )
-    run, presented = workbench.compute(scenario, Path())
-    assert run.columns[workbench.SMALL_MOTION].min() > run.columns["stiffness"].max()
-    assert set(scenario.joint.remarks) <= set(presented.remarks)
+    run = workbench.compute(scenario, Path())
+    assert run.result[workbench.SMALL_MOTION].min() > run.result["stiffness"].max()
+    assert set(scenario.joint.remarks) <= set(run.presented.remarks)
 
 
 def test_an_outlier_is_named_and_can_be_kept():
@@ -469,7 +469,7 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
 
     first, changed, bench = asyncio.run(visit())
     assert "ki: 90 bar/(rad*s)" in changed.text
-    assert changed.metrics["angle_rmse_deg"] < first.metrics["angle_rmse_deg"]
+    assert changed.result.metrics["angle_rmse"] < first.result.metrics["angle_rmse"]
     assert [one.text for one in bench.overlays] == [first.text] == [bench.text]
     assert not bench.studies  # margins were those of the scenario before
     assert Scenario.parse(changed.text).dumps() == changed.text

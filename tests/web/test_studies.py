@@ -58,7 +58,7 @@ def test_gains_are_tuned_as_by_the_copied_command_and_go_into_the_scenario(tmp_p
 
 @pytest.mark.slow
 def test_a_run_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
-    _, presented = workbench.compute(Scenario.parse(SHORT), tmp_path)
+    presented = workbench.compute(Scenario.parse(SHORT), tmp_path).presented
     page, command, program = repeated(presented, tmp_path, monkeypatch)
     assert page["scalars"] == command["scalars"] == program["scalars"]
 

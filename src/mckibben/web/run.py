@@ -5,7 +5,6 @@ Selects change a part of the scenario, fields its numbers, and the text all of i
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Callable
 from functools import partial
@@ -15,9 +14,10 @@ import numpy as np
 from nicegui import events, ui
 
 from mckibben.config.document import LONGEST_TEXT
-from mckibben.errors import printable
 from mckibben.report.palette import DESIRED, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
+from mckibben.simulation import SimulationResult
+from mckibben.simulation.metrics import in_shown_units
 from mckibben.units import bar, deg
 from mckibben.web.charts import Series, band, chart, draw, line
 from mckibben.web.forms import meaning, number
@@ -39,7 +39,7 @@ from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import session
 from mckibben.web.workbench import (
     SMALL_MOTION,
-    Curves,
+    ScenarioRun,
     Workbench,
     compute,
     parse,
@@ -168,8 +168,9 @@ class _Page(JobPage[Workbench]):
         """Show the error or the warnings of the last run, and the result of the last scenario that ran."""
         state = self.state
         self.show_notes()
-        if state.presented is not None:
-            with ui.column().classes("w-full" + (" stale" if state.error else "")), show_result(state.presented, "run"):
+        if state.current is not None:
+            old = " stale" if state.error else ""
+            with ui.column().classes(f"w-full{old}"), show_result(state.current.presented, "run"):
                 if state.error is not None:
                     quiet("Fields, curves and numbers are those of the last scenario that ran.")
         for name, presented in state.studies.items():
@@ -198,17 +199,17 @@ class _Page(JobPage[Workbench]):
         """
         state, folder = self.state, self.folder
 
-        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Curves, Presented]:
+        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], ScenarioRun]:
             scenario = make()
             progress("run", 0.1)  # unless another has been requested since
             options = {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
-            return scenario, options, *compute(scenario, folder)
+            return scenario, options, compute(scenario, folder)
 
-        def done(ran: tuple[Scenario, dict[str, str | None], Curves, Presented], heard: list[str]) -> None:
-            state.scenario, state.options, state.current, state.presented = ran
+        def done(ran: tuple[Scenario, dict[str, str | None], ScenarioRun], heard: list[str]) -> None:
+            state.scenario, state.options, state.current = ran
             state.studies = {}
             state.text, state.error = state.current.text, None
-            state.notes = [*filter(None, [note]), *state.presented.others(heard)]
+            state.notes = [*filter(None, [note]), *state.current.presented.others(heard)]
             state.form += form
 
         self.start_job(run, done, scroll=scroll)  # not from a field or a select, which may be changed again
@@ -280,7 +281,7 @@ class _Page(JobPage[Workbench]):
         """Keep the current run for comparison."""
         state = self.state
         if state.current is not None:
-            state.overlays.append(dataclasses.replace(state.current, name=f"run {len(state.overlays) + 1}"))
+            state.overlays.append(state.current)
             del state.overlays[: -len(_KEPT)]
             state.jobs.version += 1
 
@@ -289,38 +290,40 @@ class _Page(JobPage[Workbench]):
         self.state.overlays.clear()
         self.state.jobs.version += 1
 
-    def plot(self, now: Curves) -> None:
+    def plot(self, now: ScenarioRun) -> None:
         """Draw angle, stiffness with its attainable range, pressures and metrics of this run over kept ones."""
-        time, columns, overlays = now.columns["time"], now.columns, self.state.overlays
+        result, overlays = now.result, {f"run {k}": run.result for k, run in enumerate(self.state.overlays, 1)}
+        time = result["time"]
 
         def reference(name: str, unit: float) -> Series:
-            return line("desired", time, columns[name] / unit, DESIRED, dash=True, width=1.5)
+            return line("desired", time, result[name] / unit, DESIRED, dash=True, width=1.5)
 
         def curves(name: str, unit: float) -> list[Series]:
             older = [
-                line(run.name, run.columns["time"], run.columns[name] / unit, color, width=1.5)
-                for color, run in zip(_KEPT, overlays, strict=False)
+                line(kept, run["time"], run[name] / unit, color, width=1.5)
+                for color, (kept, run) in zip(_KEPT, overlays.items(), strict=False)
                 if name in run.columns
             ]
-            return [*older, line("now", time, columns[name] / unit, MEASURED)]
+            return [*older, line("now", time, result[name] / unit, MEASURED)]
 
         draw(self.angle, [*curves("angle", deg), reference("desired_angle", deg)])
-        bounds = band("attainable at rest", time, *now.band, "#9aa7b3")
+        bounds = band("attainable at rest", time, result["lowest_stiffness"], result["highest_stiffness"], "#9aa7b3")
         draw(self.stiffness, [*bounds, *curves("stiffness", 1.0), reference("desired_stiffness", 1.0)])
-        self.small_panel.visible = SMALL_MOTION in columns
+        self.small_panel.visible = SMALL_MOTION in result.columns
         if self.small_panel.visible:  # in its own chart, as it can be many times the isobaric stiffness
             draw(self.small, curves(SMALL_MOTION, 1.0))
         colors = (("muscle 1", "pressure1", MUSCLES[0]), ("muscle 2", "pressure2", MUSCLES[1]))
-        draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
+        draw(self.pressure, [line(name, time, result[key] / bar, color) for name, key, color in colors])
         self.comparison.visible = bool(overlays)
         self.numbers.clear()
         with self.numbers:
-            rows = [_row(run) for run in (dataclasses.replace(now, name="now"), *overlays)]
+            rows = [_row(name, run) for name, run in {"now": result, **overlays}.items()]
             table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
 
 
-def _row(run: Curves) -> tuple[str, ...]:
+def _row(name: str, result: SimulationResult) -> tuple[str, ...]:
     """Cells of a run: name, RMSE of angle [deg] and stiffness [N*m/rad], coupling [deg], air [L], outcome."""
-    names = ("angle_rmse_deg", "stiffness_rmse", "coupling_deg", "air_L")
-    numbers = (f"{run.metrics[name]:.3g}" if np.isfinite(run.metrics[name]) else "-" for name in names)
-    return printable(run.name, 60), *numbers, run.outcome
+    metrics = in_shown_units(result.metrics)
+    shown = (metrics[metric] for metric in ("angle_rmse_deg", "stiffness_rmse", "coupling_deg", "air_L"))
+    outcome = result.outcome.name.lower().replace("_", " ")
+    return name, *(f"{number:.3g}" if np.isfinite(number) else "-" for number in shown), outcome

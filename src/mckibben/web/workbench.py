@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
 from mckibben.scenario import UNKNOWN, Scenario, run_scenario, starting_stiffness, starting_text
 from mckibben.simulation import SimulationResult
-from mckibben.simulation.metrics import in_shown_units
 from mckibben.web import resource
 from mckibben.web.results import Presented, Repetition
 from mckibben.web.session import JobState
@@ -25,31 +22,14 @@ OFFERED: dict[str, dict[str, str]] = plain(read_document(resource("starts/choice
 """What the selects put into a scenario, as YAML by part and label."""
 SMALL_MOTION = "small_motion_stiffness"
 """Column of results whose muscles have friction."""
-_COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
 
 
-@dataclass(frozen=True)
-class Curves:
-    """Curves, metrics and file of a run.
+class ScenarioRun(NamedTuple):
+    """A run of the page: the text of its scenario in YAML, its columns, and what is shown of it."""
 
-    Attributes
-    ----------
-    columns
-        Samples by the name of the column in SI, at most 2400 of each.
-    band
-        Lowest and highest attainable stiffness [N*m/rad] at the samples.
-    metrics
-        Metrics in shown units, see `mckibben.simulation.metrics`.
-    text
-        The scenario in YAML.
-    """
-
-    name: str
-    columns: dict[str, np.ndarray]
-    band: tuple[np.ndarray, np.ndarray]
-    metrics: dict[str, float]
-    outcome: str
     text: str
+    result: SimulationResult
+    presented: Presented
 
 
 @dataclass
@@ -58,8 +38,8 @@ class Workbench(JobState):
 
     Attributes
     ----------
-    scenario, current, presented
-        The last scenario that ran, with its curves and result.
+    scenario, current
+        The last scenario that ran, and its run.
     options
         Option of each select by its label; None if the scenario has a part that the page does not offer.
     text
@@ -77,9 +57,8 @@ class Workbench(JobState):
     scenario: Scenario | None = None
     options: dict[str, str | None] = field(default_factory=dict)
     text: str = START
-    current: Curves | None = None
-    presented: Presented | None = None
-    overlays: list[Curves] = field(default_factory=list)
+    current: ScenarioRun | None = None
+    overlays: list[ScenarioRun] = field(default_factory=list)
     studies: dict[str, Presented] = field(default_factory=dict)
     joint: str = ""
     waiting: str = ""
@@ -105,36 +84,20 @@ def parse(text: str, folder: Path) -> Scenario:
     return scenario
 
 
-def compute(scenario: Scenario, folder: Path) -> tuple[Curves, Presented]:
-    """Run a scenario; its curves, and its result without them."""
+def compute(scenario: Scenario, folder: Path) -> ScenarioRun:
+    """Run a scenario."""
     result = run_scenario(scenario)
     text = scenario.dumps(folder=folder)
     words = ("simulate", "scenario.yaml", "--out", "run")
     python = 'result = mk.Scenario.read("scenario.yaml").simulate()'
     again = Repetition.of(words, python, scenario_files(text, folder))
-    return _curves(scenario, result, text), Presented.of(result, again, charts=True)
+    return ScenarioRun(text, result, Presented.of(result, again, charts=True))
 
 
 def scenario_files(text: str, folder: Path) -> dict[str, bytes]:
     """A scenario as a file, with those of the session that it may name."""
     named = ("muscle.yaml", "fit.yaml") if "muscle.yaml" in text else ()
     return {"scenario.yaml": text.encode()} | {name: (folder / name).read_bytes() for name in named}
-
-
-def _curves(scenario: Scenario, result: SimulationResult, text: str) -> Curves:
-    step = max(1, len(result["angle"]) // 1200)
-
-    def shown(name: str) -> np.ndarray:
-        return np.asarray(result[name])[::step].copy()  # a view would keep all samples of the run
-
-    return Curves(
-        name=scenario.name,
-        columns={name: shown(name) for name in (*_COLUMNS, *({SMALL_MOTION} & set(result.columns)))},
-        band=(shown("lowest_stiffness"), shown("highest_stiffness")),
-        metrics=in_shown_units(result.metrics),
-        outcome=result.outcome.name.lower().replace("_", " "),
-        text=text,
-    )
 
 
 def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
