@@ -2,6 +2,8 @@
 
 import pytest
 
+from mckibben.rig.document import RigTest
+
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
 rig: {simulated: {seed: 1}}
@@ -24,8 +26,9 @@ def test_a_dry_run_prints_the_steps_and_what_they_take(cli, protocol, tmp_path):
     assert answer.code == 0 and answer.err == ""
     lines = answer.out.splitlines()
     assert lines[0] == "a short test: MAS-10-180N-AA-MC-O on the simulated rig"
-    assert lines[1:4] == ["  vent", "  move to 4.778 % contraction at 4 mm/s", "  pressurise to 3 bar"]
-    assert "2 times" in lines[6] and "walk to 5.889 % contraction in steps of 1 mm (unloading)" in lines[7]
+    steps = RigTest.parse(TEXT[: TEXT.index("protocol:")] + "protocol:\n  " + "\n  ".join(lines[1:-2])).protocol.steps
+    assert [step.short_name for step in steps[:6]] == ["vent", "move", "pressurise", "move", "dwell", "repeat"]
+    assert steps[5].times == 2 and steps[5].steps[0].acquire.direction == "unloading"
     assert "96 points, 9600 samples, " in lines[-2] and "m of travel" in lines[-2] and "MB on disk" in lines[-2]
     assert lines[-1].startswith("contraction 0..5.889 %, pressure 0..6 bar; ")
     assert {path.name for path in tmp_path.iterdir()} == {"p.yaml"}
@@ -61,7 +64,7 @@ def test_check_shows_the_channels_and_what_stands_against_it(cli, protocol):
     assert answer.out.splitlines()[-1] == "no violations"
     protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 5 mm"))
     answer = cli("rig", "check", "p.yaml")
-    assert answer.code == 1 and "the travel is 5 mm" in answer.out
+    assert answer.code == 1 and "limits.shorten" in answer.out
 
 
 def test_standing_at_is_for_a_test_that_goes_on(cli, protocol):

@@ -146,6 +146,6 @@ def test_a_card_and_its_wiring(tmp_path):
     text = HEAD.replace("rig: {simulated: {seed: 1}}", "rig: {nidaqmx: {card: card.yaml}}")
     test = RigTest.parse(f"{text}protocol:\n  isobaric:\n", folder=tmp_path)
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
-    backend = check(test).setup.backend
+    backend = check(test).backend
     assert [channel.where for channel in backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
     assert backend.inputs[0].high == 800 and backend.inputs[1].high < 1e6  # before the end of the converter

@@ -47,12 +47,12 @@ class BorrowedRig(Borrowed, MovingBackend):
 
 def test_a_backend_of_ones_own_runs_a_test(tmp_path):
     checked = check(RigTest.parse(TEXT))
-    assert checked.setup.backend.port == 3
+    assert checked.backend.port == 3
     data = run_test(checked, tmp_path)
     assert sorted({round(float(one) / 1e5) for one in data.pressures}) == [3, 4]
     assert checked.rig == "borrowed"
     assert RigTest.read(tmp_path / "protocol.yaml") == checked.test
-    assert [not one.problem for one in checked.setup.backend.status()] == [True] * 4
+    assert [not one.problem for one in checked.backend.status()] == [True] * 4
 
 
 def test_a_rig_that_cannot_vent_is_none():

@@ -57,7 +57,7 @@ def test_a_folder_has_the_protocol_the_record_and_the_dataset(tmp_path):
     assert RigTest.read(tmp_path / "out" / "protocol.yaml") == RigTest.parse(TEXT)
     header, _ = header_of(tmp_path / "out")
     assert RigTest.parse(header["protocol"]) == RigTest.parse(TEXT)
-    assert {"specimen", "rig", "versions", "date", "steps", "clock"} <= {*header}
+    assert {"rig", "versions", "date", "steps", "clock"} <= {*header}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -120,7 +120,7 @@ def test_a_folder_that_vanishes_stops_the_test_at_once(tmp_path):
     with pytest.raises(StoppedError, match=f"nothing is kept at {folder}.*the muscle is vented"):
         run_test(test, folder, report=report)
     assert len(after) < 10 and not folder.exists()
-    assert test.setup.backend.truth.pressure < 0.2 * bar
+    assert test.backend.truth.pressure < 0.2 * bar
 
 
 def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
@@ -172,7 +172,7 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
     simulated = checked()
     assert running._origin(simulated, tmp_path, killed, None) == 0
     card = checked()
-    monkeypatch.setattr(card.setup.backend, "homed", False)
+    monkeypatch.setattr(card.backend, "homed", False)
     assert running._origin(card, tmp_path, past, None) == past.position
     assert running._origin(card, tmp_path, killed, 0.05) == pytest.approx(-0.05 * 0.18)
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):

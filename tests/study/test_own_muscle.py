@@ -9,7 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.identification import read_law
-from mckibben.rig.document import RigTest, build_muscle, build_setup
+from mckibben.rig.document import RigTest
 from mckibben.scenario import Scenario, edit_scenario, write_muscle
 from mckibben.units import bar, mm
 
@@ -114,9 +114,9 @@ protocol: {isobaric: {pressures: [2 bar, 6 bar], repeats: 1}}
 
 def test_the_rig_tests_a_muscle_from_its_file(tmp_path):
     test = RigTest.parse(RIG, folder=FOLDER)
-    muscle = build_muscle(test)
-    assert isinstance(muscle, mk.Muscle) and muscle.specimen.name == "my muscle"
-    assert build_setup(test).bench.limits.force == 1500.0
+    bench = test.bench(test.rig.backend())
+    assert isinstance(bench.of, mk.Muscle) and bench.specimen.name == "my muscle"
+    assert bench.limits.force == 1500.0
     (tmp_path / "bare.yaml").write_text(
         f"specimen: {{name: x, initial_length: 0.3 m}}\nlaw: {FOLDER / 'fit/fit.yaml'}\n"
     )

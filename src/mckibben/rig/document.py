@@ -175,6 +175,19 @@ class RigTest(DocumentModel):
     recording: RecordingSettings = RecordingSettings()
     protocol: Annotated[Protocol, ComponentField(Protocol)]
 
+    def bench(self, backend: MovingBackend) -> Bench:
+        """Return the bench of the test; its specimen has no law if that is unknown."""
+        muscle = self.muscle
+        return Bench(
+            of=muscle.specimen if muscle.law is None else muscle.muscle(friction=NoFriction(), creep=NoCreep()),
+            mounted_at=muscle.mounted_at,
+            limits=self.limits,
+            rate=backend.rate,
+            supply=backend.supply,
+            fastest=backend.fastest,
+            **{name: value for name, value in self.recording if value is not None},
+        )
+
     def is_same(self, other: RigTest) -> bool:
         """Whether two tests are the same, possibly on the same kind of hardware at other terminals."""
         wired = self.rig.physical and type(self.rig) is type(other.rig)
@@ -194,33 +207,3 @@ def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
     """
     text = read_text(path, f"a {RigTest.kind}", RigTest.examples)
     return parse_model(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
-
-
-@dataclass(frozen=True)
-class Setup:
-    """A rig that is not open yet, and its bench."""
-
-    backend: MovingBackend
-    bench: Bench
-
-
-def build_setup(test: RigTest, session: int = 0) -> Setup:
-    """Return the rig of a test, not open yet; `session` counts its resumptions, each of which has its own noise."""
-    of, backend = build_muscle(test), test.rig.backend(session)
-    bench = Bench(
-        of=of,
-        mounted_at=test.muscle.mounted_at,
-        limits=test.limits,
-        rate=backend.rate,
-        supply=backend.supply,
-        fastest=backend.fastest,
-        **{name: value for name, value in test.recording if value is not None},
-    )
-    return Setup(backend, bench)
-
-
-def build_muscle(test: RigTest) -> Muscle | Specimen:
-    """The specimen with its law, or alone if the law is unknown."""
-    if test.muscle.law is None:
-        return test.muscle.specimen
-    return test.muscle.muscle(friction=NoFriction(), creep=NoCreep())

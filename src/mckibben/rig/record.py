@@ -327,13 +327,13 @@ class Recorder:
     attachments
         Files that it carries, by name.
     resume
-        Whether to continue the record of the folder, in a new file.
+        Whether to continue the record of the folder, if there is one, in a new file.
 
     Raises
     ------
     FileError
-        If the folder has a record and `resume` is not set, or the reverse; if that record has other columns; or if the
-        folder cannot be written.
+        If the folder has a record and `resume` is not set; if that record has other columns; or if the folder cannot
+        be written.
 
     Examples
     --------
@@ -359,17 +359,15 @@ class Recorder:
     ) -> None:
         folder = make_folder(folder)
         there = segments(folder)
-        if bool(there) != resume:
-            message, remedy = ("contains a record", "resume it, or choose another folder")
-            if resume:
-                message, remedy = "contains no record to continue", "begin one"
-            raise FileError(str(folder), [Problem(message, remedy=remedy)])
-        if resume and read_header(there[-1])[1] != [*columns]:
+        if there and not resume:
+            problem = Problem("contains a record", remedy="resume it, or choose another folder")
+            raise FileError(str(folder), [problem])
+        if there and read_header(there[-1])[1] != [*columns]:
             problem = Problem("contains a record with other columns", remedy="choose another folder")
             raise FileError(str(folder), [problem])
-        number = int(there[-1].stem.rpartition("-")[2]) + 1 if resume else 1
+        number = int(there[-1].stem.rpartition("-")[2]) + 1 if there else 1
         self.path, self.columns = folder / f"record-{number:04d}.mcap", tuple(columns)
-        self.rows = self._written = 1 + int(read_record(folder).rows.max(initial=-1)) if resume else 0
+        self.rows = self._written = 1 + int(read_record(folder).rows.max(initial=-1)) if there else 0
         content = {
             "format": "mckibben record",
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),

@@ -6,17 +6,18 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError
-from mckibben.rig.document import RigTest, Setup, build_setup, read_test
+from mckibben.rig.backend import ChannelStatus, MovingBackend
+from mckibben.rig.bench import Bench
+from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import (
     Point,
@@ -33,9 +34,6 @@ from mckibben.rig.safety import stop_on_signals
 from mckibben.rig.steps import ProtocolStep, steps_of, steps_text
 from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.units import bar, mm, percent
-
-if TYPE_CHECKING:
-    from mckibben.rig.backend import ChannelStatus
 
 
 def readings(protocol: Path) -> Iterator[tuple[str, bool]]:
@@ -59,22 +57,22 @@ def status_line(channel: ChannelStatus) -> tuple[str, bool]:
 
 @dataclass(frozen=True)
 class CheckedTest:
-    """A checked test: its rig (closed), steps, dry run, and the disk space of record and dataset [bytes]."""
+    """A checked test: its rig (closed), bench, steps, and dry run."""
 
     test: RigTest
-    setup: Setup
+    backend: MovingBackend
+    bench: Bench
     steps: tuple[ProtocolStep, ...]
     dry_run: DryRun
-    disk_space: int
 
     def describe(self) -> str:
         """Text of the dry run."""
         run, about = self.dry_run, "about " if self.dry_run.estimated else ""
-        limits = self.setup.bench.limits
+        limits = self.bench.limits
         law = f"{run.force:.0f} N by the law, " if run.force else ""
         return "\n".join(
             [
-                f"{self.test.name}: {self.setup.bench.specimen.name} on the {self.rig} rig",
+                f"{self.test.name}: {self.bench.specimen.name} on the {self.rig} rig",
                 steps_text(self.steps).rstrip(),
                 f"{about}{_time(run.duration)}, {run.plateaus} points, {run.samples} samples, "
                 f"{run.travel:.3g} m of travel, {self.disk_space / 1e6:.0f} MB on disk",
@@ -88,7 +86,12 @@ class CheckedTest:
     @property
     def rig(self) -> str:
         """Kind of the rig."""
-        return self.setup.backend.description["kind"]
+        return self.backend.description["kind"]
+
+    @property
+    def disk_space(self) -> int:
+        """Space on the disk of record and dataset [bytes]."""
+        return self.dry_run.bytes() + 2 * 4 * self.dry_run.samples
 
 
 def check(
@@ -112,17 +115,18 @@ def check(
     ScenarioError
         With all problems, at their lines in the document.
     """
-    lines = document or Document()
-    setup = build_setup(test, session)
+    lines, backend = document or Document(), test.rig.backend(session)
+    bench = test.bench(backend)
     try:
-        steps = steps_of(test.protocol, setup.bench.of)
+        steps = steps_of(test.protocol, bench.of)
     except RangeError as error:
         problems = error.problems or [Problem.of(error, field=error.field)]
-        raise ScenarioError(source, [_of_protocol(problem, test, lines) for problem in problems]) from None
-    run = dry_run(steps, setup.bench, [*setup.backend.inputs, *setup.backend.outputs], patience=setup.backend.patience)
-    if run.problems:
-        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
-    return CheckedTest(test, setup, steps, run, run.bytes() + 2 * 4 * run.samples)
+    else:
+        run = dry_run(steps, bench, [*backend.inputs, *backend.outputs], patience=backend.patience)
+        problems = run.problems
+    if problems:
+        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in problems])
+    return CheckedTest(test, backend, bench, steps, run)
 
 
 def check_disk_space(folder: Path, needed: int) -> None:
@@ -137,20 +141,15 @@ def check_disk_space(folder: Path, needed: int) -> None:
 
 
 def _with_line(problem: Problem, test: RigTest, lines: Document) -> Problem:
-    """A problem with its line in the file."""
-    parts: Sequence[str] = re.findall(r"[a-z_]+|\d+", problem.field)
+    """A problem of a step, of the protocol as a whole, or of another section, with its line in the file."""
+    parts = re.findall(r"[a-z_]+|\d+", problem.field)
     place: Place = tuple(int(part) if part.isdigit() else part for part in parts)
+    form = test.protocol.short_name
     if problem.field.startswith("["):
-        form = test.protocol.short_name
         place = ("protocol", "steps", *place) if form == "steps" else ("protocol", form)
-    return Problem(problem.message, lines.line(place), dotted(place), problem.remedy)
-
-
-def _of_protocol(problem: Problem, test: RigTest, lines: Document) -> Problem:
-    """A problem of a protocol as a whole, with its line in the file."""
-    place: Place = "protocol", test.protocol.short_name
-    place = (*place, problem.field) if problem.field in vars(test.protocol) else place
-    return Problem(problem.message, lines.line(place), dotted(place), problem.remedy)
+    elif not place or place[0] not in RigTest.model_fields:
+        place = lines.known(("protocol", form, *place))
+    return replace(problem, line=lines.line(place), field=dotted(place))
 
 
 def _time(duration: float) -> str:
@@ -212,15 +211,15 @@ def run_test(
         If the rig fails; `StoppedError` once it has begun, `SignalledError` after a signal.
     """
     folder = Path(folder)
-    if resume and not segments(folder):
-        if not (folder / PROTOCOL).exists():
-            raise FileError(str(folder), [Problem("contains no test to resume", remedy="leave --resume out")])
-        check_free(folder, [data_name(checked.test)])
-    if not resume:
-        if segments(folder):
-            remedy = "resume it (--resume), or choose another folder"
-            raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
-        check_free(folder, [PROTOCOL, data_name(checked.test)], "resume the test (--resume), or choose another folder")
+    recorded = bool(segments(folder))
+    if resume and not recorded and not (folder / PROTOCOL).exists():
+        raise FileError(str(folder), [Problem("contains no test to resume", remedy="leave --resume out")])
+    if recorded and not resume:
+        remedy = "resume it (--resume), or choose another folder"
+        raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
+    if not recorded:
+        names = [data_name(checked.test), *([] if resume else [PROTOCOL])]
+        check_free(folder, names, "resume the test (--resume), or choose another folder")
     make_folder(folder)
     with file_lock(folder / "lock", "running a test here"):
         if resume:
@@ -251,7 +250,7 @@ def gather_recording(folder: str | os.PathLike[str]) -> Recording:
     """Return all samples of the record in a folder over time; `FileError` if there is none."""
     folder = Path(folder)
     checked = check(_kept_test(folder))
-    return recording_of(folder, checked.setup.bench, source=_source(checked, folder))
+    return recording_of(folder, checked.bench, source=_source(checked, folder))
 
 
 def _kept_test(folder: Path) -> RigTest:
@@ -265,7 +264,7 @@ def _kept_test(folder: Path) -> RigTest:
 
 
 def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
-    data = assemble(folder, checked.setup.bench, source=_source(checked, folder))
+    data = assemble(folder, checked.bench, source=_source(checked, folder))
     name = data_name(checked.test)
     try:
         data.to_netcdf(folder / name)
@@ -279,23 +278,21 @@ def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
 def _run_session(
     checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None, report: ProgressCallback | None
 ) -> None:
-    bench, backend = checked.setup.bench, checked.setup.backend
     origin = _origin(checked, folder, past, standing_at)
-    columns, protocol = columns_of(backend.inputs), checked.test.dumps(folder=folder)
-    header, resume = _header(checked, protocol), bool(segments(folder))
+    columns, protocol = columns_of(checked.backend.inputs), checked.test.dumps(folder=folder)
     with (
-        Recorder(folder, header, columns, {PROTOCOL: protocol.encode()}, resume=resume) as recorder,
+        Recorder(folder, _header(checked, protocol), columns, {PROTOCOL: protocol.encode()}, resume=True) as recorder,
         stop_on_signals() as stop_flag,
     ):
         settings = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}
-        Runner(backend, bench, recorder, done=past.done, **settings).run(checked.steps)
+        Runner(checked.backend, checked.bench, recorder, done=past.done, **settings).run(checked.steps)
 
 
 def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> float:
-    bench = checked.setup.bench
+    bench = checked.bench
     if standing_at is not None:
         return bench.position_at(standing_at)
-    if checked.setup.backend.homed:
+    if checked.backend.homed:
         return 0
     if not past.certain:
         message = f"the position of the motor is not known (the record ends at {past.position / mm:.4g} mm)"
@@ -341,20 +338,11 @@ def _check_same(checked: CheckedTest, folder: Path) -> None:
 
 
 def _header(checked: CheckedTest, protocol: str) -> dict[str, object]:
-    bench = checked.setup.bench
-    specimen = bench.specimen
     return {
         "protocol": protocol,
         "steps": steps_text(checked.steps),
-        "specimen": {
-            "name": specimen.name,
-            "initial_length_m": float(specimen.initial_length),
-            "initial_diameter_m": specimen.initial_diameter,
-            "rated_force_N": specimen.rated_force,
-            "mounted_at": bench.mounted_at,
-        },
-        "rig": dict(checked.setup.backend.description),
-        "rate_Hz": bench.rate,
+        "rig": dict(checked.backend.description),
+        "rate_Hz": checked.bench.rate,
         "clock": "time_s is the card's, from the beginning of the test; interruptions are left out",
         "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": software_versions("numpy"),
