@@ -57,8 +57,8 @@ class JointRunResult(Result):
 
     def verdict(self) -> str:
         """The outcome of the run, and that of the venting."""
-        ran = self.result is not None and self.outcome.completed
-        return f"{self.result.verdict() if ran else self.outcome.kind}; {self.outcome.venting}"
+        text = self.result.verdict() if self.result is not None and self.outcome.completed else self.outcome.kind
+        return f"{text}; {self.outcome.venting}"
 
     def remarks(self) -> Iterator[Remark]:
         """The reason of a stop, and the remarks on the motion."""

@@ -121,11 +121,10 @@ def check(
         steps = steps_of(test.protocol, bench.of)
     except RangeError as error:
         problems = error.problems or [Problem.of(error, field=error.field)]
-    else:
-        run = dry_run(steps, bench, [*backend.inputs, *backend.outputs], patience=backend.patience)
-        problems = run.problems
-    if problems:
-        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in problems])
+        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in problems]) from None
+    run = dry_run(steps, bench, [*backend.inputs, *backend.outputs], patience=backend.patience)
+    if run.problems:
+        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
     return CheckedTest(test, backend, bench, steps, run)
 
 
