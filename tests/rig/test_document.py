@@ -94,7 +94,7 @@ protocol:
     ("change", "message"),
     [
         (("isobaric:", "isobaric:\n  isotonic:"), "protocol: lacks the key `class`"),
-        (("  isobaric:", "  {}"), "protocol: lacks the key `class`; give one of isobaric, steps, isometric, isotonic"),
+        (("  isobaric:", "  {}"), "protocol: lacks the key `class`; give one of steps, isobaric, isometric, isotonic"),
         (("rig: {simulated: {seed: 1}}", "rig: {}"), "rig: lacks the key `class`; give one of .*simulated, nidaqmx"),
         ((", law: lei-mas-10-180n", ""), "rig: has no law for its simulated muscle; give"),
     ],

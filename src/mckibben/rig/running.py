@@ -19,6 +19,7 @@ from mckibben.rig.backend import ChannelStatus, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
+from mckibben.rig.protocol import steps_text
 from mckibben.rig.record import (
     Point,
     Recorder,
@@ -31,7 +32,7 @@ from mckibben.rig.record import (
 )
 from mckibben.rig.runner import BLOCK, DONE, VENTED, ProgressCallback, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
-from mckibben.rig.steps import ProtocolStep, steps_of, steps_text
+from mckibben.rig.steps import ProtocolStep
 from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.units import bar, mm, percent
 
@@ -118,7 +119,7 @@ def check(
     lines, backend = document or Document(), test.rig.backend(session)
     bench = test.bench(backend)
     try:
-        steps = steps_of(test.protocol, bench.of)
+        steps = test.protocol.steps_for(bench.of)
     except RangeError as error:
         problems = error.problems or [Problem.of(error, field=error.field)]
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in problems]) from None
