@@ -65,5 +65,5 @@ def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
         protocol.check(SPECIMEN)
     assert [problem.field for problem in error.value.problems] == ["pressures", "pressures", "contraction_min"]
     for use in (protocol.plateaus, lambda of: boundaries(of, protocol)):
-        with pytest.raises(RangeError, match="2 problems"):
+        with pytest.raises(RangeError, match="3 problems"):
             use(MUSCLE)
