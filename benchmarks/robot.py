@@ -25,8 +25,7 @@ DURATION, PERIOD, STEP = 0.3, 2 * ms, 0.25 * ms
 SUBSTEPS = round(PERIOD / STEP)
 IN_SPACE = ", in space"
 GROUNDS = {
-    "friction 0.8 from 100 mm/s": robots.Ground(friction=0.8, implicit_friction=True),
-    "friction 0.8 from 30 mm/s": robots.Ground(friction=0.8, slip_speed=30 * mm, implicit_friction=True),
+    "friction 0.8 from 100 mm/s": robots.Ground(friction=0.8),
     "no friction": robots.Ground(friction=0.0),
 }
 ANGLES = {"": (2 * deg, -5 * deg), IN_SPACE: (2 * deg, 2 * deg, -5 * deg)}
@@ -76,7 +75,7 @@ def robot(folder: Path, *, quick: bool) -> Table:
         inverted(bench.timed()),
         (
             "Vertical slider, hip and knee with four muscles, valves of 20 ms, contact; one core. In space: `lei-leg`, "
-            "side swing, hip and knee with six muscles. Friction from a slip speed as given, ours implicit. Ours: "
+            "side swing, hip and knee with six muscles. Friction from a slip speed as given. Ours: "
             f"{LANES} landings of different speeds in a batch, with all metrics. MuJoCo: the emitted plugin, `mj_step` "
             "with `nstep`, its own contact.",
             f"Equal accuracy: the largest step with which the angle of the knee is within {ANGLE_ERROR / deg:g} deg, "

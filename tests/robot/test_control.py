@@ -165,7 +165,7 @@ reference:
   position: [-90 mm, {class: ramp, before: -696 mm, after: -705 mm, start: 0.2 s, duration: 0.5 s}]
   principal: [22.7 N/m, 835 N/m]
   direction: -11.77 deg
-ground: {friction: 0.9, slip_speed: 1 mm/s, implicit_friction: true, stiffness: 3000 N/m}
+ground: {friction: 0.9, slip_speed: 1 mm/s, stiffness: 3000 N/m}
 start: {angles: {knee: -17 deg}, clearance: 4 mm}
 controller: {feedback: {bandwidth: 60 rad/s}, impedance: true}
 duration: 1.5 s

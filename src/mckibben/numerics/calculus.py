@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 import jax
@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 from numpy.typing import NDArray
 
 from mckibben.numerics.batching import trace_mode
-from mckibben.numerics.elementary import Number, floating
+from mckibben.numerics.elementary import floating
 
 Values = TypeVar("Values")
 
@@ -130,57 +130,6 @@ def rk4(
     k3 = stage(moved(k2, step / 2), inputs[1])
     k4 = stage(moved(k3, step), inputs[2])
     return jax.tree.map(lambda x, a, b, c, d: x + step / 6 * (a + 2 * (b + c) + d), state, k1, k2, k3, k4)
-
-
-SEMI_IMPLICIT_LIMIT = 2.512
-"""Largest product of step and mode on the negative real axis at which the rest of `semi_implicit` is stable."""
-
-_A, _E = 0.24169426078821, 0.1291528696059
-_IMEX = {  # stages of IMEX-SSP3(4,3,3); the diagonal of the implicit ones is _A
-    "explicit": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1 / 4, 1 / 4)),
-    "implicit": ((0.0,) * 3, (-_A, 0.0, 0.0), (0.0, 1 - _A, 0.0), (_A / 4, _E, 1 / 2 - _A / 4 - _E - _A)),
-}
-_WEIGHTS = 0.0, 1 / 6, 1 / 6, 2 / 3
-
-
-def semi_implicit(
-    rate: Callable[..., State], state: State, step: ArrayLike, inputs: Inputs = ((), (), ()), *, rolled: bool = False
-) -> State:
-    """State after one step of order 3 in which a stiff, linear part of the rate is implicit; arguments as for `rk4`.
-
-    ``rate(at, *inputs, ahead=(begun, length))`` has that part at ``begun + length * rate``. The method is
-    IMEX-SSP3(4,3,3), L-stable, of L. Pareschi and G. Russo (J. Sci. Comput. 25, 2005), in the semi-implicit form of
-    S. Boscarino, F. Filbet and G. Russo (J. Sci. Comput. 68, 2016).
-    """
-    beginning, middle, end = inputs
-    zero = jax.tree.map(jnp.zeros_like, state)
-
-    def moved(shares: Sequence[Number], slopes: Sequence[State]) -> State:
-        used = [pair for pair in zip(shares, slopes, strict=False) if not isinstance(pair[0], float) or pair[0]]
-        return functools.reduce(
-            lambda at, pair: jax.tree.map(lambda x, dx: x + pair[0] * step * dx, at, pair[1]), used, state
-        )
-
-    def stage(
-        explicit: Sequence[Number], implicit: Sequence[Number], slopes: Sequence[State], inputs: tuple[PyTree, ...]
-    ) -> State:
-        return rate(moved(explicit, slopes), *inputs, ahead=(moved(implicit, slopes), _A * step))
-
-    if rolled or trace_mode()[1]:
-        kind = jnp.result_type(step)
-        explicit, implicit = (jnp.asarray(stages, kind) for stages in _IMEX.values())
-
-        def next_stage(i: Array, slopes: tuple[State, ...]) -> tuple[State, ...]:
-            here = jax.tree.map(lambda b, m, e: jnp.where(i < 2, b, jnp.where(i == 3, m, e)), *inputs)
-            new = stage(tuple(explicit[i]), tuple(implicit[i]), slopes, here)
-            replaced = [functools.partial(jnp.where, i == j) for j in range(len(slopes))]
-            return tuple(jax.tree.map(*parts) for parts in zip(replaced, (new,) * len(slopes), slopes, strict=True))
-
-        return moved(_WEIGHTS, lax.fori_loop(0, 4, next_stage, (zero,) * 4))
-    slopes: list[State] = []
-    for row, ahead, here in zip(*_IMEX.values(), (beginning, beginning, end, middle), strict=True):
-        slopes.append(stage(row, ahead, slopes, here))
-    return moved(_WEIGHTS, slopes)
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.int_]:

@@ -32,7 +32,7 @@ MOST_SUBSTEPS = 1000
 
 _SLOWER = {
     "the motion": "less damping and stiffness, or more inertia",
-    "the friction of the ground": "a ground with `implicit_friction: true` or a higher slip speed",
+    "the friction of the ground": "a ground with a higher slip speed",
     "the air": "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume",
 }
 _ROUNDING = 1e-9
@@ -160,11 +160,6 @@ class Plant(Component, Generic[S]):
     def stability_limit(self) -> float:
         """Largest product of an integration step and the fastest rate."""
         return STABILITY_LIMIT
-
-    @property
-    def integrator(self) -> Callable[..., Motion]:
-        """Method of one integration step, called as `rk4`."""
-        return rk4
 
     @abc.abstractmethod
     def rate(self, state: S) -> Motion:
@@ -304,14 +299,14 @@ class Plant(Component, Generic[S]):
     def _step(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
         """State after a step [s] with the pressures of a closed form."""
 
-        def rate(motion: Motion, *pressures: Scalar, **ahead: Any) -> Motion:
-            return self.rate(motion.applied_to(state, pressures), **ahead)
+        def rate(motion: Motion, *pressures: Scalar) -> Motion:
+            return self.rate(motion.applied_to(state, pressures))
 
         end, held = valve.all_after(state.pressures, state.air, commands, step)
         middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
         state = state._replace(air=())
-        rolled = self.integrator is rk4 and len(self.muscles) > 2  # as fast, and compiled in half the time
-        motion = self.integrator(rate, Motion.of(state), step, (state.pressures, middle, end), rolled=rolled)
+        rolled = len(self.muscles) > 2  # as fast, and compiled in half the time
+        motion = rk4(rate, Motion.of(state), step, (state.pressures, middle, end), rolled=rolled)
         return self.project(motion.applied_to(state, end))._replace(air=held)
 
     def _step_with_air(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
@@ -319,13 +314,13 @@ class Plant(Component, Generic[S]):
         assert isinstance(state.air, AirState)
         state = state._replace(air=valve.before_steps(state.air, commands, state.pressures, step))
 
-        def rate(motion: Motion, **ahead: Any) -> Motion:
+        def rate(motion: Motion) -> Motion:
             at = motion.applied_to(state, state.pressures)
             assert isinstance(at.air, AirState)
             pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
-            return self.rate(at, **ahead)._replace(pressures=pressures, air=air)
+            return self.rate(at)._replace(pressures=pressures, air=air)
 
-        motion = self.integrator(rate, Motion.of(state), step, rolled=True)
+        motion = rk4(rate, Motion.of(state), step, rolled=True)
         return self.project(motion.applied_to(state, state.pressures))
 
     def commands_for(self, state: S, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:

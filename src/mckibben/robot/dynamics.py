@@ -172,22 +172,12 @@ def _equations(
     gravity: ArrayLike,
     forces: Sequence[Vector] = (),
     normal: Vector = Z,
-    slip_masses: Sequence[ArrayLike] = (),
 ) -> Equations:
     tree = _tree(robot, posture, velocity)
     found, slides = tree.frames(), _slides(robot)
     points = contacts(robot, found[tree.base :], normal) if forces else []
     acting = [(tree.base + at.body, force, at.arm) for at, force in zip(points, forces, strict=True)]
-    made = equations(slides, tree.hinges, tree.bodies, found, gravity, acting)
-    for point, slip_mass in zip(points, slip_masses, strict=False):
-        moved = _velocities(robot, tree, found, tree.base + point.body, point.position)
-        slips = [one - normal.scaled(one.dot(normal)) for one in moved]
-        rows = [
-            [total(entry, product(slip_mass, slips[i].dot(slips[j]))) for j, entry in enumerate(row)]
-            for i, row in enumerate(made.matrix)
-        ]
-        made = made._replace(matrix=rows)
-    return made
+    return equations(slides, tree.hinges, tree.bodies, found, gravity, acting)
 
 
 def acceleration(
@@ -198,14 +188,13 @@ def acceleration(
     forces: Sequence[Vector],
     gravity: ArrayLike,
     normal: Vector = Z,
-    slip_masses: Sequence[ArrayLike] = (),
 ) -> Velocity:
     """Return the accelerations under torques [N*m] of the joints and forces [N] at the points of contact.
 
-    There is a force for each sphere of the robot, or none. `slip_masses` [kg] are added to the inertia of those points
-    along the ground. Locked joints, and motions that the base lacks, have an acceleration of 0.
+    There is a force for each sphere of the robot, or none. Locked joints, and motions that the base lacks, have an
+    acceleration of 0.
     """
-    made = _equations(robot, posture, velocity, gravity, forces, normal, slip_masses)
+    made = _equations(robot, posture, velocity, gravity, forces, normal)
     driven = [torque for joint, torque in zip(robot.joints, torques, strict=True) if joint.locked is None]
     rates = iter(made.accelerations([*[0.0] * len(robot.motions), *driven]))
     of_base = {name: next(rates) for name in robot.motions}

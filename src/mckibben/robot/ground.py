@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -48,9 +48,6 @@ class Ground(Component):
     facing, distance
         Direction out of the plane in place of slopes, such as [-1, 0, 0] of a wall in front, and its distance [m] from
         the origin of the base, which then stays where it is. Default: the base starts above the ground.
-    implicit_friction
-        Whether integration steps are implicit in the slip velocity (`semi_implicit`), so that friction does not limit
-        their length. Default: classical Runge-Kutta.
     """
 
     stiffness: ContactStiffness = 20e3
@@ -61,7 +58,6 @@ class Ground(Component):
     side_slope: Slope | None = None
     facing: tuple[Direction, ...] | None = eqx.field(static=True, default=None)
     distance: Distance | None = None
-    implicit_friction: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -85,23 +81,10 @@ class Ground(Component):
 
     def force(self, point: Contact) -> Vector:
         """Return the force [N] on a sphere: forwards, to the left, and up."""
-        pressed = self.normal_force(point)
-        return self.normal.scaled(pressed) - self.along(point.velocity).scaled(self.drag(pressed, point.velocity))
-
-    def normal_force(self, point: Contact) -> Any:
-        """Return the force [N] normal to the ground."""
         normal = self.normal
-        speed = point.velocity.dot(normal)
-        height = point.position.dot(normal)
+        speed, height = point.velocity.dot(normal), point.position.dot(normal)
         depth = -height if self.distance is None else -height - self.distance
-        return compliant_force(depth, -speed, self.stiffness, self.damping)
-
-    def drag(self, pressed: Any, velocity: Vector) -> Any:
-        """Return the friction per slip velocity [N*s/m] at a normal force [N] and a velocity of a sphere [m/s]."""
-        along = self.along(velocity)
-        return self.friction * pressed / jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
-
-    def along(self, vector: Vector) -> Vector:
-        """Return the part of a vector along the ground."""
-        normal = self.normal
-        return vector - normal.scaled(vector.dot(normal))
+        pressed = compliant_force(depth, -speed, self.stiffness, self.damping)
+        slip = point.velocity - normal.scaled(speed)
+        drag = self.friction * pressed / jnp.sqrt(total(slip.dot(slip), self.slip_speed * self.slip_speed))
+        return normal.scaled(pressed) - slip.scaled(drag)

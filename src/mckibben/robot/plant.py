@@ -6,14 +6,12 @@ import dataclasses
 import functools
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from typing import Annotated, Any, NamedTuple, cast
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
@@ -24,8 +22,7 @@ from mckibben.joint import Measurement, RigidTendon
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.batching import trace_mode
-from mckibben.numerics.calculus import SEMI_IMPLICIT_LIMIT, rk4, semi_implicit, value_and_derivative
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
@@ -51,7 +48,6 @@ Scalar = Float[Array, ""]
 
 _MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
 _ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
-_PASSES = 2  # of reweighting in a step with implicit friction
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
 
@@ -250,13 +246,11 @@ class RobotPlant(Plant[RobotState]):
         rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
         weight = float(robot.total_mass) * self.gravity
         sideways = max((np.linalg.eigvalsh(mobility[:2, :2])[-1] for mobility in points), default=0.0)
-        if not ground.implicit_friction:
-            rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
+        rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
             muscles = (muscle for muscle in robot.all_muscles if not isinstance(muscle.law, SpringLaw))
             volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
-            limit = SEMI_IMPLICIT_LIMIT if ground.implicit_friction else STABILITY_LIMIT
-            rates["the air"] = self.valve.fastest_rate_in(min(volumes)) * STABILITY_LIMIT / limit
+            rates["the air"] = self.valve.fastest_rate_in(min(volumes))
         return rates
 
     def init_state(
@@ -390,19 +384,11 @@ class RobotPlant(Plant[RobotState]):
             return []
         return contacts(self.robot, frames(self.robot, posture, velocity), self.ground.normal)
 
-    @property
-    def integrator(self) -> Callable[..., Motion]:
-        return semi_implicit if self.ground.implicit_friction and self.robot.spheres else rk4
-
-    def rate(self, state: RobotState, ahead: tuple[Motion, ArrayLike] | None = None) -> Motion:
-        """Return the time derivative of the motion; with implicit friction where `ahead` is that of `semi_implicit`."""
+    def rate(self, state: RobotState) -> Motion:
         forces, velocity = self.forces(state), state.velocity
-        if ahead is None:
-            moved = acceleration(
-                self.robot, state.posture, velocity, forces.torques, forces.contacts, self.gravity, self.ground.normal
-            )
-        else:
-            velocity, moved = self._with_implicit_friction(state, forces.torques, ahead[0].velocity, ahead[1])
+        moved = acceleration(
+            self.robot, state.posture, velocity, forces.torques, forces.contacts, self.gravity, self.ground.normal
+        )
         creep = tuple(
             muscle.state_rate(held, rate, pressure).creep
             for muscle, held, rate, pressure in zip(
@@ -410,35 +396,6 @@ class RobotPlant(Plant[RobotState]):
             )
         )
         return Motion(Posture(*velocity), moved, creep)
-
-    def _with_implicit_friction(
-        self, state: RobotState, torques: Sequence[Array], begun: Velocity, length: ArrayLike
-    ) -> tuple[Velocity, Velocity]:
-        """Velocity ``begun + length * acceleration``, at which the ground's friction acts, and the acceleration."""
-        robot, ground = self.robot, self.ground
-
-        def speeds(velocity: Velocity) -> list[Vector]:
-            return [point.velocity for point in self._contacts(state.posture, velocity)]
-
-        pressed = list(map(ground.normal_force, self._contacts(state.posture, state.velocity)))
-        at_begun = list(map(ground.along, speeds(begun)))
-
-        def reweighted(_: Any, found: tuple[Velocity, Velocity]) -> tuple[Velocity, Velocity]:
-            drags = list(map(ground.drag, pressed, speeds(found[0])))
-            forces = [
-                ground.normal.scaled(push) - slip.scaled(drag)
-                for push, slip, drag in zip(pressed, at_begun, drags, strict=True)
-            ]
-            slips = [length * drag for drag in drags]
-            moved = acceleration(
-                robot, state.posture, state.velocity, torques, forces, self.gravity, ground.normal, slips
-            )
-            return jax.tree.map(lambda one, change: one + length * change, begun, moved), moved
-
-        found = state.velocity, begun
-        if trace_mode()[1]:
-            return lax.fori_loop(0, _PASSES, reweighted, found)
-        return functools.reduce(lambda one, i: reweighted(i, one), range(_PASSES), found)
 
     def air_volumes(self, state: RobotState) -> list[AirVolume]:
         motion = state.posture.angles, state.velocity.angles
