@@ -19,9 +19,7 @@ robot = RobotScenario.parse(
     """
 )
 study = study_landing(robot)
-for landing in study.to_dict()["landings"]:
-    low, high = landing["best_stiffness_interval"]
-    print(f"{landing['valve']}, {landing['drop_mm']:g} mm: {landing['best_stiffness']:.1f} ({low:.1f} to {high:.1f})")
+print(study.to_text())
 
 # %%
 # Below the best stiffness the knee hits its stop. With closed valves the air is compressed and adds stiffness to that

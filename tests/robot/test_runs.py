@@ -208,7 +208,7 @@ def test_starts_that_are_not_possible(plant, start, change, field):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     with pytest.raises(RangeError) as caught:
         simulate_robot(plant, schedule, start._replace(**change), **STEP)
-    assert caught.value.field == field
+    assert caught.value.field.partition(".")[0] == field
 
 
 @pytest.mark.parametrize("change", [{"stiffness": 1e8}, {"friction": 1.0, "slip_speed": 0.01}])

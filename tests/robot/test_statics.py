@@ -180,8 +180,8 @@ def test_what_is_not_possible_is_refused():
         (lambda: pressures_for_point_stiffness(robot, angles, -wanted), RangeError, "wanted"),
         (lambda: pressures_for_point_stiffness(robot, angles, np.eye(3)), RangeError, "wanted"),
         (lambda: pressures_for_point_stiffness(robot, (0.0, 30 * deg), wanted), RangeError, "angles"),
-        (lambda: pressures_for_point_stiffness(robot, (0.0, -1.0), wanted), RangeError, "angle"),
-        (lambda: pressures_for_point_stiffness(locked, angles, wanted), RangeError, "joints"),
+        (lambda: pressures_for_point_stiffness(robot, (0.0, -1.0), wanted), RangeError, "angles.knee"),
+        (lambda: pressures_for_point_stiffness(locked, angles, wanted), RangeError, "angles"),
         (
             lambda: pressures_for_point_stiffness(with_unit(robot, 0, tendon=spring), angles, wanted),
             RangeError,
@@ -290,7 +290,8 @@ def test_the_command_prints_and_keeps_the_pressures(tmp_path):
         ("knee: -17", "knee: -77", 4),
         ("25 N/m,", "-25 N/m,", 5),
         ("direction: -9 deg", "sideways: 30 N/m", 3),
-        ("direction: -9 deg", "force: [1 N, 2 N, 3 N]", 3),
+        ("direction: -9 deg", "force: [1 N, 2 N, 3 N]", 6),
+        ("direction: -9 deg", "point: {body: thigh, place: [0 mm, 0 mm, -100 mm]}", 3),  # singular
     ],
 )
 def test_mistakes_in_a_file_have_lines(before, after, line):

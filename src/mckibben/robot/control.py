@@ -7,7 +7,7 @@ import functools
 import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -83,6 +83,11 @@ class PressureSchedule(RobotController):
                     remedy="give them in increasing order",
                 )
 
+    @property
+    def by_muscle(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Levels [Pa] and switching times [s] of each muscle."""
+        return self.levels, self.switches or ((),) * len(self.levels)
+
     def init(self, measurement: RobotMeasurement) -> tuple[()]:
         return ()
 
@@ -90,7 +95,7 @@ class PressureSchedule(RobotController):
         self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
     ) -> tuple[PyTree, tuple[Array, ...]]:
         commands = []
-        for levels, times in zip(self.levels, self.switches or ((),) * len(self.levels), strict=True):
+        for levels, times in zip(*self.by_muscle, strict=True):
             command = jnp.asarray(levels[0])
             for before, after, at in zip(levels, levels[1:], times, strict=False):
                 part = jnp.clip((time + period - at) / period, 0.0, 1.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -33,7 +32,7 @@ from mckibben.robot.uncertainty import drawn_plant, take
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import STUDY, Job, open_store
-from mckibben.units import bar, deg, mm, ms
+from mckibben.units import bar, mm, ms
 
 Floats = NDArray[np.float64]
 
@@ -160,30 +159,6 @@ class Jump:
     stop_energy: float  # that the stops absorb until then [J]
     air: float  # mass that flows into the muscles until then [kg]
 
-    def record(self) -> dict[str, Any]:
-        """The results as plain data."""
-        resolution = self.run.resolution
-        assert resolution is not None
-        found: dict[str, Any] = {
-            "height_mm": float(self.heights[0] / mm),
-            "height_interval_mm": interval(self.heights / mm),
-            "depth_mm": self.depth / mm,
-            "push_off_force_weights": self.push_force,
-            "landing_force": float(self.landing_force[0]),
-            "landing_force_interval": interval(self.landing_force),
-            "muscle_work_J": self.work,
-            "stop_energy_J": self.stop_energy,
-            "air_g": self.air * 1e3,
-            "integration": {
-                "substeps": self.substeps,
-                "error_estimate_rad": resolution.error if math.isfinite(resolution.error) else None,
-                "runs_chaotic": int(resolution.chaotic),
-            },
-        }
-        found["levels_bar"] = [[float(level) / bar for level in levels] for levels in self.controller.levels]
-        found["switches_ms"] = [[float(time) / ms for time in times] for times in self.controller.switches]
-        return found
-
 
 def interval(values: Floats) -> list[float]:
     """Return 5 and 95 % of the draws, without the nominal one."""
@@ -227,42 +202,38 @@ class JumpStudy(Result):
         added = {name: after.heights - before.heights for name, (before, after) in pairs}
         return {name: (float(heights[0]), interval(heights)) for name, heights in added.items()}
 
-    def to_dict(self) -> dict[str, Any]:
-        """The results as plain data; intervals are 5 to 95 % of the draws."""
-        assert self.scenario.jump is not None
-        gains = self.gains().items()
-        return {
-            "scenario": self.scenario.name,
-            "squat_deg": {name: angle / deg for name, angle in self.scenario.jump.squat.items()},
-            "standing_mass_height_mm": self.standing / mm,
-            "muscles": list(self.scenario.plant().robot.muscle_names),
-            **{name: jump.record() for name, jump in self.jumps.items()},
-            "gains_mm": {name: gain / mm for name, (gain, _) in gains},
-            "gain_intervals_mm": {name: [low / mm, high / mm] for name, (_, (low, high)) in gains},
-        }
+    def declared(self) -> dict[str, tuple[Column, Any]]:
+        """Return columns with a row for each jump, nominal, and with 5 and 95 % of the draws."""
+        jumps = list(self.jumps.values())
+
+        def nominal(name: str, title: str, unit: str, shown: str = "") -> dict[str, tuple[Column, Any]]:
+            values = [float(np.ravel(getattr(jump, name))[0]) for jump in jumps]
+            return {name: (Column(unit, title, shown, digits=3), values)}
+
+        def drawn(name: str, title: str, unit: str, shown: str = "") -> dict[str, tuple[Column, Any]]:
+            ends = np.transpose([interval(getattr(jump, name)) for jump in jumps])
+            parts = zip(("low", "high"), EDGES, ends, strict=True)
+            columns = {f"{name}_{end}": (Column(unit, f"{edge:g} %", shown, digits=3), own) for end, edge, own in parts}
+            return nominal(name, title, unit, shown) | columns
+
+        columns: dict[str, tuple[Column, Any]] = {"pressures": (Column(), list(self.jumps))}
+        columns |= drawn("heights", "height", "m", "mm") | nominal("depth", "sinks by", "m", "mm")
+        columns |= nominal("push_force", "weights at push-off", "1") | drawn("landing_force", "weights at landing", "1")
+        columns |= nominal("work", "work of muscles", "J") | nominal("air", "air", "kg", "g")
+        columns |= nominal("stop_energy", "into the stops", "J")
+        return columns | {"standing": (Column("m", "height of the centre of mass, standing", "mm"), self.standing)}
 
     def listings(self) -> Iterator[Listing]:
-        """Yield a table with a row for each jump; intervals are 5 to 95 % of the draws."""
-        jumps = [jump.record() for jump in self.jumps.values()]
-
-        def intervals(quantity: str, unit: str = "") -> list[str]:
-            pairs = ((jump[quantity + unit], jump[f"{quantity}_interval{unit}"]) for jump in jumps)
-            return [_with_interval(*pair) if pair[0] else "-" for pair in pairs]
-
-        def values(key: str) -> list[Any]:
-            return [jump[key] for jump in jumps]
-
-        columns: dict[str, tuple[Column, Any]] = {
-            "pressures": (Column(), list(self.jumps)),
-            "height": (Column("mm", "height"), intervals("height", "_mm")),
-            "depth": (Column("mm", "sinks by", digits=2), values("depth_mm")),
-            "push_off": (Column("1", "weights at push-off", digits=2), values("push_off_force_weights")),
-            "landing": (Column("1", "weights at landing"), intervals("landing_force")),
-            "work": (Column("J", "work of muscles", digits=3), values("muscle_work_J")),
-            "air": (Column("g", "air", digits=2), values("air_g")),
-            "stops": (Column("J", "into the stops", digits=2), values("stop_energy_J")),
-        }
-        yield Listing(f"{self.scenario.name}; intervals are 5 to 95 % of the draws", columns)
+        """Yield the jumps, what depth and timing add, and the commands."""
+        yield from super().listings()
+        gains = [(name, gain / mm, *(end / mm for end in ends)) for name, (gain, ends) in self.gains().items()]
+        yield Listing.of("Gains in height", ("by", "mm", "5 %", "95 %"), gains)
+        rows = [
+            (name, muscle, _command(levels, times))
+            for name, jump in self.jumps.items()
+            for muscle, levels, times in zip(jump.run.muscles, *jump.controller.by_muscle, strict=True)
+        ]
+        yield Listing("Commands", Listing.of("", ("jump", "muscle", "command"), rows).columns, detail=True)
 
     def write(self, folder: Path) -> None:
         """Write the file of the robot, and both jumps over time."""
@@ -274,6 +245,11 @@ class JumpStudy(Result):
         """Return the gains in height."""
         gains = {name: _with_interval(gain / mm, np.array(ends) / mm) for name, (gain, ends) in self.gains().items()}
         return ", ".join(f"{name} adds {gain} mm" for name, gain in gains.items())
+
+
+def _command(levels: Sequence[Any], times: Sequence[Any]) -> str:
+    parts = (f"{level / bar:.4g} bar until {time / ms:.4g} ms" for level, time in zip(levels, times, strict=False))
+    return ", ".join([*parts, f"{levels[-1] / bar:.4g} bar"])
 
 
 def _with_interval(value: float, bounds: Sequence[float] | Floats) -> str:

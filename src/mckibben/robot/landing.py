@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from mckibben.dataset.schema import write_netcdf
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Result
 from mckibben.robot.control import PressureSchedule
 from mckibben.robot.metrics import RobotMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
@@ -29,7 +29,7 @@ from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_s
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.study import Study, Table, select
-from mckibben.units import bar, deg, mm, ms
+from mckibben.units import ms
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,8 +58,6 @@ class LandingStudy(Result):
         [m], ``stiffness`` [N*m/rad] and ``draw``, of which 0 is nominal.
     pressures
         Commands [Pa] for each stiffness, shape (stiffness, muscles).
-    attainable
-        Attainable stiffness [N*m/rad] of the joint at touchdown.
     """
 
     figures = ("landing_forces",)
@@ -68,7 +66,6 @@ class LandingStudy(Result):
     scenario: RobotScenario
     table: xr.Dataset
     pressures: Floats
-    attainable: tuple[float, float]
 
     @property
     def joint(self) -> str:
@@ -80,9 +77,9 @@ class LandingStudy(Result):
         """Angles [rad] of the joints at touchdown."""
         return self.scenario.robot.posture_angles(self._landing.touchdown)
 
-    def body_weights(self, name: str = "peak_force") -> Floats:
-        """A force in weights of the robot, shape (valve, drop, stiffness, draw)."""
-        return self.table[name].to_numpy() / self.table["weight"].to_numpy()
+    def body_weights(self) -> Floats:
+        """Largest force of the ground in weights of the robot, shape (valve, drop, stiffness, draw)."""
+        return self.table["peak_force"].to_numpy() / self.table["weight"].to_numpy()
 
     def trunk_weights(self) -> Floats:
         """Largest force on the trunk in its weights, shape (valve, drop, stiffness, draw)."""
@@ -107,69 +104,40 @@ class LandingStudy(Result):
         """Quantile of 95 % over the draws of the force on the trunk [its weight], shape (valve, drop, stiffness)."""
         return np.percentile(self.trunk_weights()[..., 1:], EDGES[1], axis=-1)
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield a table with a row for each valve and drop, at the robust and at the nominal best stiffness.
+    def declared(self) -> dict[str, tuple[Column, Any]]:
+        """Return columns with a row for each valve and drop, at the robust and at the nominal best stiffness.
 
         Forces are 95 % quantiles on the trunk in its weights, shares those of the draws in which the joint meets a
-        stop.
+        stop; of the nominal best stiffness there are 5 and 95 % of the draws.
         """
-        landings = self.to_dict()["landings"]
-
-        def column(name: str, key: str, unit: str, title: str, shown: str = "") -> dict[str, tuple[Column, Any]]:
-            return {name: (Column(unit, title, shown, digits=3), [landing[key] for landing in landings])}
-
-        columns = column("valve", "valve", "", "valve") | column("drop", "drop_mm", "mm", "drop")
-        for kind, title in (("robust", "robust stiffness"), ("best", "nominal best stiffness")):
-            columns |= column(f"{kind}_stiffness", f"{kind}_stiffness", "N*m/rad", title)
-            columns |= column(f"{kind}_force", f"{kind}_trunk_force_95_weights", "1", "95 % force")
-            columns |= column(f"{kind}_share", f"{kind}_bottoms_out_share", "1", "bottoms out", "%")
-        remarks = [_remark(landing) for landing in landings]
-        title = f"{self.scenario.name}: force on the trunk in its weights"
-        yield Listing(title, columns | {"remark": (Column(), remarks)})
+        best, levels, stopped = self.best(), self.table["stiffness"].to_numpy(), self.bottoms_out()
+        quantile, share = self.trunk_quantile(), stopped[..., 1:].mean(axis=-1)
+        valve, drop = np.meshgrid(self.table["valve"], self.table["drop"], indexing="ij")
+        columns: dict[str, tuple[Column, Any]] = {
+            "valve": (Column(), valve),
+            "drop": (Column("m", "drop", "mm", digits=3), drop),
+        }
+        for kind, title, at in (("robust", "robust", self.robust()), ("best", "nominal best", best[..., 0])):
+            force, meets = (np.take_along_axis(values, at[..., None], axis=-1) for values in (quantile, share))
+            columns[f"{kind}_stiffness"] = Column("N*m/rad", f"{title} stiffness", digits=3), levels[at]
+            columns[f"{kind}_force"] = Column("1", "95 % force", digits=3), force
+            columns[f"{kind}_share"] = Column("1", "bottoms out", "%", digits=3), meets
+        ends = np.percentile(levels[best[..., 1:]], EDGES, axis=-1)
+        for name, edge, own in zip(("low", "high"), EDGES, ends, strict=True):
+            columns[f"best_{name}"] = Column("N*m/rad", f"nominal best, {edge:g} % of draws", digits=3), own
+        nominal = np.take_along_axis(stopped[..., 0], best[..., :1], axis=-1)[..., 0]
+        remark = np.where(nominal, "the nominal best bottoms out", "")
+        columns["remark"] = Column(), np.where(stopped[..., 0].all(axis=-1), "no stiffness avoids the stop", remark)
+        rows = {name: (mark, np.ravel(values)) for name, (mark, values) in columns.items()}
+        return rows | {
+            "commanded": (Column("N*m/rad", "commanded stiffness", dims=("level",)), levels),
+            "pressures": (Column("Pa", "commands", "bar", dims=("level", "muscle")), self.pressures),
+        }
 
     def write(self, folder: Path) -> None:
         """Write the file of the robot, and the landings."""
         self.scenario.to_yaml(folder / "robot.yaml")
         write_netcdf(self.table, folder / "landing.nc")
-
-    def to_dict(self) -> dict[str, Any]:
-        """The results as plain data; intervals are 5 to 95 % of the draws."""
-        best, robust, table = self.best(), self.robust(), self.table
-        stiffness, quantile = table["stiffness"].to_numpy(), self.trunk_quantile()
-        trunk = self.trunk_weights()
-        bottoms = self.bottoms_out()
-        landings = []
-        for v, valve in enumerate(table["valve"].to_numpy()):
-            for d, drop in enumerate(table["drop"].to_numpy()):
-                at, sure = int(best[v, d, 0]), int(robust[v, d])
-                low, high = np.percentile(stiffness[best[v, d, 1:]], EDGES)
-                landings.append(
-                    {
-                        "valve": str(valve),
-                        "drop_mm": float(drop / mm),
-                        "best_stiffness": float(stiffness[at]),
-                        "best_stiffness_interval": [float(low), float(high)],
-                        "best_trunk_force_95_weights": float(quantile[v, d, at]),
-                        "robust_stiffness": float(stiffness[sure]),
-                        "robust_trunk_force_95_weights": float(quantile[v, d, sure]),
-                        "robust_bottoms_out_share": float(bottoms[v, d, sure, 1:].mean()),
-                        "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
-                        "best_bottoms_out": bool(bottoms[v, d, at, 0]),
-                        "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], EDGES).tolist(),
-                        "best_bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
-                    }
-                )
-        return {
-            "scenario": self.scenario.name,
-            "touchdown_deg": {name: angle / deg for name, angle in self._landing.touchdown.items()},
-            "attainable_stiffness": list(self.attainable),
-            "stiffness": stiffness.tolist(),
-            "pressures_bar": (self.pressures / bar).tolist(),
-            "runs": int(table["peak_force"].size),
-            "engine": table.attrs["engine"],
-            "integration": self._integration(),
-            "landings": landings,
-        }
 
     def bottoms_out(self) -> NDArray[np.bool_]:
         """Whether the joint whose stiffness varies meets a stop, shape (valve, drop, stiffness, draw)."""
@@ -177,21 +145,15 @@ class LandingStudy(Result):
 
     def verdict(self) -> str:
         """Return the integration error of all landings."""
-        return integration_sentence(self._integration())
+        return integration_sentence(self.integration())
 
-    def _integration(self) -> dict[str, Any]:
+    def integration(self) -> dict[str, Any]:
+        """Return the steps and the integration error of all landings."""
         return StepCounts(*(self.table[name].to_numpy() for name in STEP_COLUMNS)).summary()
 
     @property
     def _landing(self) -> Any:
         return self.scenario.landing
-
-
-def _remark(landing: dict[str, Any]) -> str:
-    """Remarks on limits of the chosen stiffness."""
-    if not landing["avoids_stop"]:
-        return "no stiffness avoids the stop"
-    return "the nominal best bottoms out" if landing["best_bottoms_out"] else ""
 
 
 def study_landing(
@@ -225,10 +187,9 @@ def study_landing(
     source = source or scenario.name
     if scenario.landing is None:
         raise ScenarioError(source, [Problem("lacks the section `landing`", remedy="see examples/robot/lei-leg.yaml")])
-    study, attainable = Landings.of(scenario, source)
-    study = study.with_known_engine(engine)
+    study = Landings.of(scenario, source).with_known_engine(engine)
     records = study.run(out, resume=resume, progress=progress)
-    return LandingStudy(scenario, study.table(records.columns), study.pressures, attainable)
+    return LandingStudy(scenario, study.table(records.columns), study.pressures)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,21 +207,21 @@ class Landings(Study):
     unit = "landings"
 
     @classmethod
-    def of(cls, scenario: RobotScenario, source: str) -> tuple[Landings, tuple[float, float]]:
-        """Return the landings of a scenario, and the attainable stiffness [N*m/rad] of the joint."""
+    def of(cls, scenario: RobotScenario, source: str) -> Landings:
+        """Return the landings of a scenario."""
         landing, plant = scenario.landing, scenario.plant()
         assert landing is not None
         robot, angles = plant.robot, plant.robot.posture_angles(landing.touchdown)
         index = robot.index(landing.joint)
         low, high = (float(edge) for edge in robot.pair(index).attainable_stiffness(angles[index], 0.0))
-        wanted = landing.stiffness
-        stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if wanted is None else np.sort(wanted)
+        levels = np.linspace(low + 1e-6, high - 1e-6, landing.levels)
+        stiffness = levels if landing.stiffness is None else np.sort(landing.stiffness)
         others: list[float | None] = [None] * len(robot.joints)
         try:
             rows = [[*others[:index], float(level), *others[index + 1 :]] for level in stiffness]
             pressures = np.array([robot.pressures_for(angles, [0.0] * len(angles), row) for row in rows])
             for row in pressures.tolist():
-                plant.init_state(angles, row)  # within the supply
+                plant.check_start(RobotStart(angles, row))  # within the supply
             valves = _valves(plant, landing.time_constants)
             for valve in valves.values():
                 own = eqx.tree_at(lambda x: x.valve, plant, valve)
@@ -270,7 +231,7 @@ class Landings(Study):
             field = fields.get(error.field, "landing.stiffness")
             raise ScenarioError(source, [Problem.of(error, field=field)]) from error
         drawn = drawn_plant(scenario)
-        return cls(scenario, source, valves, stiffness, pressures, drawn, software()), (low, high)
+        return cls(scenario, source, valves, stiffness, pressures, drawn, software())
 
     def about(self) -> dict[str, object]:
         """Return the file of the robot, and the software."""

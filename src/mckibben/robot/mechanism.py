@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben import catalog
 from mckibben.component.base import Component
+from mckibben.component.checks import check_count
 from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
@@ -131,7 +132,7 @@ class Robot(Component):
 
     def _muscle_errors(self) -> Iterator[tuple[str, str, Any, str]]:
         """Muscles over unknown joints or through points of unknown bodies."""
-        joints, frames = [joint.name for joint in self.joints], self.frame_names
+        joints, frames = self.joint_names, self.frame_names
         for number, unit in enumerate(self.muscles):
             over = unit.joint_names
             for place, name in enumerate(over):
@@ -177,7 +178,7 @@ class Robot(Component):
                     check_contractions(name, routed.muscle, paths, places, f"muscles.{number}")
 
     def __repr__(self) -> str:
-        return f"Robot({', '.join(joint.name for joint in self.joints)}; {len(self.all_muscles)} muscles)"
+        return f"Robot({', '.join(self.joint_names)}; {len(self.all_muscles)} muscles)"
 
     @property
     def spheres(self) -> tuple[Foot, ...]:
@@ -288,13 +289,42 @@ class Robot(Component):
         remedy = "give it one (a muscle with `over` and `geometry`), or name a joint that has one"
         raise RangeError(f"{name}: it has no pair of muscles", field="muscles", remedy=remedy)
 
-    def index(self, name: str) -> int:
-        """Return the number of a joint; `RangeError` for an unknown name."""
-        names = [joint.name for joint in self.joints]
-        if name not in names:
-            remedy = f"it has {', '.join(names)}"
-            raise RangeError(f"the robot has no joint {quoted(name)}", field="joint", value=name, remedy=remedy)
-        return names.index(name)
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints."""
+        return tuple(joint.name for joint in self.joints)
+
+    def index(self, name: str, field: str = "joint") -> int:
+        """Return the number of a joint; `RangeError` for an unknown name, with the field that gives it."""
+        if name not in self.joint_names:
+            remedy = suggest(name, self.joint_names)
+            raise RangeError(f"there is no joint {quoted(name)}", field=field, value=name, remedy=remedy)
+        return self.joint_names.index(name)
+
+    def check_angles(self, angles: Mapping[str, object], field: str = "angles") -> None:
+        """Raise `RangeError` for angles [rad] of unknown joints, of joints that are locked elsewhere, or beyond stops.
+
+        They are by joint; traced ones pass.
+        """
+        for name, angle in angles.items():
+            joint = self.joints[self.index(name, f"{field}.{name}")]
+            limits, what = (joint.lower, joint.upper), "beyond its stops"
+            remedy = "give an angle between them"
+            if joint.locked is not None:
+                limits, what, remedy = (joint.locked,) * 2, "where it is not locked", "leave it out"
+            if not all(isinstance(number, Real) for number in (angle, *limits)):
+                continue
+            number, low, high = (float(number) for number in (angle, *limits))  # type: ignore[arg-type]
+            if not low - 1e-9 <= number <= high + 1e-9:
+                message = f"{name} is at {number / deg:.4g} deg, {what} ({low / deg:.4g}..{high / deg:.4g} deg)"
+                details = {"value": number, "lower": low, "upper": high, "unit": "rad"}
+                raise RangeError(message, field=f"{field}.{name}", remedy=remedy, **details)
+
+    def check_posture(self, angles: Sequence[object]) -> None:
+        """Raise `RangeError` as `check_angles` does, for one angle [rad] of each joint; those of locked ones pass."""
+        check_count("angles", len(angles), len(self.joints), f"of {', '.join(self.joint_names)}")
+        pairs = zip(self.joints, angles, strict=True)
+        self.check_angles({joint.name: angle for joint, angle in pairs if joint.locked is None})
 
     def held(self, angles: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the angles [rad] with those of locked joints at their place."""

@@ -47,7 +47,6 @@ from mckibben.units import Gravity, show
 Scalar = Float[Array, ""]
 
 _MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
-_ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
 
@@ -149,15 +148,6 @@ class RobotPlant(Plant[RobotState]):
 
     def __repr__(self) -> str:
         return f"RobotPlant({self.robot!r}, {type(self.valve).__name__})"
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if self.valve.muscle_count is not None:
-            raise RangeError(
-                f"RobotPlant: a {type(self.valve).__name__} is for the two muscles of a joint",
-                field="valve",
-                remedy="give an actuator that all muscles have",
-            )
 
     @property
     def muscles(self) -> tuple[Muscle, ...]:
@@ -281,17 +271,19 @@ class RobotPlant(Plant[RobotState]):
     def check_start(self, start: RobotStart) -> None:
         """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""
         robot = self.robot
-        joints, muscles = (", ".join(names) for names in ((joint.name for joint in robot.joints), robot.muscle_names))
-        check_count("angles", len(start.angles), len(robot.joints), f"of {joints}")
-        check_count("pressures", len(start.pressures), len(robot.all_muscles), f"of {muscles}")
-        for joint, angle in zip(robot.joints, start.angles, strict=True):
-            remedy = "start within the range of the joint"
-            _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
+        robot.check_posture(start.angles)
+        check_count("pressures", len(start.pressures), len(self.muscles), f"of {', '.join(robot.muscle_names)}")
         supply = getattr(self.valve, "supply", None)
-        for name, muscle, pressure in zip(robot.muscle_names, robot.all_muscles, start.pressures, strict=True):
-            rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure permitted by muscle and supply"
-            for what, highest in ((name, rated), (f"{name} (supply)", rated if supply is None else supply)):
-                _check_inside(what, "pressures", pressure, 0.0, highest, "Pa", remedy)
+        pressures: Any = start.pressures
+        for name, muscle, pressure in zip(robot.muscle_names, self.muscles, pressures, strict=True):
+            limits: dict[str, Any] = {"rated": muscle.specimen.domain.pressure_max, "supply": supply}
+            known = {what: limit for what, limit in limits.items() if isinstance(limit, Real)}
+            for what, limit in known.items() if isinstance(pressure, Real) else ():
+                if not -1e-3 <= pressure <= limit + 1e-3:
+                    message = f"{name} starts at {show(float(pressure), 'bar')} ({what}: {show(float(limit), 'bar')})"
+                    details: Any = {"value": float(pressure), "lower": 0.0, "upper": float(limit), "unit": "Pa"}
+                    remedy = "give a pressure permitted by muscle and supply"
+                    raise RangeError(message, field="pressures", remedy=remedy, **details)
         check_positive("RobotPlant", "m", zero=True, clearance=start.clearance)
         if robot.base == "fixed" and np.any(known_numbers("RobotPlant", "upward_speed", start.upward_speed)):
             raise RangeError(
@@ -460,19 +452,3 @@ def _path_rate(unit: Routed, rates: Sequence[Array]) -> Array:
 def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
     """Power [W] of forces at the rates of their coordinates."""
     return jnp.asarray(sum(force * rate for force, rate in zip(forces, rates, strict=True)))
-
-
-def _check_inside(what: str, field: str, value: Any, lower: Any, upper: Any, unit: str, remedy: str) -> None:
-    """Raise if a concrete number at the start is outside its range; traced ones pass."""
-    if not all(isinstance(one, Real) for one in (value, lower, upper)):
-        return
-    if not lower - _ROUNDING[unit] <= value <= upper + _ROUNDING[unit]:
-        raise RangeError(
-            f"{what}: the start is at {show(float(value), 'deg' if unit == 'rad' else 'bar')}",
-            field=field,
-            value=float(value),
-            lower=float(lower),
-            upper=float(upper),
-            unit=unit,
-            remedy=remedy,
-        )

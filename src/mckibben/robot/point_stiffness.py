@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.component.checks import check_count
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import jit
 from mckibben.robot.bodies import BodyPoint, Foot
@@ -111,16 +112,11 @@ def point_stiffness(
     >>> [round(one) for one in found.principal], [round(abs(one), 3) for one in found.axes[:, 0].tolist()]
     ([27, 28, 1988], [0.0, 1.0, 0.0])
     """
-    given = np.asarray(stiffness, float)
-    count = len(robot.joints)
-    if len(angles) != count or given.shape not in ((count,), (count, count)):
-        raise RangeError(
-            f"{len(angles)} angles and {given.shape[0]} values of stiffness for {count} joints",
-            field="stiffness",
-            value=len(given),
-            remedy="give one of each for each joint, in their order, or the stiffness matrix",
-        )
+    given, count = np.asarray(stiffness, float), len(robot.joints)
+    check_count("angles", len(angles), count, "joint, in their order")
     joints = np.diag(given) if given.ndim == 1 else given
+    for size in joints.shape:
+        check_count("stiffness", size, count, "joint, in their order, or the stiffness matrix")
     return stiffness_through(*point_jacobian(robot, angles, force, point), movable(robot), joints)
 
 
@@ -160,13 +156,8 @@ def point_jacobian(
     point = point_of(robot, point)
     directions = 2 if robot.is_planar else 3
     pushed = (0.0,) * directions if force is None else tuple(force)
-    if len(pushed) != directions:
-        raise RangeError(
-            f"a force with {len(pushed)} numbers",
-            field="force",
-            value=list(pushed),
-            remedy="give it forwards and up" if robot.is_planar else "give it forwards, to the left and up",
-        )
+    each = "direction: forwards and up" if robot.is_planar else "direction: forwards, to the left and up"
+    check_count("force", len(pushed), directions, each)
     jacobian, geometric = _jacobian(robot, point, tuple(angles), pushed)
     return np.asarray(jacobian), np.asarray(geometric)
 

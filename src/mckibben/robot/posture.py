@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.component.checks import check_count, check_within
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import RigidTendon
 from mckibben.muscle import PressureAffineLaw
@@ -134,8 +133,7 @@ class HeldPosture(NamedTuple):
     ) -> HeldPosture:
         """Raises as `pressures_for_joint_stiffness` does."""
         check_affine(robot)
-        check_count("angles", len(angles), len(robot.joints), "joint")
-        check_angles(robot, angles)
+        robot.check_posture(angles)
         affine, free = map_at(robot, angles), movable(robot)
         torques = np.zeros(len(free)) if torques is None else np.asarray(torques, float)
         low, high, names = _pressure_ranges(robot, affine, supply, minimum_tension)
@@ -214,15 +212,6 @@ def holding_torques(robot: Robot, angles: Sequence[float], gravity: float = 9.81
     torques, free = np.zeros(len(robot.joints)), movable(robot)
     torques[free] = np.array(joint_equations(robot, tuple(angles), (0.0,) * len(angles), gravity).bias, float)
     return torques
-
-
-def check_angles(robot: Robot, angles: Sequence[float]) -> None:
-    """Raise `RangeError` for a posture beyond stops."""
-    for joint, angle in zip(robot.joints, angles, strict=True):
-        if joint.locked is None:
-            low, high = joint.lower - 1e-9, joint.upper + 1e-9
-            remedy = "choose an angle between its stops"
-            check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
 
 
 def _pressure_ranges(

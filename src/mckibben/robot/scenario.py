@@ -26,13 +26,13 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.actuator import IdealValve
+from mckibben.actuator import Actuator, IdealValve
 from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Flag, Title
 from mckibben.config.model import ConfigModel, fail_validation, located_below
 from mckibben.control import Controller, Reference
-from mckibben.errors import RangeError, UnreachableError, quoted, suggest
+from mckibben.errors import RangeError, UnreachableError
 from mckibben.muscle import SpringLaw
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
@@ -50,7 +50,7 @@ from mckibben.robot.point_stiffness import movable
 from mckibben.robot.posture import holding_torques, is_affine
 from mckibben.robot.reaching import PointReference, PointStiffnessValue
 from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
-from mckibben.robot.statics import SINGULAR, pressures_for_joint_stiffness
+from mckibben.robot.statics import SINGULAR, check_point, pressures_for_joint_stiffness, stiffness_matrix
 from mckibben.scenario.scenario import (
     BatchParts,
     ControllerPart,
@@ -77,7 +77,6 @@ from mckibben.units import (
     SignedForce,
     Stiffness,
     bar,
-    deg,
     mm,
 )
 
@@ -129,6 +128,20 @@ class LandingSettings(ConfigModel):
     time_constants: tuple[PositiveTime, ...] = (0.02,)  # see `valve_with`; constant pressures and closed valves, too
     duration: Duration = 0.3
 
+    def check(self, robot: Robot, valve: Actuator | None) -> None:
+        """Raise `RangeError` unless the robot can land in this way."""
+        _check_foot(robot)
+        robot.check_angles(self.touchdown, "touchdown")
+        index = robot.index(self.joint)
+        robot.pair(index)
+        if robot.joints[index].locked is not None:
+            message, remedy = f"{self.joint} is locked: its stiffness has no effect", "name a joint that can move"
+            raise RangeError(message, field="joint", value=self.joint, remedy=remedy)
+        if self.time_constants and valve is not None and not valve.holds_air:
+            message = "landing.time_constants (default: 20 ms) are of a valve with air, and the valve has none"
+            remedy = "give a valve such as {class: regulator, ...}, or `time_constants: []`"
+            raise RangeError(message, field="time_constants", remedy=remedy)
+
 
 class JumpSettings(ConfigModel):
     """A jump from a squat."""
@@ -141,17 +154,24 @@ class JumpSettings(ConfigModel):
 
     @model_validator(mode="after")
     def _in_order(self) -> JumpSettings:
-        if self.high <= self.low:
-            fail_validation(
-                f"high, {self.high / bar:g} bar, is not above low", "give a higher pressure", value=self.high
-            )
-        if self.duration <= self.latest:
-            fail_validation(
-                f"the duration of {self.duration:g} s ends before the latest switching time of {self.latest:g} s",
-                "give a longer duration",
-                value=self.duration,
-            )
+        for (name, value), (below, least) in (
+            (("high", self.high), ("low", self.low)),
+            (("duration", self.duration), ("latest", self.latest)),
+        ):
+            if value <= least:
+                fail_validation(f"{name} is not above {below}", f"give more than {least:g}", value=value)
         return self
+
+    def check(self, robot: Robot, valve: Actuator | None) -> None:
+        """Raise `RangeError` unless the robot can jump in this way."""
+        _check_foot(robot)
+        robot.check_angles(self.squat, "squat")
+        muscles = [one for one in robot.all_muscles if not isinstance(one.law, SpringLaw)]
+        rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
+        for what, highest in (("rating of a muscle", rated), ("supply", getattr(valve, "supply", None) or np.inf)):
+            if self.high > highest:
+                message = f"high is {self.high / bar:g} bar, above the {what} of {highest / bar:g} bar"
+                raise RangeError(message, field="high", value=self.high, upper=highest, unit="Pa", remedy="lower it")
 
 
 class StiffnessSettings(ConfigModel):
@@ -172,6 +192,22 @@ class StiffnessSettings(ConfigModel):
             remedy = "give principal, for a point, or joints"
             fail_validation("has a stiffness of a point and of joints", remedy, field="joints")
         return self
+
+    def check(self, robot: Robot, _: Actuator | None) -> None:
+        """Raise `RangeError` for another posture, point or direction than the robot has, and a singular posture."""
+        robot.check_angles(self.posture, "posture")
+        robot.check_angles(dict.fromkeys(self.joints), "joints")
+        if self.principal is not None:
+            matrix = stiffness_matrix(self.principal, self.direction, self.sideways)
+            check_point(robot, robot.posture_angles(self.posture), matrix, self.point, self.force)
+
+
+def _check_foot(robot: Robot) -> None:
+    """Raise `RangeError` unless a robot moves and touches the ground."""
+    if robot.base == "fixed":
+        raise RangeError("needs a base that can move", remedy="give the robot a `base` such as vertical")
+    if robot.foot is None:
+        raise RangeError("needs a foot", remedy="give the robot a `foot`: body, place and radius")
 
 
 class StartSettings(ConfigModel):
@@ -253,10 +289,7 @@ class RobotScenario(StudiedScenario):
             return handler(value)
         made = {}
         for name, section in value.items():
-            try:
-                scope = _joint_scope(robot, valve, info.data.get("command_delay"), robot.index(name))
-            except RangeError as error:
-                fail_validation(error.message, error.remedy, field=name)
+            scope = _joint_scope(robot, valve, info.data.get("command_delay"), robot.index(name, name))
             context = dict(info.context or {}) | {"scope": (scope,)}
             within = cast(ValidationInfo, SimpleNamespace(context=context, field_name=name, data={}))
             try:
@@ -280,73 +313,11 @@ class RobotScenario(StudiedScenario):
             )
         return value
 
-    @field_validator("stiffness", mode="after")
-    @classmethod
-    def _directions(cls, value: StiffnessSettings | None, info: ValidationInfo) -> StiffnessSettings | None:
-        robot = info.data.get("robot")
-        if value is None or robot is None:
-            return value
-        directions = 2 if robot.is_planar else 3
-        for name in value.joints:
-            if name not in [joint.name for joint in robot.joints]:
-                fail_validation(*_unknown_joint(robot, name), field=f"joints.{name}")
-        if value.principal is None:
-            return value
-        if value.point is None and robot.foot is None:
-            fail_validation("the robot has no foot", "give the `point`: its body and place", field="point")
-        if (value.sideways is None) != robot.is_planar:
-            remedy = "leave sideways out" if robot.is_planar else "give sideways, the stiffness to the side"
-            fail_validation(f"the robot moves in {directions} directions", remedy)
-        if value.force is not None and len(value.force) != directions:
-            fail_validation(f"force has {len(value.force)} numbers", f"give {directions}")
-        return value
-
     @field_validator("landing", "jump", "stiffness", mode="after")
     @classmethod
-    def _joints_known(cls, value: Any, info: ValidationInfo) -> Any:
-        robot = info.data.get("robot")
-        if value is None or robot is None:
-            return value
-        if not isinstance(value, StiffnessSettings):
-            if robot.base == "fixed":
-                fail_validation("needs a base that can move", "give the robot a `base` such as vertical")
-            if robot.foot is None:
-                fail_validation("needs a foot", "give the robot a `foot`: body, place and radius")
-        postures: dict[str, Angles] = {}
-        if isinstance(value, LandingSettings):
-            postures["touchdown"] = value.touchdown
-            if value.joint not in [joint.name for joint in robot.joints]:
-                fail_validation(*_unknown_joint(robot, value.joint), field="joint")
-            if robot.index(value.joint) not in robot.pairs:
-                fail_validation(f"{value.joint} has no pair of muscles", "name a joint that has one", field="joint")
-            if robot.joints[robot.index(value.joint)].locked is not None:
-                fail_validation(
-                    f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move", field="joint"
-                )
-        elif isinstance(value, JumpSettings):
-            postures["squat"] = value.squat
-        else:
-            postures["posture"] = value.posture
-        for field, angles in postures.items():
-            _check_posture(robot, angles, field)
-        return value
-
-    @field_validator("jump", mode="after")
-    @classmethod
-    def _supplied(cls, value: JumpSettings | None, info: ValidationInfo) -> JumpSettings | None:
-        robot, supply = info.data.get("robot"), getattr(info.data.get("valve"), "supply", None)
-        if value is None or robot is None:
-            return value
-        muscles = [one for one in robot.all_muscles if not isinstance(one.law, SpringLaw)]
-        rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
-        for what, highest in (("rating of a muscle", rated), ("supply", supply)):
-            if highest is not None and value.high > highest:
-                fail_validation(
-                    f"high is {value.high / bar:g} bar, above the {what} of {highest / bar:g} bar",
-                    "lower it",
-                    value=value.high,
-                    field="high",
-                )
+    def _of_the_robot(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and (robot := info.data.get("robot")) is not None:
+            value.check(robot, info.data.get("valve"))
         return value
 
     @field_validator("uncertainty", mode="after")
@@ -359,24 +330,13 @@ class RobotScenario(StudiedScenario):
             if valve.muscle_count is not None:
                 remedy = "leave it out, or give all muscles one valve"
                 fail_validation("is not supported with unequal valves", remedy, field=name)
-            if not valve.holds_air:
-                remedy = "leave it out, or use a valve with air, such as {from: smc-itv0050, supply: 7 bar}"
-                fail_validation("the valve has no air", remedy, field=name)
-            if not getattr(valve, name, None):
-                fail_validation(f"the valve has no {name}", f"give it a {name}, or leave this out", field=name)
+            if not (valve.holds_air and getattr(valve, name, None)):
+                remedy = "leave it out, or use a valve with air that has it: {from: smc-itv0050, supply: 7 bar, ...}"
+                fail_validation(f"the valve has no {name}", remedy, field=name)
             if name == "polytropic_index" and valve.wall_conductance is not None:
                 remedy = "leave it out, and give the deviation of the wall_conductance"
                 fail_validation("has no effect on air with a temperature", remedy, field=name)
         return value
-
-    @model_validator(mode="after")
-    def _with_air(self) -> RobotScenario:
-        if self.landing is not None and self.landing.time_constants and not self.valve.holds_air:
-            fail_validation(
-                "landing.time_constants (default: 20 ms) are of a valve with air, and the valve has none",
-                "give a valve such as {class: regulator, ...}, or `time_constants: []`",
-            )
-        return self
 
     @model_validator(mode="after")
     def _controlled(self) -> RobotScenario:
@@ -396,11 +356,8 @@ class RobotScenario(StudiedScenario):
         if self.duration is None:
             fail_validation("lacks the duration of the run", "give one, such as `duration: 5 s`", field="duration")
         if self.controllers:
-            try:
-                check_pairs(self.robot, self.control())
-            except RangeError as error:
-                fail_validation(error.message, "give `controller`, which commands all muscles", field="controllers")
-        _check_posture(self.robot, self.start.angles, "start.angles")
+            check_pairs(self.robot, self.control())
+        self.robot.check_angles(self.start.angles, "start.angles")
         if self.controller:
             _check_independent(self.robot)
         return self
@@ -429,11 +386,11 @@ class RobotScenario(StudiedScenario):
         reference, whole = self._timed(self.references()), self.with_model()
         if whole.controller is not None:
             return dataclasses.replace(whole.controller, reference=reference)
-        controllers = tuple(whole.controllers[joint.name] for joint in self.robot.joints)
+        controllers = tuple(whole.controllers[name] for name in self.joint_names)
         return JointwiseControl(controllers, reference=reference)
 
     def _timed(self, references: dict[str, Reference]) -> TimedReference:
-        return TimedReference(tuple(references[joint.name] for joint in self.robot.joints))
+        return TimedReference(tuple(references[name] for name in self.joint_names))
 
     def _scope(self) -> Scope:
         return {name: getattr(self, name) for name in self.plant_parts}
@@ -443,7 +400,7 @@ class RobotScenario(StudiedScenario):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        return tuple(joint.name for joint in self.robot.joints)
+        return self.robot.joint_names
 
     def references(self) -> dict[str, Reference]:
         return self._joint_references[0]
@@ -600,17 +557,10 @@ def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: i
     return {"joint": robot.pair(index), "load": load, "valve": valve, "command_delay": command_delay}
 
 
-def _unknown_joint(robot: Robot, name: str) -> tuple[str, str]:
-    return f"there is no joint {quoted(name)}", suggest(name, [joint.name for joint in robot.joints])
-
-
 def _check_each(robot: Robot, field: str, given: Collection[str]) -> None:
     """Refuse parts by joint of unknown joints, and of fewer than all."""
-    joints = [joint.name for joint in robot.joints]
-    for name in given:
-        if name not in joints:
-            fail_validation(*_unknown_joint(robot, name), field=f"{field}.{name}")
-    if missing := [name for name in joints if name not in given]:
+    robot.check_angles(dict.fromkeys(given), field)
+    if missing := [name for name in robot.joint_names if name not in given]:
         fail_validation(f"lacks {', '.join(missing)}", "give one for each joint", field=field)
 
 
@@ -629,26 +579,6 @@ def _check_independent(robot: Robot) -> None:
         text = f"the muscles do not turn {', '.join(alike)}" + (" independently" if len(alike) > 1 else "")
         remedy = "let muscles pass beside the axis of each joint, or lock it"
         fail_validation(text, remedy, field=f"robot.joints.{robot.index(alike[-1])}")
-
-
-def _check_posture(robot: Robot, angles: Angles, field: str) -> None:
-    """Refuse angles of unknown joints, of joints that are locked elsewhere, and beyond stops."""
-    joints = {joint.name: joint for joint in robot.joints}
-    for name, angle in angles.items():
-        if name not in joints:
-            fail_validation(*_unknown_joint(robot, name), field=f"{field}.{name}")
-        lower, upper, locked = joints[name].lower, joints[name].upper, joints[name].locked
-        if locked is not None and abs(angle - locked) > 1e-9:
-            fail_validation(
-                f"{name} is locked at {locked / deg:g} deg", "leave it out", value=angle, field=f"{field}.{name}"
-            )
-        if not lower <= angle <= upper:
-            fail_validation(
-                f"{name} is at {angle / deg:.4g} deg, beyond its stops",
-                f"give an angle of {lower / deg:.4g} to {upper / deg:.4g} deg",
-                value=angle,
-                field=f"{field}.{name}",
-            )
 
 
 def read_robot(name: str | os.PathLike[str]) -> Robot:

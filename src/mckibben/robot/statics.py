@@ -27,7 +27,7 @@ from mckibben.robot.point_stiffness import (
     stiffness_of,
     stiffness_through,
 )
-from mckibben.robot.posture import EXACT, HeldPosture, check_affine, check_angles, holding_torques
+from mckibben.robot.posture import EXACT, HeldPosture, check_affine, holding_torques
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
@@ -269,12 +269,10 @@ def pressures_for_point_stiffness(
     from scipy.linalg import sqrtm
 
     check_affine(robot)
-    check_angles(robot, angles)
-    jacobian, geometric = point_jacobian(robot, angles, force, point)
-    wanted = _checked(wanted, len(jacobian))
+    wanted, jacobian, geometric = check_point(robot, angles, wanted, point, force)
     pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
     free = movable(robot)
-    moved, bent = _check_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
+    moved, bent = jacobian[:, free], geometric[np.ix_(free, free)]
     setting = HeldPosture.of(
         robot, angles, -jacobian.T @ pushed if torques is None else torques, supply, minimum_tension
     )
@@ -402,43 +400,37 @@ def stiffness_matrix(principal: Sequence[float], direction: float, sideways: flo
     return matrix
 
 
-def _checked(wanted: ArrayLike, directions: int) -> Floats:
-    matrix = np.asarray(wanted, float)
-    if matrix.shape != (directions, directions) or not np.allclose(matrix, matrix.T):
-        raise RangeError(
-            f"a stiffness of the point with the shape {matrix.shape}",
-            field="wanted",
-            value=matrix.tolist(),
-            remedy=f"give a symmetric matrix with {directions} rows",
-        )
+def check_point(
+    robot: Robot,
+    angles: Sequence[float],
+    wanted: ArrayLike,
+    point: BodyPoint | Foot | None = None,
+    force: Sequence[float] | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Return a wanted stiffness matrix [N/m] of a point, and both of `point_jacobian`.
+
+    Raises `RangeError` unless the matrix is positive definite and has the directions in which the point moves, and for
+    a posture beyond stops, or in which the joints do not move the point in all directions.
+    """
+    robot.check_posture(angles)
+    jacobian, geometric = point_jacobian(robot, angles, force, point)
+    matrix, directions = np.asarray(wanted, float), ("forwards", "to the left", "up")
+    if robot.is_planar:
+        directions = directions[::2]
+    if matrix.shape != (len(directions),) * 2 or not np.allclose(matrix, matrix.T):
+        message = f"the robot moves in {len(directions)} directions, and the stiffness of the point in {len(matrix)}"
+        remedy = f"give a symmetric matrix: {', '.join(directions)}; in a file, `sideways` for a robot in space alone"
+        raise RangeError(message, field="wanted", value=matrix.tolist(), remedy=remedy)
     if not np.linalg.eigvalsh(matrix).min() > 0:
-        raise RangeError(
-            "the stiffness of the point is not positive in all directions",
-            field="wanted",
-            value=matrix.tolist(),
-            remedy="give a positive definite matrix",
-        )
-    return matrix
-
-
-def _check_jacobian(jacobian: Floats) -> Floats:
-    """Return the Jacobian of the movable joints; `RangeError` unless they move the point in all directions."""
-    directions, joints = jacobian.shape
-    if directions > joints:
-        raise RangeError(
-            f"{joints} joints can move, and the point has {directions} directions",
-            field="joints",
-            value=joints,
-            remedy="unlock joints, or give the stiffness of the joints",
-        )
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    if values[-1] < SINGULAR * values[0]:
-        raise RangeError(
-            "the robot is stretched: along it the point does not yield",
-            field="angles",
-            remedy="bend it",
-        )
-    return jacobian
+        message, remedy = "the stiffness of the point is not positive in all directions", "give a positive definite one"
+        raise RangeError(message, field="wanted", value=matrix.tolist(), remedy=remedy)
+    axes, sizes, _ = np.linalg.svd(jacobian[:, movable(robot)])
+    if len(sizes) < len(directions) or sizes[-1] < SINGULAR * sizes[0]:
+        along = ", ".join(f"{part:.2g} {name}" for part, name in zip(axes[:, -1], directions, strict=True))
+        message = f"the posture is singular: no joint moves the point along ({along})"
+        remedy = "bend the robot, unlock joints, name another point, or give the stiffness of the joints"
+        raise RangeError(message, field="angles", value=list(angles), remedy=remedy)
+    return matrix, jacobian, geometric
 
 
 def _certificate(setting: HeldPosture, at: Floats, gradient: Floats, residual: Floats) -> tuple[float, Floats]:
