@@ -30,7 +30,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import numeric
 from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import run_identification, run_joint
-from mckibben.paper.reproduction import Reproduction
+from mckibben.paper.reproduction import Reproduction, run_leg
 from mckibben.paper.tracking import run_tracking
 from mckibben.plant import JointPlant
 from mckibben.robot import simulate as robot_runs
@@ -421,4 +421,4 @@ def tracking(reported):
 @pytest.fixture(scope="session")
 def reproduction(identification, joint_maps, tracking):
     claims = evaluate_claims(identification, joint_maps, tracking)
-    return Reproduction(identification, joint_maps, tracking, claims, quick=True, seconds=1.0)
+    return Reproduction(identification, joint_maps, tracking, run_leg(), claims, quick=True, seconds=1.0)

@@ -14,6 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.paper.settings import AS_PRINTED, PRE_CONTRACTED, SETTINGS, StiffnessReference, bp_scenario, pid_scenario
 from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun
+from mckibben.robot.scenario import RobotScenario
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics, SimulationResult, check_reference
 from tests.paper.test_claims import CHOU_CLAIM, COUPLED_CLAIM, MODERATE, SIMILAR_CLAIM, angle_claim, settling_claim
@@ -169,8 +170,8 @@ def test_saved_files_read_back(folder, results, reproduction):
     for name, data in (("test", rig.test), ("retest", rig.retest)):
         back = IsobaricDataset.from_netcdf(folder / "data" / f"virtual-rig-{name}.nc")
         assert back.table.identical(data.table)
-    assert {p.stem for p in (folder / "scenarios").iterdir()} == NAMES
-    assert {p.stem for p in (folder / "trajectories").iterdir()} == NAMES
+    assert {p.stem for p in (folder / "scenarios").iterdir()} == NAMES | {"leg"}
+    assert {p.stem for p in (folder / "trajectories").iterdir()} == NAMES | {"leg"}
     assert not list(folder.rglob(".*.part"))
 
 
@@ -229,6 +230,16 @@ RUNS = {
     "pre-contracted-step-pid": pid_scenario(PRE_CONTRACTED, StiffnessReference.STEP),
     "pre-contracted-step-backprop": bp_scenario(PRE_CONTRACTED, StiffnessReference.STEP),
 }
+
+
+def test_the_leg_follows_angles_and_stiffness_of_all_joints_as_its_example(reproduction):
+    example = RobotScenario.read(EXAMPLES / "robot" / "lei-leg-control.yaml")
+    assert RobotScenario.parse(reproduction.leg.scenario).dumps() == example.dumps()
+    errors = reproduction.to_dict()["leg"]
+    assert set(errors) == {"side", "hip", "knee"}
+    for error in errors.values():  # steps of 1.5 N*m/rad, sines of 3 to 8 deg
+        assert error["angle_rmse_deg"] < 0.2
+        assert error["stiffness_rmse"] < 0.1
 
 
 @pytest.mark.parametrize("name", RUNS)

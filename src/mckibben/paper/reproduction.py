@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,9 @@ from mckibben.paper.identification import Identification, JointMap, run_identifi
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.result import Column, Listing, Result
+from mckibben.robot.scenario import RobotScenario
+from mckibben.robot.tracking import TrackingResult
+from mckibben.robot.tracking import run_tracking as run_robot
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import json_ready
 from mckibben.study.tune import TuneResult
@@ -35,6 +39,8 @@ class Reproduction(Result):
     ----------
     identification, joint, tracking
         Results of test and identification, the attainable set of the knee by setting key, and the runs of Figs. 7, 8.
+    leg
+        Position and stiffness of all joints of the leg at once.
     claims
         The paper's claims, then our questions, with verdicts.
     quick
@@ -46,6 +52,7 @@ class Reproduction(Result):
     identification: Identification
     joint: dict[str, JointMap]
     tracking: Tracking
+    leg: TrackingResult
     claims: tuple[Claim, ...]
     quick: bool
     seconds: float
@@ -101,6 +108,7 @@ class Reproduction(Result):
                     }
                     for key, coupling in self.tracking.coupling.items()
                 },
+                "leg": _leg(self.leg),
                 "claims": [asdict(claim) | {"of_paper": claim.of_paper} for claim in self.claims],
             }
         )
@@ -120,6 +128,8 @@ class Reproduction(Result):
             name = file_stem(key, reference, controller)
             run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
+        RobotScenario.parse(self.leg.scenario).to_yaml(folder / "scenarios" / "leg.yaml")
+        self.leg.to_netcdf(folder / "trajectories" / "leg.nc")
 
 
 def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:
@@ -156,22 +166,29 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
         muscle = pool.submit(run_identification, repeats=2 if quick else 5)
         knee = pool.submit(run_joint)
+        leg = pool.submit(run_leg)
         what = "isobaric test and identification; control of position and stiffness"
         report(what, 0.0)
 
         def tracked(part: float) -> None:
             report(what, 0.95 * part)
-            for other in (muscle, knee):
+            for other in (muscle, knee, leg):
                 if other.done():
                     other.result()  # raises its error
 
         tracking = run_tracking(
             seeds=5 if quick else 20, generations=4 if quick else 30, population=16 if quick else 32, progress=tracked
         )
-        identification, joint = muscle.result(), knee.result()
+        identification, joint, robot = muscle.result(), knee.result(), leg.result()
     report("claims", 0.95)
     claims = evaluate_claims(identification, joint, tracking)
-    return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
+    return Reproduction(identification, joint, tracking, robot, claims, quick, time.perf_counter() - start)
+
+
+def run_leg() -> TrackingResult:
+    """The experiment on the knee, on all joints of the leg at once, with computed torque."""
+    text = (resources.files("mckibben.paper") / "leg.yaml").read_text(encoding="utf-8")
+    return run_robot(RobotScenario.parse(text))
 
 
 def _rig(identification: Identification) -> dict[str, object]:
@@ -233,6 +250,15 @@ def _run(run: ControllerRun) -> dict[str, object]:
         numbers["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
         numbers["unstable"] = run.unstable
     return numbers | {"outcome": run.result.verdict()}
+
+
+def _leg(run: TrackingResult) -> dict[str, object]:
+    """RMS errors of angle [deg] and stiffness [N*m/rad] of each joint of the leg."""
+    errors = zip(run.metrics["angle_rmse"] / deg, run.metrics["stiffness_rmse"], strict=True)
+    return {
+        joint: {"angle_rmse_deg": float(angle), "stiffness_rmse": float(stiffness)}
+        for joint, (angle, stiffness) in zip(run.joints, errors, strict=True)
+    }
 
 
 def _tuned(tuned: TuneResult) -> dict[str, object]:

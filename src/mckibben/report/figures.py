@@ -21,7 +21,7 @@ from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
 from mckibben.report.drawing import draw_joint
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
-from mckibben.report.robot import posture
+from mckibben.report.robot import posture, robot_tracking
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
 from mckibben.robot import read_robot
@@ -81,6 +81,7 @@ def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
     for setting in SETTINGS:
         yield from _of_the_control(reproduction, setting)
     yield from _of_the_methods(reproduction)
+    yield described("leg-control", robot_tracking(reproduction.leg), errors=reproduction.leg.verdict())
 
 
 def described(key: str, figure: Figure | None, suffix: str = "", **values: object) -> ReportFigure:

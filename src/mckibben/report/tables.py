@@ -37,6 +37,7 @@ SECTIONS = {
     "identification": "Muscle: test, identification, validation",
     "joint": "Knee: attainable set",
     "tracking": "Control of position and stiffness",
+    "leg": "Leg: all joints at once",
 }
 """Sections of the report."""
 
