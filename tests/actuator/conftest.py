@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from mckibben.actuator.base import AirVolume
+from mckibben.actuator.base import AirVolume, Point
 from mckibben.units import bar
 
 
@@ -17,8 +17,9 @@ def lag_of():
 
         def move(carry, _):
             pressure, state = carry
-            command = model.command_toward(pressure, state, start + step, still, lag, period)
-            following, state = model.predict(pressure, state, command, still, period)
+            at = Point(pressure, state, still)
+            command = model.command_toward(at, start + step, lag, period)
+            following, state = model.predict(at, command, period)
             return (following, state), start + step - (pressure + following) / 2
 
         pressure = jnp.asarray(start)

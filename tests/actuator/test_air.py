@@ -10,6 +10,7 @@ import pytest
 
 import mckibben as mk
 from mckibben.actuator import AirState, AirVolume
+from mckibben.actuator.base import Point
 from mckibben.errors import RangeError
 from mckibben.muscle.air import mass_flow, pressure_behind
 from mckibben.numerics.calculus import rk4
@@ -195,7 +196,7 @@ def test_a_model_predicts_in_steps_of_a_control_period(model, command):
     muscles, _, held, tubes, _ = follow([model], [start], [command], number * PERIOD, [VOLUME], GROWTH)
     for k in range(40):
         air = AirVolume(jnp.asarray(VOLUME + GROWTH * (k + 0.5) * PERIOD), jnp.asarray(GROWTH))
-        pressure, state = model.predict(pressure, state, command, air, PERIOD)
+        pressure, state = model.predict(Point(pressure, state, air), command, PERIOD)
         assert float(pressure) == pytest.approx(muscles[0, k + 1], abs=0.02 * abs(command - start))
         if model is TUBE:
             assert float(state.pressure) == pytest.approx(tubes[0, k + 1], abs=0.05 * abs(command - start))
@@ -214,8 +215,10 @@ def test_valve_and_tube_in_series_have_one_conductance():
     tube = mk.Tube(PLAIN, volume=HOLLOW, conductance=C, critical_ratio=0.3)
     alone = dataclasses.replace(PLAIN, conductance=C / math.sqrt(2))
     pressure, whole = jnp.asarray(2.5 * bar), AirVolume(STILL.volume + HOLLOW, jnp.zeros(()))
-    found = tube.attainable(pressure, tube.init_model(pressure), (0.0, 6 * bar), STILL, PERIOD)(pressure)
-    expected = alone.attainable(pressure, alone.init_model(pressure), (0.0, 6 * bar), whole, PERIOD)(pressure)
+    found, expected = (
+        valve.attainable(Point(pressure, valve.init_model(pressure), air), (0.0, 6 * bar), PERIOD)(pressure)
+        for valve, air in ((tube, STILL), (alone, whole))
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 

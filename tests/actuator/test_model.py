@@ -7,6 +7,7 @@ import pytest
 
 import mckibben as mk
 from mckibben.actuator import AirState, AirVolume, SecondOrderValve
+from mckibben.actuator.base import Point
 from mckibben.units import bar, ms
 
 C, SUPPLY, LAG, BAND, INDEX = 0.05e-8, 8 * bar, 20 * ms, 0.5 * bar, 1.2
@@ -37,9 +38,9 @@ def test_the_pressure_follows_a_target_with_the_lag_of_narrow_and_wide_valves(la
 
 def test_a_limited_rate_limits_what_is_attainable():
     valve, pressure = mk.FirstOrderValve(20 * ms, rate=10 * bar), jnp.asarray(2 * bar)
-    lowest, highest = valve.attainable(pressure, (), LIMITS, None, PERIOD)(pressure)
+    lowest, highest = valve.attainable(Point(pressure), LIMITS, PERIOD)(pressure)
     assert (float(lowest), float(highest)) == (pytest.approx(1.99 * bar), pytest.approx(2.01 * bar))
-    assert float(valve.predict(pressure, (), 6 * bar, None, PERIOD)[0]) == pytest.approx(2.01 * bar)
+    assert float(valve.predict(Point(pressure), 6 * bar, PERIOD)[0]) == pytest.approx(2.01 * bar)
 
 
 @pytest.mark.parametrize(
@@ -57,9 +58,8 @@ def test_a_limited_rate_limits_what_is_attainable():
 )
 def test_at_its_target_a_pressure_stays(valve):
     pressure, still = jnp.asarray(3 * bar), AirVolume(AIR.volume, jnp.zeros(()))
-    state = valve.init_model(pressure)
-    command = valve.command_toward(pressure, state, pressure, still, 8 * ms, PERIOD)
-    following, state = valve.predict(pressure, state, command, still, PERIOD)
+    at = Point(pressure, valve.init_model(pressure), still)
+    following, state = valve.predict(at, valve.command_toward(at, pressure, 8 * ms, PERIOD), PERIOD)
     assert float(following) == pytest.approx(3 * bar, rel=1e-9)
-    lowest, highest = valve.attainable(pressure, state, LIMITS, still, PERIOD)(pressure)
+    lowest, highest = valve.attainable(Point(pressure, state, still), LIMITS, PERIOD)(pressure)
     assert float(lowest) < 3 * bar < float(highest)

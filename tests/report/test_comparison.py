@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mckibben.report.comparison import comparison_air, comparison_errors, comparison_front
+from mckibben.report.comparison import comparison_errors, comparison_front
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.compare import CompareResult, Suite, draw
@@ -57,7 +57,7 @@ def test_a_front_is_drawn_for_each_controller_that_was_tuned(result):
 
 def test_a_controller_has_one_colour_in_all_figures(result):
     assert result.order != list(result.batches), "else there is nothing to see"
-    lines = [line for figure in (comparison_errors(result), comparison_air(result)) for line in figure.axes[-1].lines]
+    lines = [line for figure in (comparison_errors(result), comparison_front(result)) for line in figure.axes[-1].lines]
     colours = [{line.get_color() for line in lines if line.get_label() == name} for name in result.batches]
     assert [len(colour) for colour in colours] == [1, 1, 1] and len(set.union(*colours)) == 3
 

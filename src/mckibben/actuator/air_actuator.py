@@ -18,7 +18,6 @@ from mckibben.muscle.air import (
     ENERGY,
     HEAT_CAPACITY_RATIO,
     TEMPERATURE,
-    effective_index,
     heat_as_flow,
     pressure_rate,
     temperature_rate,
@@ -84,47 +83,30 @@ class AirActuator(Actuator):
         The supply has an absolute pressure `inlet` [Pa].
         """
 
-    def muscle_rate(
-        self, pressure: Scalar, state: State, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
-    ) -> tuple[Array, State, Array]:
-        """Return the rates of the pressure [Pa/s] and of the state, and the mass flow [kg/s] drawn from the supply.
-
-        For polytropic air; the supply has an absolute pressure `inlet` [Pa].
-        """
-        passed = self.exchange(pressure, state, command, inlet)
-        index, absolute = self.polytropic_index, pressure + ATMOSPHERE  # type: ignore[attr-defined]
-        rate = pressure_rate(index, absolute, passed.net, volume.effective(index, absolute), volume.rate)
-        return rate, passed.rate, passed.drawn
-
-    def energy_rates(
+    def muscle_rates(
         self,
         pressure: Scalar,
-        temperature: Scalar,
         state: State,
         command: ArrayLike,
         volume: AirVolume,
         inlet: ArrayLike,
-    ) -> tuple[Array, Array, State, Array]:
-        """Return the rates of pressure [Pa/s], temperature [K/s] and state, and the flow drawn [kg/s]; `muscle_rate`.
+        temperature: Scalar | tuple[()] = (),
+    ) -> tuple[Array, State, Array, Array | tuple[()]]:
+        """Return the rates of pressure [Pa/s] and state, the flow drawn from the supply [kg/s], and the warming [K/s].
 
-        By the energy balance, with a `wall_conductance`.
+        The supply has an absolute pressure `inlet` [Pa]. Without a temperature [K] of its own, the air is polytropic.
         """
-        passed = self.exchange(pressure, state, command, inlet, temperature)
-        index, absolute = HEAT_CAPACITY_RATIO, pressure + ATMOSPHERE
+        absolute = pressure + ATMOSPHERE
+        if isinstance(temperature, tuple):
+            passed, index = self.exchange(pressure, state, command, inlet), self.polytropic_index  # type: ignore[attr-defined]
+            rate = pressure_rate(index, absolute, passed.net, volume.effective(index, absolute), volume.rate)
+            return rate, passed.rate, passed.drawn, ()
+        passed, index = self.exchange(pressure, state, command, inlet, temperature), HEAT_CAPACITY_RATIO
         filling = passed.enthalpy(temperature) + heat_as_flow(self.wall_conductance, temperature)
         rate = pressure_rate(index, absolute, filling, volume.effective(index, absolute), volume.rate)
         growth = volume.rate if volume.by_pressure is None else volume.rate + volume.by_pressure * rate
         warming = temperature_rate(temperature, absolute, rate, passed.net, volume.volume, growth)
-        return rate, warming, passed.rate, passed.drawn
-
-    def index_at(self, pressure: ArrayLike, volume: ArrayLike, frequency: ArrayLike) -> Number:
-        """Return the index n of small changes of a volume [m^3] at a gauge pressure [Pa] behind the shut valve.
-
-        With a `wall_conductance` it is complex and depends on the frequency [Hz]; see `effective_index`.
-        """
-        if self.wall_conductance is None:
-            return self.polytropic_index  # type: ignore[attr-defined]
-        return effective_index(self.wall_conductance, jnp.asarray(pressure) + ATMOSPHERE, volume, frequency)
+        return rate, passed.rate, passed.drawn, warming
 
     @property
     def fastest_index(self) -> float:

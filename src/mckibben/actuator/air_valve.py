@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
-from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, State, lag_fraction
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Point, Reservoir, Scalar, State, lag_fraction
 from mckibben.component.checks import check_within
 from mckibben.component.columns import Label
 from mckibben.muscle import Domain
@@ -182,9 +182,8 @@ class AirValve(AirActuator):
         """Return the command [Pa] after its lag; spool and modulation are left out of the model."""
         return floating(pressure)
 
-    def predict(
-        self, pressure: Scalar, state: Scalar, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
-    ) -> tuple[Scalar, Scalar]:
+    def predict(self, at: Point, command: ArrayLike, duration: ArrayLike) -> tuple[Scalar, Scalar]:
+        pressure, state, air = at
         following = self.follow(state, command, duration)
         error = self.effective((state + following) / 2 - pressure)
         side = jnp.where(error > 0, 1.0, -1.0)
@@ -196,22 +195,13 @@ class AirValve(AirActuator):
         moved = error - (error - side * rate * full) * left
         return pressure + moved + drift * (full + lag * (1 - left)), following
 
-    def attainable(
-        self, pressure: Scalar, state: Scalar, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
-    ) -> Attainable:
-        slowest, fastest, drift = self.open_rates(pressure, air)
-        share = jnp.ones_like(pressure)
+    def attainable(self, at: Point, commands: CommandRange, duration: ArrayLike) -> Attainable:
+        slowest, fastest, drift = self.open_rates(at.pressure, at.air)
+        share = jnp.ones_like(at.pressure)
         return Attainable(share, (slowest + drift) * duration, (fastest + drift) * duration)
 
-    def command_toward(
-        self,
-        pressure: Scalar,
-        state: Scalar,
-        target: ArrayLike,
-        air: AirVolume | None,
-        lag: ArrayLike,
-        period: ArrayLike,
-    ) -> Scalar:
+    def command_toward(self, at: Point, target: ArrayLike, lag: ArrayLike, period: ArrayLike) -> Scalar:
+        pressure, state, air = at
         slowest, fastest, drift = self.open_rates(pressure, air)
         rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
         flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import abc
+import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
@@ -75,6 +77,14 @@ class AirVolume(NamedTuple):
         2.6e-05
         """
         return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
+
+
+class Point(NamedTuple):
+    """Operating point of a muscle's actuator in a controller's model: pressure [Pa], state, air if it `holds_air`."""
+
+    pressure: Scalar
+    state: State = ()
+    air: AirVolume | None = None
 
 
 def air_volumes(
@@ -187,8 +197,6 @@ class Actuator(Labelled, Component):
     default_class = "first_order"
     holds_air = False
     """Whether the pressures are integrated with the volumes of the muscles."""
-    has_closed_form = False
-    """Whether `after` and `command_for` give the response to a constant command, as those of `Valve`."""
     holds_pressure = True
     """Whether the pressure is a state; else it is the command."""
     is_first_order = False
@@ -269,22 +277,15 @@ class Actuator(Labelled, Component):
     def air_rate(
         self, pressures: Sequence[Scalar], air: AirState, commands: Sequence[ArrayLike], volumes: Sequence[AirVolume]
     ) -> tuple[tuple[Array, ...], AirState]:
-        """Return the rates of the pressures [Pa/s] of all muscles, and of the state; see `AirActuator.muscle_rate`."""
-        rates, valve_rates, warming, drawn, reservoir = [], [], [], 0.0, self.reservoir
-        for i, (pressure, *others) in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
+        """Return the rates of the pressures [Pa/s] of all muscles, and of the state; see `AirActuator.muscle_rates`."""
+        muscles, reservoir = [], self.reservoir
+        for i, muscle in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
             own, temperature = self.for_muscle(i), state_of_muscle(air, i)[1]
             inlet = ATMOSPHERE + (own.supply if reservoir is None else air.reservoir)
-            warmed: Array | tuple[()] = ()
-            if own.wall_conductance is None:
-                rate, valve_rate, flow = own.muscle_rate(pressure, *others, inlet)
-            else:
-                rate, warmed, valve_rate, flow = own.energy_rates(pressure, temperature, *others, inlet)
-            rates.append(rate)
-            valve_rates.append(valve_rate)
-            warming.append(warmed)
-            drawn = drawn + flow
-        filled = () if reservoir is None else reservoir.rate(air.reservoir, drawn)
-        return tuple(rates), AirState(tuple(valve_rates), filled, tuple(warming) if air.temperatures else ())
+            muscles.append(own.muscle_rates(*muscle, inlet, temperature))
+        rates, valves, flows, warming = zip(*muscles, strict=True)
+        filled = () if reservoir is None else reservoir.rate(air.reservoir, functools.reduce(operator.add, flows, 0.0))
+        return rates, AirState(valves, filled, warming if air.temperatures else ())
 
     def before_steps(
         self, air: AirState, commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike], step: ArrayLike
@@ -304,18 +305,11 @@ class Actuator(Labelled, Component):
         """Return the state of a controller's model at rest at a pressure [Pa]."""
         return ()
 
-    def predict(
-        self, pressure: Scalar, state: State, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
-    ) -> tuple[Scalar, State]:
-        """Return the pressure [Pa] and the state of the model a time [s] later, under a constant command [Pa].
+    def predict(self, at: Point, command: ArrayLike, duration: ArrayLike) -> tuple[Scalar, State]:
+        """Return the pressure [Pa] and the state of the model a time [s] later, under a constant command [Pa]."""
+        return at.pressure + lag_fraction(self.lag, duration) * (command - at.pressure), at.state
 
-        `air` is the volume of the muscle, given to actuators that have `holds_air`.
-        """
-        return pressure + lag_fraction(self.lag, duration) * (command - pressure), state
-
-    def attainable(
-        self, pressure: Scalar, state: State, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
-    ) -> Attainable:
+    def attainable(self, at: Point, commands: CommandRange, duration: ArrayLike) -> Attainable:
         """Return the pressures that the lowest and the highest command [Pa] reach within a time [s].
 
         A controller that allocates pressures keeps within them.
@@ -323,21 +317,13 @@ class Actuator(Labelled, Component):
         fraction = lag_fraction(self.lag, duration)
         return Attainable(1 - fraction, fraction * commands[0], fraction * commands[1])
 
-    def command_toward(
-        self,
-        pressure: Scalar,
-        state: State,
-        target: ArrayLike,
-        air: AirVolume | None,
-        lag: ArrayLike,
-        period: ArrayLike,
-    ) -> Scalar:
+    def command_toward(self, at: Point, target: ArrayLike, lag: ArrayLike, period: ArrayLike) -> Scalar:
         """Return the command [Pa] of a control period [s] by which the pressure approaches a target [Pa].
 
         The pressure follows with a lag [s]: within a period it covers the part 1 - exp(-period / lag) of the way.
         """
         speed = (1 - exp(-jnp.asarray(period) / lag)) / lag_fraction(self.lag, period)
-        return pressure + speed * (target - pressure)
+        return at.pressure + speed * (target - at.pressure)
 
     def fastest_rate_in(self, volume: float) -> float:
         """Return a bound on the rates [1/s] of the integrated states with an air volume [m^3].

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
 from mckibben.actuator.air_valve import FASTER, AirValve
-from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, State, lag_fraction
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Point, Reservoir, Scalar, State, lag_fraction
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle.air import (
@@ -138,7 +138,7 @@ class Tube(AirActuator):
         if temperature is not None:
             flows = tuple(flow_of_warm_air(flow, temperature) for flow in flows)
         at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(flows[0], outlet))
-        tube, valve, drawn = self._tight.muscle_rate(state.pressure, state.valve, command, at_valve, inlet)
+        tube, valve, drawn, _ = self._tight.muscle_rates(state.pressure, state.valve, command, at_valve, inlet)
         return Exchange(flows, TubeState(valve, tube), drawn)  # pyrefly: ignore[bad-argument-type]
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
@@ -165,34 +165,25 @@ class Tube(AirActuator):
     def init_model(self, pressure: Scalar) -> TubeState:
         return TubeState(self.valve.init_model(pressure), floating(pressure))
 
-    def predict(
-        self, pressure: Scalar, state: TubeState, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
-    ) -> tuple[Scalar, TubeState]:
+    def predict(self, at: Point, command: ArrayLike, duration: ArrayLike) -> tuple[Scalar, TubeState]:
+        pressure, state, _ = at
         following = self.valve.follow(state.valve, command, duration)
         error = self.valve.effective((state.valve + following) / 2 - state.pressure)
         at_valve = AirVolume(jnp.asarray(self.dead_volume), jnp.zeros_like(pressure))
         rate, _ = self._tight.open_rate(jnp.where(error > 0, 1.0, -1.0), state.pressure, at_valve)
         speed = rate / jnp.maximum(jnp.abs(error), self.valve.band)
-        muscle, tube = self._moved(pressure, state.pressure, error, speed, air, duration)
+        muscle, tube = self._moved(at, error, speed, duration)
         return pressure + muscle, TubeState(following, state.pressure + tube)
 
-    def attainable(
-        self, pressure: Scalar, state: TubeState, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
-    ) -> Attainable:
+    def attainable(self, at: Point, commands: CommandRange, duration: ArrayLike) -> Attainable:
         # the rates that last: those of one flow through valve and tube, which fills both muscle and tube
+        pressure, state, air = at
         assert air is not None
         whole = AirVolume(air.volume + self.dead_volume, air.rate, air.by_pressure)
-        return self._in_series.attainable(pressure, state.valve, commands, whole, duration)
+        return self._in_series.attainable(Point(pressure, state.valve, whole), commands, duration)
 
-    def command_toward(
-        self,
-        pressure: Scalar,
-        state: TubeState,
-        target: ArrayLike,
-        air: AirVolume | None,
-        lag: ArrayLike,
-        period: ArrayLike,
-    ) -> Scalar:
+    def command_toward(self, at: Point, target: ArrayLike, lag: ArrayLike, period: ArrayLike) -> Scalar:
+        pressure, state, air = at
         assert air is not None
         rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
         needed = self._flow_for(pressure + ATMOSPHERE, rate, air)
@@ -201,7 +192,7 @@ class Tube(AirActuator):
         faster = FASTER * jnp.asarray(lag)
         ahead = outlet - ATMOSPHERE + period / lag_fraction(faster, period) * rate
         wanted = jnp.clip(ahead, 0.0, self.supply)
-        return self._tight.command_toward(state.pressure, state.valve, wanted, at_valve, faster, period)
+        return self._tight.command_toward(Point(state.pressure, state.valve, at_valve), wanted, faster, period)
 
     @property
     def _tight(self) -> AirValve:
@@ -232,17 +223,10 @@ class Tube(AirActuator):
         filling = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
         return jnp.asarray(filling + self.valve.leakage(absolute - ATMOSPHERE))
 
-    def _moved(
-        self,
-        pressure: Scalar,
-        outlet: Scalar,
-        error: ArrayLike,
-        speed: ArrayLike,
-        air: AirVolume | None,
-        duration: ArrayLike,
-    ) -> tuple[Scalar, Scalar]:
+    def _moved(self, at: Point, error: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> tuple[Scalar, Scalar]:
         """Changes [Pa] of the pressures of muscle and outlet within a time [s], from an error [Pa] and speed [1/s]."""
         # The step is that of the (0, 2) Pade approximant of the matrix exponential, stable with any tube.
+        pressure, (_, outlet), air = at
         assert air is not None
         index, step = self.polytropic_index, jnp.asarray(duration)
         room = air.effective(index, pressure + ATMOSPHERE)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirVolume, Attainable, CommandRange, Scalar, State
+from mckibben.actuator.base import Actuator, Attainable, CommandRange, Point, Scalar, State
 from mckibben.numerics.elementary import Number
 from mckibben.units import PressureRate, SupplyPressure, ValveTime
 
@@ -20,8 +20,6 @@ class Valve(Actuator):
     continues from the state at the end of each control period, so two consecutive intervals must give the result of
     their sum. A response that depends on more than the pressure has an internal state, given by `init` and `after`.
     """
-
-    has_closed_form = True
 
     def init(self, pressure: Scalar) -> State:
         return ()
@@ -118,21 +116,16 @@ class FirstOrderValve(Valve):
             error, elapsed = error - jnp.sign(error) * self.rate * limited, elapsed - limited
         return command + error * jnp.exp(-elapsed / self.time_constant)
 
-    def predict(
-        self, pressure: Scalar, state: State, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
-    ) -> tuple[Scalar, State]:
+    def predict(self, at: Point, command: ArrayLike, duration: ArrayLike) -> tuple[Scalar, State]:
         if self.rate is None:
-            return super().predict(pressure, state, command, air, duration)
-        return self.pressure_after(pressure, command, duration), state
+            return super().predict(at, command, duration)
+        return self.pressure_after(at.pressure, command, duration), at.state
 
-    def attainable(
-        self, pressure: Scalar, state: State, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
-    ) -> Attainable:
+    def attainable(self, at: Point, commands: CommandRange, duration: ArrayLike) -> Attainable:
         if self.rate is None:
-            return super().attainable(pressure, state, commands, air, duration)
-        share = jnp.ones_like(pressure)
-        low, high = (self.pressure_after(pressure, command, duration) - pressure for command in commands)
-        return Attainable(share, low, high)
+            return super().attainable(at, commands, duration)
+        low, high = (self.pressure_after(at.pressure, command, duration) - at.pressure for command in commands)
+        return Attainable(jnp.ones_like(at.pressure), low, high)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         rate = jnp.asarray(rate)

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
-from mckibben.actuator.base import air_volumes, delay_periods
+from mckibben.actuator.base import Point, air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.allocation import command_limits
@@ -57,20 +57,23 @@ class Valves(NamedTuple):
 
     def predict(self, commands: Sequence[ArrayLike], duration: ArrayLike) -> tuple[Any, Any]:
         """Return the pressures [Pa] and states a time [s] later, under constant commands [Pa]."""
-        muscles = enumerate(zip(self.pressures, self.states, commands, self.air, strict=True))
-        predicted = [self.model.for_muscle(i).predict(*muscle, duration) for i, muscle in muscles]
+        predicted = [valve.predict(at, command, duration) for valve, at, command in self._muscles(commands)]
         return tuple(pressure for pressure, _ in predicted), tuple(state for _, state in predicted)
 
     def attainable(self, duration: ArrayLike) -> Any:
         """Return the pressures that can be reached within a time [s]."""
-        muscles = zip(self.pressures, self.states, zip(*self.commands, strict=True), self.air, strict=True)
-        return tuple(self.model.for_muscle(i).attainable(*muscle, duration) for i, muscle in enumerate(muscles))
+        ranges = zip(*self.commands, strict=True)
+        return tuple(valve.attainable(at, commands, duration) for valve, at, commands in self._muscles(ranges))
 
     def commands_toward(self, targets: Sequence[ArrayLike], lag: ArrayLike, period: ArrayLike) -> Any:
         """Return the commands [Pa] of a control period [s] that lead the pressures to targets [Pa] with a lag [s]."""
-        muscles = zip(self.pressures, self.states, targets, self.air, strict=True)
-        wanted = (self.model.for_muscle(i).command_toward(*muscle, lag, period) for i, muscle in enumerate(muscles))
+        wanted = (valve.command_toward(at, target, lag, period) for valve, at, target in self._muscles(targets))
         return tuple(map(jnp.clip, wanted, *self.commands))
+
+    def _muscles(self, values: Iterable[Any]) -> Iterator[tuple[Actuator, Point, Any]]:
+        """Actuator of each muscle, its state, and its value."""
+        for i, (*at, value) in enumerate(zip(self.pressures, self.states, self.air, values, strict=True)):
+            yield self.model.for_muscle(i), Point(*at), value
 
 
 class Estimates(NamedTuple):

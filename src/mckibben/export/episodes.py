@@ -14,10 +14,8 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
-from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.identification import Fit
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit_arrays, numeric
@@ -170,23 +168,20 @@ def example_of(
 
 
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
-    """Plants with varied parameters (``load.mass2=+-50 %``, ``joint.muscle.law=fit``), those without start dropped.
+    """Plants with varied parameters (``load.mass2=+-50 %``), those without start dropped.
 
     Raises `ExportError` if no plant is valid, or none has an equilibrium at the start.
 
     Parameters
     ----------
     random_plant
-        Variations, as for a sweep; ``LAW=fit`` draws the parameters of a law from its fit.
+        Variations, as for a sweep.
     count, seed
         Number of plants that are drawn, and the seed of the draw.
     """
     table = {}
     if random_plant:
-        fits = [text for text in random_plant if text.partition("=")[2].strip() == "fit"]
-        others = [text for text in random_plant if text not in fits]
-        table = sample(parse_sweeps(others, scenario), "random", count, seed) if others else {}
-        table |= _fit_draws(scenario, [text.partition("=")[0].strip() for text in fits], count, seed)
+        table = sample(parse_sweeps(random_plant, scenario), "random", count, seed)
         valid = valid_rows(scenario, table)
         table = {name: column[valid] for name, column in table.items()}
     varied = batched(scenario, table) if table and len(next(iter(table.values()))) else scenario
@@ -208,23 +203,6 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
         raise ExportError("no plant has an equilibrium at the start", field="start", remedy="give another `start`")
     take = lambda tree: jax.tree.map(lambda leaf: np.asarray(leaf)[existing], tree)  # noqa: E731
     return Plants(take(varying), fixed, take(starts), len(existing))
-
-
-def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -> dict[str, PyTree]:
-    """Draws of the fits of laws by the addresses of their parameters; two laws of one fit have the same draws."""
-    joint, draws_by_address = scenario.plant().joint, {}
-    known = {"joint.muscle.law": (joint.muscle1, joint.muscle2), "joint.muscle1.law": (joint.muscle1,),
-             "joint.muscle2.law": (joint.muscle2,)}  # fmt: skip
-    for law in laws:
-        files = {origin_of(muscle.law) for muscle in known.get(law, ())}
-        file = files.pop() if len(files) == 1 else ""
-        if not file.endswith(ENDINGS):
-            message = f"{law} is not a law that was read from the file of a fit"
-            remedy = f"give {', '.join(known)}, and the muscle the file of a fit"
-            raise ExportError(message, field="random_plant", value=f"{law}=fit", remedy=remedy)
-        draws = Fit.from_yaml(file).draws(np.random.default_rng(seed), count)
-        draws_by_address |= {f"{law}.{name}": values for name, values in draws.items()}
-    return draws_by_address
 
 
 @jit_arrays

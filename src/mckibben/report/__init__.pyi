@@ -1,5 +1,4 @@
 from .animation import animate as animate
-from .comparison import comparison_air as comparison_air
 from .comparison import comparison_errors as comparison_errors
 from .comparison import comparison_front as comparison_front
 from .drawing import draw_joint as draw_joint

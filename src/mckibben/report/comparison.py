@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mckibben.report.style import DOUBLE, Look, blank, legend_above, letter, looks_of, plain_numbers, styled
+from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.study.compare.statistics import front, median
 from mckibben.units import deg, litre
 
@@ -40,38 +39,6 @@ def comparison_errors(result: CompareResult) -> Figure:
     return figure
 
 
-def _marker(look: Look) -> str:
-    """Marker of a controller, which differs if its colour is reused."""
-    return "o" if look["linestyle"] == "-" else "D"
-
-
-@styled
-def comparison_air(result: CompareResult) -> Figure:
-    """Angle error over air consumption: median and 90 % range of the runs."""
-    figure = blank(DOUBLE, 3.0)
-    axes = figure.subplots()
-    for name, look in looks_of(result.batches).items():
-        air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
-        if not (np.isfinite(angle) & np.isfinite(air)).any():
-            continue  # all runs diverged, or the volume of a muscle unknown
-        (x0, x, x1), (y0, y, y1) = (np.nanpercentile(values, [5, 50, 95]) for values in (air, angle))
-        axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
-        axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
-        axes.plot(x, y, marker=_marker(look), markersize=4.5, linestyle="", color=look["color"], label=name)
-    _air_axes(figure, axes)
-    return figure
-
-
-def _air_axes(figure: Figure, axes: Axes) -> None:
-    """Logarithmic axes of air and error with a legend, unless nothing is drawn."""
-    axes.set(xlabel="air consumption [L]", ylabel="angle rmse [deg]")
-    if axes.lines:
-        axes.set(xscale="log", yscale="log")
-        plain_numbers(axes.xaxis)
-        plain_numbers(axes.yaxis)
-        legend_above(figure, axes, columns=4)
-
-
 @styled
 def comparison_front(result: CompareResult) -> Figure:
     """Pareto front of median angle error and air consumption among the tuning trials, by controller."""
@@ -83,6 +50,12 @@ def comparison_front(result: CompareResult) -> Figure:
                 [median(trial, metric) / unit for trial in points]
                 for metric, unit in (("air", litre), ("angle_rmse", deg))
             )
-            axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
-    _air_axes(figure, axes)
+            marker = "o" if look["linestyle"] == "-" else "D"  # of a colour that is used twice
+            axes.plot(air, angle, drawstyle="steps-post", marker=marker, markersize=2.5, label=name, **look)
+    axes.set(xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    if axes.lines:
+        axes.set(xscale="log", yscale="log")
+        plain_numbers(axes.xaxis)
+        plain_numbers(axes.yaxis)
+        legend_above(figure, axes, columns=4)
     return figure

@@ -38,8 +38,8 @@ from mckibben.units import percent
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
 
-SINGLE, DOUBLE = 3.5, 7.2
-"""Widths of one and of two columns of a journal [inches]."""
+DOUBLE = 7.2
+"""Width of two columns of a journal [inches]."""
 
 Look = dict[str, Any]
 """Options of an artist of matplotlib."""

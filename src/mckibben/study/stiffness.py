@@ -8,7 +8,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
@@ -17,7 +17,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant
 from mckibben.result import Column, Listing, Result, column
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
@@ -55,8 +55,6 @@ class StiffnessTests(Result):
     closed_secant: Values = column("N*m/rad", "closed valves")
     tests: dict[str, DynamicStiffness]
     """Simulated, by name."""
-    closed_dynamic: NDArray[np.complex128] | None = None
-    """K' + i K'' over the rates, for air with a temperature."""
 
     def verdict(self) -> str:
         """Return what is held, and the range of the stiffness over the amplitudes."""
@@ -74,13 +72,8 @@ class StiffnessTests(Result):
             for rate, values, loss in zip(test.frequency, stiffness, test.loss, strict=True):
                 columns[f"{rate:.3g} Hz"] = Column("N*m/rad"), values
                 columns[f"loss at {rate:.3g} Hz"] = Column("N*m/rad"), loss
-            detail = name == HELD or (name == CLOSED and self.closed_dynamic is None)
+            detail = name == HELD or (name == CLOSED and self.scenario.valve.wall_conductance is None)
             yield Listing(f"Simulated: {SHOWN[name]}", columns, detail=detail)
-        if self.closed_dynamic is not None:
-            unit = Column("N*m/rad")
-            columns = {"rate": (Column("Hz"), self.tests[CLOSED].frequency)}
-            columns |= {"storage": (unit, self.closed_dynamic.real), "loss": (unit, self.closed_dynamic.imag)}
-            yield Listing("Closed valves without friction, linearised", columns)
 
 
 def stiffness_tests(
@@ -138,10 +131,8 @@ def stiffness_tests(
         tests[name] = dynamic_stiffness(own, started, amplitudes, rates, **control, **times)
     valve: Any = closed.valve
     index = valve.polytropic_index if valve.wall_conductance is None else HEAT_CAPACITY_RATIO
-    dead, dynamic = valve.dead_volume, None
-    if valve.wall_conductance is not None:
-        dynamic = np.asarray(_closed_dynamic(*numeric((closed, state, tests[CLOSED].frequency))))
-    numbers = _closed_forms(plant.joint, state.angle, state.pressures, tests[HELD].amplitude, index, dead)
+    held_at = state.angle, state.pressures, tests[HELD].amplitude
+    numbers = _closed_forms(plant.joint, *held_at, index, valve.dead_volume)
     isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
     return StiffnessTests(
         scenario=scenario,
@@ -155,7 +146,6 @@ def stiffness_tests(
         secant=secant,
         closed_secant=closed_secant,
         tests=tests,
-        closed_dynamic=dynamic,
     )
 
 
@@ -174,16 +164,4 @@ def _closed_forms(
         joint.closed_valve_stiffness(angle, pressures, **air),
         joint.secant_stiffness(angle, pressures, amplitudes),
         joint.secant_stiffness(angle, pressures, amplitudes, **air),
-    )
-
-
-@jit
-def _closed_dynamic(plant: JointPlant, state: PlantState, rates: Array) -> Array:
-    """Complex stiffness [N*m/rad] of small motions at rates [Hz] with closed valves, without friction."""
-    volumes = [air.volume for air in plant.air_volumes(state)]
-    valve: Any = plant.valve
-    pairs = zip(state.pressures, volumes, strict=True)
-    indices = tuple(valve.index_at(pressure, volume, rates) for pressure, volume in pairs)
-    return plant.joint.closed_valve_stiffness(
-        state.angle, state.pressures, polytropic_index=indices, dead_volume=valve.dead_volume
     )

@@ -41,7 +41,7 @@ class CompareResult(Result):
     with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
     """
 
-    figures = ("comparison_errors", "comparison_air", "comparison_front")
+    figures = ("comparison_errors", "comparison_front")
     files = ("runs.nc", "suite.yaml", "controllers")
 
     suite: ControllerSuite
