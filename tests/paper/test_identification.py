@@ -121,4 +121,4 @@ def test_the_numbers_of_the_documentation(joint_maps, references, key, band, ang
     assert found.at(0.0) == pytest.approx(band, abs=0.05)
     assert found.at(0.0) == pytest.approx(references[key].attainable(0.0), abs=2e-3)
     step = 80 / 120
-    assert np.array(found.static_range) / deg == pytest.approx(angles, abs=step)
+    assert np.array([found.angle_min, found.angle_max]) / deg == pytest.approx(angles, abs=step)

@@ -20,11 +20,11 @@ from mckibben.paper.identification import (
     RIG,
     TEST_PRESSURES,
     Identification,
-    JointMap,
     direction_gap,
 )
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import BP, DOUBLED_PID, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Tracking
+from mckibben.reachability import StaticEnvelope
 from mckibben.simulation import SETTLING_PART
 from mckibben.units import bar, deg, quantity
 
@@ -85,7 +85,7 @@ class Claim:
 
 
 def evaluate_claims(
-    identification: Identification, joint: dict[str, JointMap], tracking: Tracking
+    identification: Identification, joint: dict[str, StaticEnvelope], tracking: Tracking
 ) -> tuple[Claim, ...]:
     """The six claims of the paper, then our six questions, with their verdicts and evidence.
 
@@ -269,18 +269,15 @@ def _coupled(tracking: Tracking) -> Claim:
     )
 
 
-def _range(joint: dict[str, JointMap]) -> Claim:
+def _range(joint: dict[str, StaticEnvelope]) -> Claim:
     """Holds if the static range of angles of Table 2 as printed is 55 deg or more."""
-    printed = joint[SETTINGS[0].key].static_range
-    parts = []
-    for setting in SETTINGS:
-        low, high = joint[setting.key].static_range
-        parts.append(f"{setting.name}: {low / deg:.1f}..{high / deg:.1f} deg")
+    printed, statics = joint[SETTINGS[0].key], [(setting.name, joint[setting.key]) for setting in SETTINGS]
+    parts = [f"{name}: {each.angle_min / deg:.1f}..{each.angle_max / deg:.1f} deg" for name, each in statics]
     return Claim(
         "The knee reaches 55 deg without the stretch structure (Table 2 as printed)",
         'on "Musculoskeletal leg" (55 deg with the structure)',
         None,
-        printed[1] - printed[0] >= _KNEE_RANGE,
+        printed.angle_max - printed.angle_min >= _KNEE_RANGE,
         "static range of angles, with the load of Table 2 and contractions within -3..25 %: " + "; ".join(parts),
     )
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit, Validation, fit_law, validate
-from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
-from mckibben.numerics.compiled import jit
 from mckibben.paper.settings import SETTINGS, Setting, StiffnessReference, pid_scenario
 from mckibben.plant import JointPlant
+from mckibben.reachability import StaticEnvelope, static_envelope
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, away_from_turns
 from mckibben.units import bar, deg
 
@@ -144,75 +141,10 @@ def _test(repeats: int) -> SimulatedRigTest:
     return SimulatedRigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
 
 
-@dataclass(frozen=True)
-class JointMap:
-    """Attainable stiffness over angles, under gravity and at each muscle torque; NaN where there is none.
-
-    Parameters
-    ----------
-    angles, torques
-        Grids [rad], [N*m], of shape (n,).
-    lowest, highest
-        Stiffness [N*m/rad] under gravity, shape (n,).
-    lowest_at, highest_at
-        Stiffness [N*m/rad] at each torque (rows) and angle (columns), shape (n, n).
-    gravity_torque
-        Torque [N*m] of the muscles that balances gravity at each angle.
-    static_range
-        Lowest and highest angle [rad] that can be held.
-    """
-
-    angles: NDArray[np.float64]
-    lowest: NDArray[np.float64]
-    highest: NDArray[np.float64]
-    torques: NDArray[np.float64]
-    lowest_at: NDArray[np.float64]
-    highest_at: NDArray[np.float64]
-    gravity_torque: NDArray[np.float64]
-    static_range: tuple[float, float]
-
-    def at(self, angle: float) -> tuple[float, float]:
-        """Attainable stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
-        index = int(np.argmin(np.abs(self.angles - angle)))
-        return float(self.lowest[index]), float(self.highest[index])
-
-
-def run_joint(*, resolution: int = 241) -> dict[str, JointMap]:
-    """Return the attainable stiffness of both geometries, by setting key, at an odd number of angles (with 0)."""
-    return {setting.key: _map(setting, resolution) for setting in SETTINGS}
-
-
-def _map(setting: Setting, resolution: int) -> JointMap:
-    plant = plant_of(setting)
-    angles = jnp.linspace(-40 * deg, 40 * deg, resolution)
-    balancing = -plant.load.gravity_torque(angles)
-    torques = jnp.linspace(-8.0, 8.0, resolution)
-    lowest, highest = _attainable(plant.joint, angles, balancing)
-    lowest_at, highest_at = _attainable(plant.joint, angles[None, :], torques[:, None])
-    maps = (np.asarray(x) for x in (angles, lowest, highest, torques, lowest_at, highest_at, balancing))
-    return JointMap(*maps, static_range=_static_range(plant, np.asarray(angles), np.isnan(np.asarray(lowest))))
-
-
-def _static_range(plant: JointPlant, angles: NDArray[np.float64], infeasible: NDArray[np.bool_]) -> tuple[float, float]:
-    """First infeasible angle on either side of 0, refined once between grid points."""
-    zero = int(np.argmin(np.abs(angles)))
-    if infeasible[zero]:
-        return float("nan"), float("nan")
-
-    def edge(outwards: NDArray[np.float64], outside: NDArray[np.bool_]) -> float:
-        if not outside.any():
-            return float(outwards[-1])
-        first = int(np.argmax(outside))
-        between = jnp.linspace(outwards[first - 1], outwards[first], len(angles))  # equally many: compiled once
-        lowest, _ = _attainable(plant.joint, between, -plant.load.gravity_torque(between))
-        return float(between[int(jnp.argmax(jnp.isnan(lowest))) - 1])
-
-    return edge(angles[zero::-1], infeasible[zero::-1]), edge(angles[zero:], infeasible[zero:])
-
-
-@jit
-def _attainable(joint: AntagonisticJoint, angle: Array, torque: Array) -> tuple[Array, Array]:
-    return joint.attainable_stiffness(angle, torque)
+def run_joint(*, resolution: int = 241) -> dict[str, StaticEnvelope]:
+    """Return the static envelope of both geometries, by setting key, at an odd number of angles (with 0)."""
+    angles = np.linspace(-40 * deg, 40 * deg, resolution)
+    return {setting.key: static_envelope(plant_of(setting), angles=angles) for setting in SETTINGS}
 
 
 def plant_of(setting: Setting) -> JointPlant:

@@ -19,9 +19,10 @@ from mckibben.identification import Validation
 from mckibben.identification.reporting import fit_numbers
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.paper.claims import Claim, evaluate_claims
-from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
+from mckibben.paper.identification import Identification, run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
+from mckibben.reachability import StaticEnvelope
 from mckibben.result import Column, Listing, Result
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.tracking import TrackingResult
@@ -38,7 +39,7 @@ class Reproduction(Result):
     Parameters
     ----------
     identification, joint, tracking
-        Results of test and identification, the attainable set of the knee by setting key, and the runs of Figs. 7, 8.
+        Results of test and identification, the static envelope of the knee by setting key, and the runs of Figs. 7, 8.
     leg
         Position and stiffness of all joints of the leg at once.
     claims
@@ -50,7 +51,7 @@ class Reproduction(Result):
     """
 
     identification: Identification
-    joint: dict[str, JointMap]
+    joint: dict[str, StaticEnvelope]
     tracking: Tracking
     leg: TrackingResult
     claims: tuple[Claim, ...]
@@ -228,11 +229,10 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
     return table
 
 
-def _joint(joint_map: JointMap) -> dict[str, object]:
+def _joint(static: StaticEnvelope) -> dict[str, object]:
     """Attainable stiffness [N*m/rad] at 0 deg and static range [deg] of a geometry."""
-    low, high = joint_map.at(0.0)
-    first, last = joint_map.static_range
-    return {"attainable_stiffness_at_0_deg": [low, high], "static_range_deg": [first / deg, last / deg]}
+    limits = [static.angle_min / deg, static.angle_max / deg]
+    return {"attainable_stiffness_at_0_deg": list(static.at(0.0)), "static_range_deg": limits}
 
 
 def _tracking(tracking: Tracking) -> dict[str, dict[str, dict[str, object]]]:

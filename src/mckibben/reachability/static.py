@@ -70,6 +70,11 @@ class StaticEnvelope:
         """Mask of the static angles, shape (angles,)."""
         return (self.angles >= self.angle_min) & (self.angles <= self.angle_max)
 
+    def at(self, angle: float) -> tuple[float, float]:
+        """Lowest and highest stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
+        place = int(np.argmin(np.abs(self.angles - angle)))
+        return float(self.stiffness.lowest[place]), float(self.stiffness.highest[place])
+
     def table_rows(self) -> NDArray[np.int_]:
         """Indices of about ten whole angles [deg] of the static range, 0 deg among them; empty if there is none."""
         inside = np.flatnonzero(self.inside)
@@ -82,8 +87,8 @@ def scan_points(affine: bool) -> Values:
     return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if affine else 41)
 
 
-def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
-    """Compute the static envelope of a plant's joint from -80 to 80 deg, where both moment arms are positive.
+def static_envelope(plant: JointPlant, *, about: float = 0.0, angles: Values | None = None) -> StaticEnvelope:
+    """Compute the static envelope of a plant's joint, where both moment arms are positive.
 
     Parameters
     ----------
@@ -91,6 +96,8 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
         Joint and load, and valves whose supply may be below the rated pressures.
     about
         An angle [rad] in the range of interest; if it is not static, the nearest static angle replaces it.
+    angles
+        Angles [rad], ascending. Default: from -80 to 80 deg.
 
     Examples
     --------
@@ -101,14 +108,13 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     (-10.4, 10.4)
     """
     affine = is_affine(plant.joint)
-    count = 641 if affine else 161
-    angles = np.linspace(-80 * deg, 80 * deg, count)
+    angles = np.linspace(-80 * deg, 80 * deg, 641 if affine else 161) if angles is None else angles
     points = scan_points(affine)
     torque, *limits, stiffness, pressure1, pressure2 = (np.asarray(x) for x in _static_states(plant, angles, points))
     infeasible = np.asarray(np.isnan(stiffness).all(axis=0))
     low = np.argmin(np.where(np.isnan(stiffness), np.inf, stiffness), axis=0)
     high = np.argmax(np.where(np.isnan(stiffness), -np.inf, stiffness), axis=0)
-    column = np.arange(count)
+    column = np.arange(angles.size)
 
     def pressures(index: NDArray[np.int_]) -> Values:
         return np.where(infeasible, np.nan, np.stack([pressure1[index, column], pressure2[index, column]]))

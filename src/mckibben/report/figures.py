@@ -119,7 +119,7 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
     """Attainable stiffness of both geometries, over angle, and over angle and torque."""
-    maps = {setting.name: reproduction.joint[setting.key] for setting in SETTINGS}
+    knees = {setting.name: reproduction.joint[setting.key] for setting in SETTINGS}
     references = {
         setting.name: {
             reference.value: reproduction.tracking.runs[setting.key, reference, PID].result
@@ -127,10 +127,10 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         }
         for setting in SETTINGS
     }
-    at_rest = {name: joint_map.at(0.0) for name, joint_map in maps.items()}
+    at_rest = {name: static.at(0.0) for name, static in knees.items()}
     ranges = "; ".join(f"{name}: {low:.1f} to {high:.1f} N·m/rad at 0 degrees" for name, (low, high) in at_rest.items())
-    yield described("attainable-stiffness", attainable_stiffness(maps, references), ranges=ranges)
-    yield described("torque-stiffness-map", torque_stiffness_map(maps))
+    yield described("attainable-stiffness", attainable_stiffness(knees, references), ranges=ranges)
+    yield described("torque-stiffness-map", torque_stiffness_map(knees))
 
 
 def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[ReportFigure]:

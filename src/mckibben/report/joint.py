@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from mckibben.reachability import Envelope, Selection, StaticEnvelope, static_envelope
+from mckibben.reachability.static import Values
 from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
     DESIRED,
@@ -35,10 +36,10 @@ from mckibben.units import bar, deg, kPa, mm
 if TYPE_CHECKING:
     from mckibben.calibration import ValveCalibration
     from mckibben.calibration.estimation import JointCalibration
-    from mckibben.paper.identification import JointMap
     from mckibben.simulation import SimulationResult
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
+_RANGE = "range of stiffness [N·m/rad]"
 _SAMPLES_APART = 100
 _SHOWN_RANGE = 1.3  # of the required angles
 _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of valves
@@ -46,34 +47,29 @@ _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of 
 
 @styled
 def attainable_stiffness(
-    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, SimulationResult]] | None = None
+    joints: Mapping[str, StaticEnvelope], references: Mapping[str, Mapping[str, SimulationResult]] | None = None
 ) -> Figure:
-    """Attainable stiffness in static equilibrium with the load over the joint angle, one panel per geometry.
+    """Attainable stiffness in static equilibrium with the load over the joint angle, one panel per joint.
 
     Vertical lines are the ends of the static range of angles.
 
     Parameters
     ----------
-    maps
-        Attainable set by name of the geometry.
+    joints
+        Static envelopes by name of the joint.
     references
-        Runs by geometry and by name of the reference, at most three, whose desired angle and stiffness are drawn over
-        the range.
+        Runs by joint and by name of the reference, at most three, whose desired angle and stiffness are drawn over the
+        range.
     """
     figure = blank(DOUBLE, 3.1)
-    grid = figure.subplots(1, len(maps), squeeze=False)[0]
-    for i, (axes, (name, joint_map)) in enumerate(zip(grid, maps.items(), strict=True)):
-        angles = joint_map.angles / deg
-        draw_band(
-            axes, angles, joint_map.lowest, joint_map.highest, label="attainable in static equilibrium", color="#BFD9EA"
-        )
-        for edge in (joint_map.lowest, joint_map.highest):
-            axes.plot(angles, edge, color=BLUE, linewidth=0.9)
+    grid = figure.subplots(1, len(joints), squeeze=False)[0]
+    for i, (axes, (name, static)) in enumerate(zip(grid, joints.items(), strict=True)):
+        _band(axes, static, color="#BFD9EA", label="attainable in static equilibrium")
         own = (references or {}).get(name, {})
         for (reference, result), color in zip(own.items(), (BLACK, ORANGE, VERMILLION), strict=False):
             desired = result["desired_angle"] / deg, result["desired_stiffness"]
             axes.plot(*desired, color=color, linewidth=1.4, label=f"desired stiffness, {reference}", zorder=4)
-        first, last = (limit / deg for limit in joint_map.static_range)
+        first, last = static.angle_min / deg, static.angle_max / deg
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
@@ -88,46 +84,50 @@ def attainable_stiffness(
 
 
 @styled
-def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
-    """Contours of the attainable stiffness [N*m/rad] over angle and torque of the muscles, one row per geometry.
+def torque_stiffness_map(joints: Mapping[str, StaticEnvelope]) -> Figure:
+    """Contours of the attainable stiffness [N*m/rad] over angle and torque of the muscles, one row per joint.
 
     Columns: minimum, maximum, and their difference, the freedom that the co-contraction has. The dashed curve is the
     torque that balances the load at rest.
 
     Parameters
     ----------
-    maps
-        Attainable set by name of the geometry.
+    joints
+        Static envelopes by name of the joint.
     """
-    figure = blank(DOUBLE, 2.55 * len(maps) + 0.4)
-    grid = figure.subplots(len(maps), 3, squeeze=False, sharey=True, sharex="row")
+    figure = blank(DOUBLE, 2.55 * len(joints) + 0.4)
+    grid = figure.subplots(len(joints), 3, squeeze=False, sharey=True, sharex="row")
     titles = ("K_min", "K_max", "K_max − K_min")
-    for i, (name, joint_map) in enumerate(maps.items()):
-        values = (joint_map.lowest_at, joint_map.highest_at, joint_map.highest_at - joint_map.lowest_at)
-        span = _levels(*values[:2])
-        for j, (axes, value) in enumerate(zip(grid[i], values, strict=True)):
-            levels = span if j < 2 else _levels(value)
-            cmap = "viridis" if j < 2 else "cividis"
-            filled = axes.contourf(joint_map.angles / deg, joint_map.torques, value, levels, cmap=cmap)
-            filled.set_rasterized(True)
-            axes.plot(joint_map.angles / deg, joint_map.gravity_torque, color="white", linewidth=2.6, zorder=4)
+    for i, (name, static) in enumerate(joints.items()):
+        ends = static.map_stiffness
+        span = _levels(*ends)
+        for j, (axes, value) in enumerate(zip(grid[i], (*ends, ends.width), strict=True)):
+            filled = _contours(
+                axes, static, value, span if j < 2 else _levels(value), "viridis" if j < 2 else "cividis"
+            )
+            axes.plot(static.angles / deg, static.torque, color="white", linewidth=2.6, zorder=4)
             look = {**DESIRED, "linewidth": 1.2, "zorder": 5}
-            axes.plot(joint_map.angles / deg, joint_map.gravity_torque, label="static torque of the load", **look)
+            axes.plot(static.angles / deg, static.torque, label="static torque of the load", **look)
             axes.set_facecolor("#F3F3F3")
-            axes.grid(False)
             if j:
-                label = _STIFFNESS if j == 1 else "range of stiffness [N·m/rad]"
+                label = _STIFFNESS if j == 1 else _RANGE
                 figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
             letter(axes, 3 * i + j, f"{name}: {titles[j]}" if j < 2 else titles[j])
-            reach = joint_map.angles[~np.isnan(joint_map.lowest_at).all(axis=0)] / deg
-            edge = joint_map.angles[[0, -1]] / deg
-            axes.set_xlim(max(edge[0], 1.15 * reach.min()), min(edge[1], 1.15 * reach.max()))
+            axes.set_xlim(1.15 * static.map_angles.min() / deg, 1.15 * static.map_angles.max() / deg)
             axes.set(xlabel=_ANGLE, ylabel=_TORQUE if j == 0 else "")
     legend_above(figure, *grid.ravel())
     return figure
 
 
-def _levels(*values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _contours(axes: Axes, static: StaticEnvelope, values: Values, levels: int | Values, cmap: str) -> ContourSet:
+    """Filled contours of values over the attainable angles [deg] and torques [N*m]."""
+    filled = axes.contourf(static.map_angles / deg, static.map_torques, values, levels, cmap=cmap)
+    filled.set_rasterized(True)
+    axes.grid(False)
+    return filled
+
+
+def _levels(*values: Values) -> Values:
     """About twelve round contour levels that cover all values."""
     return np.asarray(MaxNLocator(12).tick_values(float(np.nanmin(values)), float(np.nanmax(values))))
 
@@ -165,13 +165,10 @@ def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
     static = envelope.static
     angles, torque = static.angles[static.inside] / deg, static.torque[static.inside]
     if static.map_angles.size:
-        width = np.nan_to_num(static.map_stiffness.width)
-        drawn = axes.contourf(static.map_angles / deg, static.map_torques, width, 10, cmap="cividis")
-        drawn.set_rasterized(True)
-        figure.colorbar(drawn, ax=axes, label="range of stiffness [N·m/rad]", pad=0.02)
+        drawn = _contours(axes, static, np.nan_to_num(static.map_stiffness.width), 10, "cividis")
+        figure.colorbar(drawn, ax=axes, label=_RANGE, pad=0.02)
     axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
     axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque that balances gravity")
-    axes.grid(False)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
 
 

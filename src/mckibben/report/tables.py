@@ -55,13 +55,14 @@ def decision_context(reproduction: Reproduction) -> dict[str, object]:
     """
     law, rig = catalog.law("lei-mas-10-180n"), reproduction.identification.rig
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
+    at_rest = reproduction.joint[AS_PRINTED.key]
     lag = printed.valve.model_lag(printed.joint)
     return {
         "force": lambda contraction, pressure: law.force(contraction=contraction * percent, pressure=pressure * bar),
         "contraction": lambda plant: round(float(plant.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent, 6),
         "specimen": rig.muscle.specimen,
         "percent": percent,
-        "range": [limit / deg for limit in reproduction.joint[AS_PRINTED.key].static_range],
+        "range": [at_rest.angle_min / deg, at_rest.angle_max / deg],
         "printed": printed,
         "contracted": contracted,
         "load": printed.load,
