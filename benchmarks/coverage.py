@@ -11,7 +11,6 @@ fewer sets.
 import argparse
 import dataclasses
 
-import equinox as eqx
 import numpy as np
 from scipy.signal import lfilter
 
@@ -22,13 +21,11 @@ from mckibben.identification.estimator import standard_errors
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.regression import Regression
 from mckibben.muscle import ExponentialLaw, forces
-from mckibben.study.uncertainty import joint_bands
 from mckibben.units import bar, percent
 
 EQ_3 = catalog.law("lei-mas-10-180n")
 TRUTH = np.array([float(getattr(EQ_3, p.name)) for p in ExponentialLaw.parameters()])
 AT = (8 * percent, 3.3 * bar)
-ANGLE, PRESSURES = 0.1, (4 * bar, 4.5 * bar)
 SAMPLES, AGREEMENT = 40, 0.9  # of a plateau, and between neighbouring samples
 LEVELS = np.arange(2, 6.1, 0.5) * bar
 
@@ -108,11 +105,9 @@ def grouped(fit: Fit, by: Grouping) -> Fit:
     return dataclasses.replace(fit, regression=regression, robust=regression.robust_errors)
 
 
-def covered(points, measured, further, knee, groupings):
-    """The share of data sets whose interval holds the truth, by grouping: 7 parameters, a force, a further measurement,
-    and for errors by stroke the stiffness of a joint; then half width and score for the further measurement [N]."""
-    true_joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), knee, (EQ_3, EQ_3))
-    stiffness = float(true_joint.stiffness(ANGLE, PRESSURES))
+def covered(points, measured, further, groupings):
+    """The share of data sets whose interval holds the truth, by grouping: 7 parameters, a force, a further measurement;
+    then half width and score for the further measurement [N]."""
     force = float(EQ_3.force(*AT))
     inside, widths = ({by: [] for by in groupings} for _ in range(2))
     for plain, error in zip(fits(points, measured), further, strict=True):
@@ -122,9 +117,6 @@ def covered(points, measured, further, knee, groupings):
             band = fit.force_intervals(*AT)
             bounds += [(band.confidence.lower, band.confidence.upper), (band.prediction.lower, band.prediction.upper)]
             truths = [*TRUTH, force, force + error]
-            if by is Grouping.STROKE:
-                joint = joint_bands(knee, fit, ANGLE, PRESSURES).stiffness
-                bounds, truths = [*bounds, (joint.lower, joint.upper)], [*truths, stiffness]
             inside[by].append([low <= truth <= high for (low, high), truth in zip(bounds, truths, strict=True)])
             prediction = band.prediction
             widths[by].append((float(prediction.upper - prediction.value), float(prediction.score(force + error))))
@@ -137,31 +129,25 @@ def stroke_labels(points: IsobaricDataset) -> np.ndarray:
     return np.unique(np.stack([points.levels, loading]), axis=1, return_inverse=True)[1].reshape(-1)
 
 
-def shares(points, knee, sets: int, *, common: bool):
+def shares(points, sets: int, *, common: bool):
     """`covered` for so many data sets, with or without an error common to each stroke."""
     noise = plateaus(len(points) + 1, sets, seed=1).mean(axis=-1)
     measured, further = points.force + noise[:, :-1], noise[:, -1]
     if common:
         measured = measured + strokes(points, stroke_labels(points), sets, seed=2)
         further = further + 2.0 * np.random.default_rng(3).normal(size=sets)
-    return covered(points, measured, further, knee, (Grouping.POINT, Grouping.STROKE))
-
-
-def pre_contracted_knee():
-    """The knee of Table 2 with connectors of 208 mm."""
-    return eqx.tree_at(lambda j: j.geometry.connector_length, catalog.joint("knee-table-2"), 0.208)
+    return covered(points, measured, further, (Grouping.POINT, Grouping.STROKE))
 
 
 def main():
     parser = argparse.ArgumentParser(description="How often 95 % intervals hold the truth; half width and score.")
     parser.add_argument("--sets", type=int, default=2000, help="data sets a row")
     options = parser.parse_args()
-    sets, knee = options.sets, pre_contracted_knee()
     print("| strokes | points | errors | by stroke | classical |\n|---|---|---|---|---|")
     for step in (0.5, 1.0, 2.0):
         points = design(np.arange(2, 6.1, step) * bar)
         for common, name in ((False, "independent"), (True, "2 N common to each stroke")):
-            found = shares(points, knee, sets, common=common)
+            found = shares(points, options.sets, common=common)
             cells = (
                 f"{100 * share.min():.1f} .. {100 * share.max():.1f} %, {np.median(half):.3g} N, {score.mean():.3g} N"
                 for share, half, score in (found[Grouping.STROKE], found[Grouping.POINT])

@@ -19,14 +19,9 @@ def points():
     return coverage.design(coverage.LEVELS)
 
 
-@pytest.fixture(scope="module")
-def knee():
-    return coverage.pre_contracted_knee()
-
-
 @pytest.mark.slow
-def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
-    found = coverage.shares(points, knee, SETS, common=False)
+def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points):
+    found = coverage.shares(points, SETS, common=False)
     for by, (share, half, score) in found.items():
         assert np.median(half) < 1.5 * score.mean() / 2 and (score >= 2 * half - 1e-9).all()
         assert np.all(share >= 0.92), (by, share)
@@ -34,9 +29,9 @@ def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
 
 
 @pytest.mark.slow
-def test_an_error_common_to_a_stroke_is_covered_where_strokes_are_the_groups(points, knee):
+def test_an_error_common_to_a_stroke_is_covered_where_strokes_are_the_groups(points):
     assert coverage.stroke_labels(points).max() + 1 == 18
-    found = coverage.shares(points, knee, SETS, common=True)
+    found = coverage.shares(points, SETS, common=True)
     share, half, score = found[Grouping.STROKE]
     assert np.all(share >= 0.92), share
     assert np.all(share <= 0.98), share

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from mckibben.errors import ParameterError, RangeError, UnitError
 from mckibben.experiment_design.candidates import StateGrid
@@ -17,7 +20,7 @@ from mckibben.identification.least_squares import design_matrix
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import Parameter
-from mckibben.study.uncertainty import torque_and_stiffness_gradients
+from mckibben.numerics.compiled import jit
 from mckibben.units import bar, deg, parse_range, quantity
 
 
@@ -135,10 +138,8 @@ class JointStiffness(QuantityOfInterest):
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         angles = np.atleast_1d(np.asarray(self.angle, np.float64))
         pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
-        joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
-        values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
-        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures)
-        values, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
+        linearised = _linearised_stiffness(self.joint, law, angles, (pressures[0], pressures[1]))
+        values, gradients, contractions = jax.tree.map(np.asarray, linearised)
         warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2
         for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
@@ -153,7 +154,25 @@ class JointStiffness(QuantityOfInterest):
             if np.any(forces(law, contraction, pressure) <= 0):
                 warnings.append(f"muscle {number} is slack there and does not contribute to the stiffness")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
-        return LinearizedQuantity(gradients[1], values[1], states=places, warnings=tuple(warnings))
+        return LinearizedQuantity(gradients, values, states=places, warnings=tuple(warnings))
+
+
+@jit
+def _linearised_stiffness(
+    joint: AntagonisticJoint, law: ForceLaw, angle: Floats, pressures: tuple[Floats, Floats]
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Stiffness [N*m/rad] of both muscles with a law, its gradients, shape (angles, parameters), and contractions."""
+    names = [parameter.name for parameter in type(law).parameters()]
+
+    def joint_with(values: Array) -> AntagonisticJoint:
+        changed = dataclasses.replace(law, **dict(zip(names, values, strict=True)))
+        return eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (changed, changed))
+
+    def stiffness(values: Array) -> Array:
+        return joint_with(values).evaluate(angle, pressures)[1]
+
+    values = jnp.stack([getattr(law, name) for name in names])
+    return stiffness(values), jax.jacfwd(stiffness)(values), joint_with(values).contractions(angle, pressures)
 
 
 def parse_quantity_of_interest(
