@@ -9,11 +9,12 @@ from jax import lax
 
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
-from mckibben.export.casadi import casadi_function, casadi_plant
-from mckibben.export.plant import plant_module, state_rate
+from mckibben.export.casadi import casadi_plant
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
+from mckibben.plant import IOState
 
 casadi = pytest.importorskip("casadi", reason="the extra casadi is not installed")
+VALVE = mk.FirstOrderValve(time_constant=0.02)
 
 
 def close(found, wanted, scale=None):
@@ -24,18 +25,30 @@ def close(found, wanted, scale=None):
 
 @pytest.mark.slow
 def test_every_law_and_geometry_gives_torque_stiffness_and_tensions(known):
-    load = mk.PendulumLoad(mass=0.5, length=0.2)
-    module = plant_module(mk.JointPlant(known.joint, load, mk.IdealValve())).module
-    for name in ("torque", "stiffness", "tensions"):
-        function = casadi_function(module, name)
-        found = np.asarray(function(known.angles[None], known.pressures.T)).T
-        close(found, getattr(known, name))
-        assert name != "tensions" or found.min() >= 0
+    """At rest, under no gravity; the torque is that which accelerates the load."""
+    load = mk.GeneralLoad(inertia=1.0, greatest_gravity_torque=0.0)
+    functions = casadi_plant(mk.JointPlant(known.joint, load, VALVE)).functions
+    states = np.vstack([known.angles, np.zeros_like(known.angles), known.pressures.T])
+    inputs = np.vstack([known.pressures.T, np.zeros_like(known.angles)])
+    stiffness, *tensions = np.asarray(functions["evaluate"](states, inputs))
+    close(stiffness, known.stiffness)
+    close(np.transpose(tensions), known.tensions)
+    assert np.min(tensions) >= 0
+    close(np.asarray(functions["differentiate"](states, inputs))[1], known.torque)
 
 
 @eqx.filter_jit
 def advanced(plant, state, commands):
     return plant.advance(state, commands, 1e-3, 4)
+
+
+@eqx.filter_jit
+def rates(plant, state, commands):
+    """Rates of angle, velocity and pressures, and of the states of valves and air."""
+    commands = plant.clip_commands(commands)
+    pressures, air = plant.valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))
+    motion = plant.rate(state)
+    return motion.position, motion.velocity, pressures, air
 
 
 @pytest.fixture(scope="module")
@@ -44,68 +57,76 @@ def scenario():
 
 
 def test_a_scenario_gives_the_rate_and_the_steps_of_its_plant(scenario, plant):
-    made = casadi_plant(scenario, parameters=["load.mass2"])
+    made = casadi_plant(scenario, substeps=4, parameters=["load.mass2"])
     state = plant.init_state(0.1, (2e5, 3e5))._replace(velocity=np.array(1.5))
-    commands = np.array(1e5), np.array(7e5)  # the second one above the rating
+    commands = np.array(1e5), np.array(9e5)  # the second one above the rating
     assert made.state == ("angle", "velocity", "pressures_0", "pressures_1")
+    assert made.inputs == ("command1", "command2", "torque")
     assert made.left_out == ()
-    given = [0.1, 1.5, 2e5, 3e5], [1e5, 7e5], 0.5
-    close(made.functions["rate"](*given), np.array(jax.tree.leaves(jax.jit(state_rate)(plant, state, commands))))
+    numbers = [0.1, 1.5, 2e5, 3e5], [*commands, 0.0]
+    wanted = np.array(jax.tree.leaves(rates(plant, state, commands)))
+    close(made.functions["differentiate"](*numbers, 0.5), wanted)
     following = advanced(plant, state, plant.clip_commands(commands))
-    close(made.functions["step"](*given), np.array(jax.tree.leaves(following)))
+    close(made.functions["advance"](*numbers, 1e-3, 0.5), np.array(jax.tree.leaves(following)))
     heavier = eqx.tree_at(lambda one: one.load.mass2, plant, np.array(1.0))
-    wanted = np.array(jax.tree.leaves(jax.jit(state_rate)(heavier, state, commands)))
-    close(made.functions["rate"](*given[:2], 1.0), wanted)
+    close(made.functions["differentiate"](*numbers, 1.0), np.array(jax.tree.leaves(rates(heavier, state, commands))))
+    pushed = state._replace(io=IOState(jnp.zeros(()), jnp.asarray(0.3), ()))
+    wanted = np.array(jax.tree.leaves(rates(plant, pushed, commands)))
+    close(made.functions["differentiate"](numbers[0], [*commands, 0.3], 0.5), wanted)
 
 
 def test_a_rate_is_differentiable(scenario):
-    rate = casadi_plant(scenario).functions["rate"]
-    x = casadi.SX.sym("x", 4)
-    stiffness = casadi_plant(scenario).functions["stiffness"]
-    slope = casadi.Function("slope", [x], [casadi.jacobian(rate(x, x[2:]), x)[1, 0]])
+    functions = casadi_plant(scenario).functions
+    x, u = casadi.SX.sym("x", 4), [3e5, 3e5, 0.0]
+    slope = casadi.Function("slope", [x], [casadi.jacobian(functions["differentiate"](x, u), x)[1, 0]])
     load = scenario.plant().load
-    wanted = -(float(stiffness(0.0, [3e5, 3e5])) + float(load.gravity_stiffness(0.0))) / float(load.total_inertia)
-    assert float(slope([0, 0, 3e5, 3e5])) == pytest.approx(wanted, rel=1e-12)
+    stiffness = float(functions["evaluate"]([0, 0, 3e5, 3e5], u)[0]) + float(load.gravity_stiffness(0.0))
+    assert float(slope([0, 0, 3e5, 3e5])) == pytest.approx(-stiffness / float(load.total_inertia), rel=1e-12)
 
 
 @pytest.mark.slow
-def test_friction_and_creep_are_in_the_step_and_said_to_be_missing_in_the_rate(knee, load):
+def test_friction_and_creep_slip_after_a_step(knee, load):
     slip, creep = MaxwellSlip(12.0, 5e-4, elements=2), MaxwellCreep(900.0, 0.5, pressure_share=0.1)
     muscle = mk.Muscle(knee.muscle1.specimen, knee.muscle1.law, slip, creep)
-    joint = mk.AntagonisticJoint(knee.geometry, muscle, muscle)
-    plant = mk.JointPlant(joint, load, mk.FirstOrderValve(time_constant=0.02))
-    made = casadi_plant(plant, control_period=1e-3)
-    assert "rate" not in made.functions
-    assert "rate" in made.left_out[0]
+    plant = mk.JointPlant(mk.AntagonisticJoint(knee.geometry, muscle, muscle), load, VALVE)
+    made = casadi_plant(plant)
+    assert "project" in made.functions
     state = plant.init_state(0.1, (2e5, 3e5))._replace(velocity=np.array(1.5))
     following = advanced(plant, state, (1e5, 4e5))
-    found = made.functions["step"](np.array(jax.tree.leaves(state)), [1e5, 4e5])
+    found = made.functions["advance"](np.array(jax.tree.leaves(state)), [1e5, 4e5, 0.0], 1e-3)
     close(found, np.array(jax.tree.leaves(following)))
 
 
 @pytest.mark.parametrize("wall", [None, 0.3])
 def test_air_of_flow_valves(knee, load, wall):
-    valve = mk.FlowValve(conductance=1e-9, supply=7e5, wall_conductance=wall)
-    plant = mk.JointPlant(knee, load, valve)
-    made = casadi_plant(plant)
+    plant = mk.JointPlant(knee, load, mk.FlowValve(conductance=1e-9, supply=7e5, wall_conductance=wall))
     state = plant.init_state(0.1, (2e5, 3e5))
     if wall:
         state = state._replace(air=state.air._replace(temperatures=(jnp.asarray(310.0), jnp.asarray(280.0))))
-    found = made.functions["rate"](np.array(jax.tree.leaves(state)), [1e5, 4e5])
-    close(found, np.array(jax.tree.leaves(eqx.filter_jit(state_rate)(plant, state, (1e5, 4e5)))))
+    found = casadi_plant(plant).functions["differentiate"](np.array(jax.tree.leaves(state)), [1e5, 4e5, 0.0])
+    close(found, np.array(jax.tree.leaves(rates(plant, state, (1e5, 4e5)))))
+
+
+def test_valves_that_switch_have_no_rate(knee, load):
+    valve = mk.SwitchingValves(conductance=1e-9, supply=7e5, period=0.02)
+    made = casadi_plant(mk.JointPlant(knee, load, valve), substeps=1)
+    assert "differentiate" not in made.functions
+    assert "differentiate" in made.left_out[0]
 
 
 def test_series_springs(knee, load):
     """An extended spring, and one at its preload; the slope is that of the implicit function."""
     spring = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
     joint = mk.AntagonisticJoint(knee.geometry, knee.muscle1, knee.muscle2, spring)
-    functions = casadi_plant(mk.JointPlant(joint, load, mk.IdealValve())).functions
-    x = casadi.SX.sym("x")
-    slope = casadi.Function("slope", [x], [casadi.jacobian(functions["torque"](x, [2e5, 3e5]), x)])
+    still = mk.GeneralLoad(inertia=1.0, greatest_gravity_torque=0.0)
+    functions = casadi_plant(mk.JointPlant(joint, still, VALVE)).functions
+    x, p = casadi.SX.sym("x"), [2e5, 3e5]
+    torque = functions["differentiate"](casadi.vertcat(x, 0, *p), [*p, 0.0])[1]
+    slope = casadi.Function("slope", [x], [casadi.jacobian(torque, x)])
     for angle in (-0.2, 0.1, 0.3):
-        close(functions["tensions"](angle, [2e5, 3e5]), np.stack(joint.tensions(angle, (2e5, 3e5))))
-        stiffness = float(joint.stiffness(angle, (2e5, 3e5)))
-        assert float(functions["stiffness"](angle, [2e5, 3e5])) == pytest.approx(stiffness, rel=1e-9)
+        stiffness, *tensions = np.asarray(functions["evaluate"]([angle, 0.0, *p], [*p, 0.0])).ravel()
+        close(tensions, np.stack(joint.tensions(angle, p)))
+        assert stiffness == pytest.approx(float(joint.stiffness(angle, p)), rel=1e-9)
         assert float(slope(angle)) == pytest.approx(-stiffness, rel=1e-9)
 
 

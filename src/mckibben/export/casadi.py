@@ -12,20 +12,23 @@ from jaxtyping import Array, PyTree
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export.evaluation import evaluate, find_function
-from mckibben.export.plant import plant_module
+from mckibben.export.plant import plant_unit
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 
 
 class CasadiPlant(NamedTuple):
-    """CasADi functions of a plant by name, in SI: of angle and pressures, or of state and commands."""
+    """CasADi functions of a plant by name, see `plant_unit`, in SI."""
 
     functions: dict[str, PyTree]
     state: tuple[str, ...]  # elements of the vector
+    inputs: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
-def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] = (), **options: Any) -> CasadiPlant:
+def casadi_plant(
+    scenario: Scenario | JointPlant, *, substeps: int | None = None, parameters: Sequence[str] = ()
+) -> CasadiPlant:
     """CasADi functions of a plant.
 
     Raises `ExportError` if CasADi is missing, or a part of the plant cannot be expressed; `ParameterError` if there is
@@ -34,30 +37,37 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     Parameters
     ----------
     scenario
-        Scenario, or only a plant; then give `control_period` [s] and `substeps` of ``step``.
+        Scenario, or only a plant.
+    substeps
+        Integration steps of ``advance``. Default: those of a control period of the scenario; of a plant, 4.
     parameters
         Plant parameters that stay symbolic, in an additional argument, such as ``load.mass2``.
 
     Examples
     --------
     >>> import mckibben as mk
-    >>> plant = mk.JointPlant(mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2"), mk.IdealValve())
-    >>> functions = casadi_plant(plant).functions
-    >>> round(float(functions["stiffness"](0.0, [3e5, 3e5])), 2)  # as AntagonisticJoint.stiffness
+    >>> knee, load = mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2")
+    >>> functions = casadi_plant(mk.JointPlant(knee, load, mk.FirstOrderValve(0.02))).functions
+    >>> stiffness, tension1, tension2 = functions["evaluate"]([0.0, 0.0, 3e5, 3e5], [3e5, 3e5, 0.0]).elements()
+    >>> round(stiffness, 2)  # as AntagonisticJoint.stiffness
     71.93
     """
-    if isinstance(scenario, Scenario):
-        own: dict[str, int] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
-        options = {"control_period": scenario.control_period} | own | options
-    plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
-    made = plant_module(plant, **options)  # pyrefly: ignore[bad-argument-type]
-    moving = next((function for function in made.module.functions if "state" in function.arguments), None)
-    state = [] if moving is None else element_names("state", moving.arguments["state"])
-    functions = {
-        function.name: casadi_function(made.module, function.name, parameters=parameters)
-        for function in made.module.functions
-    }
-    return CasadiPlant(functions, tuple(name.removeprefix("state.") for name in state), made.left_out)
+    is_scenario = isinstance(scenario, Scenario)
+    plant = scenario.plant() if is_scenario else scenario
+    steps = substeps or (scenario.needed_substeps() if is_scenario else 4)
+    unit = plant_unit(plant, plant.init_state(0.0, (0.0, 0.0)), "plant", 1.0, steps)
+    names = [function.name for function in unit.module.functions]
+    functions = {name: casadi_function(unit.module, name, parameters=parameters) for name in names}
+    arguments = find_function(unit.module.functions, "advance").arguments
+    state, inputs = (
+        tuple(element.removeprefix(f"{name}.") for element in element_names(name, arguments[name]))
+        for name in ("state", "inputs")
+    )
+    left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
+    left_out += [] if plant.command_delay is None else ["delay of the commands"]
+    if not unit.model_exchange:
+        left_out.append("differentiate: the valves switch at integration steps; advance includes them")
+    return CasadiPlant(functions, state, inputs, tuple(left_out))
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:
@@ -78,7 +88,8 @@ def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str
         inputs.update({name: symbols[argument][place] for place, name in enumerate(names)})
     results = evaluate(module, function, _operations(casadi), inputs)
     columns = {result: casadi.vertcat(*map(casadi.SX, values)) for result, values in results.items()}
-    return casadi.Function(name, list(symbols.values()), list(columns.values()), list(symbols), list(columns))
+    labels = [f"{result}_after" if result in symbols else result for result in columns]
+    return casadi.Function(name, list(symbols.values()), list(columns.values()), list(symbols), labels)
 
 
 def _parameter(module: SourceModule, name: str) -> str:

@@ -1,105 +1,123 @@
-"""Program of a plant: torque, stiffness and tensions of its joint, the rate of its state, and a control period."""
+"""Program of a plant: its state after a duration, the rate of its state, forces and stiffness."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
 from mckibben.codegen.source_module import SourceModule
-from mckibben.joint.antagonistic import NO_STATES
+from mckibben.export.controller import units_of
+from mckibben.export.functional_unit import FunctionalUnit
+from mckibben.muscle import MuscleState
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, PlantState
-from mckibben.plant.joint_plant import Motion
+from mckibben.plant import IOState, JointPlant, PlantState
 
-Commands = tuple[Array, Array]
-
-
-class PlantModule(NamedTuple):
-    """Source of a plant, its state at rest at 0 rad without pressure, and the parts omitted from the source."""
-
-    module: SourceModule
-    state: PlantState
-    left_out: tuple[str, ...]
+_NUMBER = np.zeros(())
+_STATE_NAMES = {
+    "pressures.0": "pressure1",
+    "pressures.1": "pressure2",
+    "air.temperatures.0": "temperature1",
+    "air.temperatures.1": "temperature2",
+}
 
 
-def plant_module(
-    plant: JointPlant, control_period: float | None = None, substeps: int = 4, name: str = "plant"
-) -> PlantModule:
-    """Source module of a plant without sensors and disturbances.
+def plant_unit(plant: JointPlant, initial: PlantState, name: str, period: float, substeps: int) -> FunctionalUnit:
+    """Program of a plant without sensors and disturbances, from an initial state.
 
-    Functions: `torque`, `stiffness`, `tensions` of the muscles' laws at an angle and pressures; `rate` of the state;
-    with a control period, `step`, the state after one period. All real numbers are parameters. Raises `ExportError` for
-    parts that cannot be lowered.
+    Functions: `init`, the state at an angle, a velocity and pressures; `evaluate`, stiffness and tensions; `advance`,
+    the state after a duration; `differentiate`, its rate, unless the valves switch at integration steps; and `project`,
+    where friction or creep slip after a step. All real numbers are parameters. Raises `ExportError` for parts that
+    cannot be lowered.
 
     Parameters
     ----------
-    control_period, substeps
-        Period [s] of `step`, and its integration steps.
-    name
-        Name of the module, an identifier.
-
-    Examples
-    --------
-    >>> import mckibben as mk
-    >>> plant = mk.JointPlant(mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2"), mk.IdealValve())
-    >>> [function.name for function in plant_module(plant, 1e-3).module.functions]
-    ['torque', 'stiffness', 'tensions', 'rate', 'step']
+    initial
+        State at the start; its muscles begin relaxed.
+    period, substeps
+        Longest step [s] of `advance`, by `JointPlant.advance`, and its integration steps.
     """
-    left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
-    left_out += [] if plant.command_delay is None else ["delay of the commands"]
-    plant = numeric(plant.with_ideal_io())
+    plant, initial = numeric((plant.with_ideal_io(), initial))
+    valve = plant.valve
     numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
-    module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
-    state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
+    relaxed = {"muscles": (MuscleState((), ()),) * 2, "io": (), "air": (), "friction": (), "sent": ()}
+    initial = plant.complete_state(initial._replace(**relaxed))
+    held = valve.holds_pressure
+    start = {"angle": initial.angle, "velocity": initial.velocity, **({"pressures": initial.pressures} if held else {})}
+    inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
+    module = SourceModule(name, numbers)
 
-    def of(parameters: PyTree) -> JointPlant:
-        return eqx.combine(parameters["plant"], fixed)
+    def commanded(
+        parameters: PyTree, state: PlantState, inputs: PyTree
+    ) -> tuple[JointPlant, PlantState, tuple[Array, Array]]:
+        """Plant, state under the torque and right after the commands, and these within their limits."""
+        plant = eqx.combine(parameters, fixed)
+        commands = plant.clip_commands((inputs["command1"], inputs["command2"]))
+        state = state._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
+        return plant, plant.apply_commands(state, commands), commands
 
-    def torque(parameters: PyTree, angle: Array, pressures: tuple[Array, Array]) -> dict[str, PyTree]:
-        return {"torque": of(parameters).joint.torque(angle, pressures)}
+    def init(parameters: PyTree, start: PyTree, inputs: PyTree) -> dict[str, PyTree]:
+        plant = eqx.combine(parameters, fixed)
+        pressures = start["pressures"] if held else plant.clip_commands((inputs["command1"], inputs["command2"]))
+        return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
 
-    def stiffness(parameters: PyTree, angle: Array, pressures: tuple[Array, Array]) -> dict[str, PyTree]:
-        return {"stiffness": of(parameters).joint.stiffness(angle, pressures)}
+    def advance(parameters: PyTree, state: PlantState, inputs: PyTree, duration: Array) -> dict[str, PyTree]:
+        plant, at, commands = commanded(parameters, state, inputs)
+        at = at._replace(pressures=state.pressures)
+        return {"state": plant.advance(at, commands, duration, substeps)._replace(io=())}
 
-    def tensions(parameters: PyTree, angle: Array, pressures: tuple[Array, Array]) -> dict[str, PyTree]:
-        return {"tensions": of(parameters).joint.tensions(angle, pressures)}
+    def results(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
+        plant, state, _ = commanded(parameters, state, inputs)
+        forces = plant.joint.forces(state.angle, state.velocity, state.pressures, state.muscles)
+        numbers = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
+        numbers |= {f"tension{number}": tension for number, tension in enumerate(forces.tensions, 1)}
+        if not held:
+            numbers |= {f"pressure{number}": pressure for number, pressure in enumerate(state.pressures, 1)}
+        return {"results": numbers}
 
-    def rate(parameters: PyTree, state: PlantState, commands: Commands) -> dict[str, PyTree]:
-        return {"rate": state_rate(of(parameters), state, commands)}
+    def rates(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
+        plant, state, commands = commanded(parameters, state, inputs)
+        motion, valve = plant.rate(state), plant.valve
+        pressures, air = (), ()
+        if held:
+            pressures, air = valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))
+        muscles = tuple(MuscleState((), creep) for creep in motion.creep)
+        return {"rates": PlantState(motion.position, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
-    def step(parameters: PyTree, state: PlantState, commands: Commands) -> dict[str, PyTree]:
-        plant = of(parameters)
-        following = plant.advance(state, plant.clip_commands(commands), parameters["control_period"], substeps)
-        return {"following": following}
+    def project(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
+        plant, at, _ = commanded(parameters, state, inputs)
+        return {"state": plant.project(at)._replace(io=(), pressures=state.pressures)}
 
-    number, pair = np.zeros(()), (np.zeros(()), np.zeros(()))
-    static = {"angle": number, "pressures": pair}
-    module.add("torque", "torque [N*m] of the muscles", torque, static)
-    module.add("stiffness", "isobaric stiffness [N*m/rad] of the muscles", stiffness, static)
-    module.add("tensions", "tension [N] of each muscle", tensions, static)
-    moving = {"state": state, "commands": pair}
-    if plant.slips:
-        left_out.append("rate: friction and creep slip after each integration step; step includes them")
-    elif plant.valve.switches:
-        left_out.append("rate: the valves switch at integration steps; step includes them")
-    else:
-        module.add("rate", "time derivative of the state under commands", rate, moving)
-    if control_period is not None:
-        module.add("step", f"state after a control period, {substeps} Runge-Kutta steps", step, moving)
-    return PlantModule(module, state, tuple(left_out))
-
-
-def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> PlantState:
-    """Time derivative of a state without friction and creep under commands within the limits of the valves."""
-    limited = plant.clip_commands(commands)
-    state = plant.apply_commands(state, limited)
-    motion = plant.rate(state)
-    (first, second), air = plant.valve.rates(state.pressures, state.air, limited, lambda: plant.air_volumes(state))
-    pressures = first, second
-    return Motion(motion.position, motion.velocity, ((), ()), pressures, air).applied_to(
-        PlantState(state.angle, state.velocity, state.pressures, NO_STATES), pressures
+    state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), initial)
+    both = {"state": state, "inputs": inputs}
+    text = "state at an angle, a velocity and pressures, its muscles relaxed"
+    module.add("init", text, init, {"start": start, "inputs": inputs})
+    module.add("advance", "state after a duration [s]", advance, both | {"duration": _NUMBER})
+    module.add("evaluate", "forces and stiffness", results, both)
+    if not valve.switches:
+        module.add("differentiate", "time derivatives of the state", rates, both)
+        if plant.slips:
+            module.add("project", "state after a step of an integrator", project, both)
+    starts = {"angle": initial.angle, "velocity": initial.velocity, "torque": 0.0}
+    for i, pressure in enumerate(initial.pressures):
+        starts |= {f"command{i + 1}": 0.0 if valve.direct else pressure}
+        starts |= {f"pressures.{i}": pressure} if held else {}
+    creep = {
+        f"state.muscles.{i}.creep.{k}": unit
+        for i, muscle in enumerate(plant.muscles)
+        for k, unit in enumerate(muscle.creep.state_units)
+    }
+    units = units_of(module) | creep
+    if valve.direct:
+        units |= {"inputs.command1": "", "inputs.command2": ""}
+    return FunctionalUnit(
+        module,
+        "Joint of two pneumatic muscles with load and valves",
+        period,
+        {path: float(value) for path, value in starts.items()},
+        units,
+        _STATE_NAMES,
+        model_exchange=not valve.switches,
     )

@@ -272,7 +272,7 @@ def _coupled(tracking: Tracking) -> Claim:
 def _range(joint: dict[str, StaticEnvelope]) -> Claim:
     """Holds if the static range of angles of Table 2 as printed is 55 deg or more."""
     printed, statics = joint[SETTINGS[0].key], [(setting.name, joint[setting.key]) for setting in SETTINGS]
-    parts = [f"{name}: {each.angle_min / deg:.1f}..{each.angle_max / deg:.1f} deg" for name, each in statics]
+    parts = [f"{name}: {static.angle_min / deg:.1f}..{static.angle_max / deg:.1f} deg" for name, static in statics]
     return Claim(
         "The knee reaches 55 deg without the stretch structure (Table 2 as printed)",
         'on "Musculoskeletal leg" (55 deg with the structure)',
