@@ -72,8 +72,9 @@ class Valves(NamedTuple):
 
     def _muscles(self, values: Iterable[Any]) -> Iterator[tuple[Actuator, Point, Any]]:
         """Actuator of each muscle, its state, and its value."""
-        for i, (*at, value) in enumerate(zip(self.pressures, self.states, self.air, values, strict=True)):
-            yield self.model.for_muscle(i), Point(*at), value
+        points = map(Point, self.pressures, self.states, self.air)
+        for i, (at, value) in enumerate(zip(points, values, strict=True)):
+            yield self.model.for_muscle(i), at, value
 
 
 class Estimates(NamedTuple):
