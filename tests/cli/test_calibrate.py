@@ -31,7 +31,7 @@ def calibrated(tmp_path_factory):
     from mckibben.cli import app
 
     folder = tmp_path_factory.mktemp("calibration")
-    done = CliRunner().invoke(app, ["calibrate", str(EXAMPLE), *WEIGHT, "--duration", "20 s", "--out", str(folder)])
+    done = CliRunner().invoke(app, ["calibrate", str(EXAMPLE), *WEIGHT, "--out", str(folder)])
     assert done.exit_code == 0, done.output
     return folder
 

@@ -22,17 +22,18 @@ from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estim
 from mckibben.component.schema import independent, replaced, write_text
 from mckibben.control import Multisine, Reference, Sine
 from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
-from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
+from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, Measurement, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle import MaxwellCreep
 from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.numerics.compiled import jit
-from mckibben.plant.sensors import PerfectSensors, SampledSensors
+from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
 from mckibben.rig import JointRig, JointRunResult, prepare
-from mckibben.scenario import Scenario, Start
+from mckibben.rig.simulated.joint import Sensing
+from mckibben.scenario import Scenario, Start, run_scenario
 from mckibben.simulation import SimulationResult
 from mckibben.storage.columns import read_columns
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, make_folder
 
 _PRESSURES = ("pressure1", "pressure2")
 _OPTIONAL = {"command": "Pa", "tension": "N"}
@@ -228,23 +229,51 @@ def run_parts(
     ready: Callable[[str], None] | None = None,
     progress: Any = None,
 ) -> dict[str, SimulationResult]:
-    """Run the scenarios of an experiment on a joint rig (default: the simulated joint), each in a folder of its name.
+    """Run the scenarios of an experiment on a joint rig (default: simulated at once), each in a folder of its name.
 
     The firmware of a board has to be made from the scenario `firmware` (default: from each part). `ready` is called
     with the name before each part. Raises `StoppedError` if a limit or a fault stops a part; the joint is then vented.
     """
     results = {}
     for name, part in parts.items():
-        if ready is not None:
-            ready(name)
-        session = prepare(part, rig, paced=rig is not None and rig.physical, firmware=firmware)
-        records = Path(folder) / name
-        run: JointRunResult = session.run(records, progress=progress)
-        if run.outcome.error is not None or run.result is None:
-            raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")
-        run.result.to_netcdf(records / "result.nc")
-        results[name] = run.result
+        if rig is None:
+            records, results[name] = make_folder(Path(folder) / name), simulated(part)
+        else:
+            if ready is not None:
+                ready(name)
+            session, records = prepare(part, rig, paced=rig.physical, firmware=firmware), Path(folder) / name
+            run: JointRunResult = session.run(records, progress=progress)
+            if run.outcome.error is not None or run.result is None:
+                raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")
+            results[name] = run.result
+        results[name].to_netcdf(records / "result.nc")
     return results
+
+
+def simulated(part: Scenario) -> SimulationResult:
+    """Return a simulated run of a part, in which angle and pressures are those that its controller measured.
+
+    The sensors are those of the scenario or, if they are perfect, the usual ones of a joint rig (`Sensing`). Raises
+    `StoppedError` if the run diverges.
+    """
+    sensors = part.sensors
+    if isinstance(sensors, PerfectSensors):
+        sensors = SampledSensors(Sensing.angle_step, Sensing.pressure_noise)
+    result = run_scenario(part.model_copy(update={"sensors": sensors}))
+    true = Measurement(*jax.tree.map(jnp.asarray, (result["angle"], (result["pressure1"], result["pressure2"]))))
+    if not jnp.isfinite(true.angle).all():
+        raise StoppedError("the simulated joint diverges", remedy="mckibben simulate shows the run")
+    angle, pressures = _measured(sensors, true)
+    columns = {"angle": angle, "pressure1": pressures[0], "pressure2": pressures[1]}
+    return replace(result, columns={**result.columns, **jax.tree.map(np.asarray, columns)})
+
+
+@jit
+def _measured(sensors: Sensors, true: Measurement) -> Measurement:
+    """Measurements of all periods, shape (periods,)."""
+    periods = jnp.arange(jnp.shape(true.angle)[0])
+    first = sensors.init(jax.tree.map(lambda column: column[0], true))
+    return jax.lax.scan(lambda state, sample: sensors.measure(state, *sample), first, (periods, true))[1]
 
 
 def recording_of(result: SimulationResult, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:

@@ -118,10 +118,9 @@ def _measured(
     """Recordings of the parts of an experiment, run on a rig, each after its preparation is confirmed."""
     from mckibben.calibration import run_parts
     from mckibben.rig import JointRig
-    from mckibben.rig.record import segments
 
     device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
-    if recorded := [name for name in instructions if (out / name).is_dir() and segments(out / name)]:
+    if recorded := [name for name in instructions if (out / name).is_dir() and any((out / name).iterdir())]:
         results = [out / name / "result.nc" for name in recorded if (out / name / "result.nc").is_file()]
         use = " ".join(f"--recording {path}" for path in results)
         remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
