@@ -261,7 +261,7 @@ class OutputErrorFit(NamedTuple):
 def fit_output_error(
     simulated: Simulated,
     measured: Sequence[Floats],
-    starts: Sequence[Floats],
+    start: Floats,
     variance: float,
     least: float,
     *,
@@ -280,8 +280,8 @@ def fit_output_error(
     ----------
     simulated, measured
         Samples of each recording, with their derivatives, and as measured, shape (samples,).
-    starts
-        Starts of the search, of which the one with the least objective after ten evaluations is continued.
+    start
+        Parameters at which the search begins.
     variance, least
         First and least variance of a sample.
     positive
@@ -294,13 +294,13 @@ def fit_output_error(
     Raises
     ------
     IdentificationError
-        If no start has finite errors.
+        If the errors at the start are not finite.
 
     References
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models).
     """
-    prior = np.eye(starts[0].size)
+    prior = np.eye(start.size)
     bounds = np.where(positive, 0.0, -np.inf), np.full(len(prior), np.inf)
     samples, edges = np.concatenate(measured), np.cumsum([part.size for part in measured])[:-1]
 
@@ -308,24 +308,22 @@ def fit_output_error(
         values, slopes = map(np.concatenate, zip(*simulated(z), strict=True))
         return values - samples, slopes
 
-    def search(z: Floats, variance: float, most: int) -> Minimum:
+    def search(z: Floats, variance: float) -> Minimum:
         @remembered
         def at(z: Floats) -> tuple[Floats, Floats]:
             error, slope = linearised(z)
             stacked = np.concatenate([error / math.sqrt(variance), z])
             return stacked, np.concatenate([slope / math.sqrt(variance), prior])
 
-        limits: Any = {"tolerance": tolerance, "evaluations": most}
+        limits: Any = {"tolerance": tolerance, "evaluations": evaluations}
         return least_squares(lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, **limits)
 
-    finite = [z for z in starts if all(np.isfinite(part).all() for part in linearised(z))]
-    if not finite:
+    if not np.isfinite(linearised(start)[0]).all():
         raise IdentificationError("the simulated model diverges", remedy="give a model closer to the recordings")
-    brief = 10 if len(finite) > 1 else evaluations
-    z = min((search(z, variance, brief) for z in finite), key=lambda fit: fit.cost).values
+    z = search(start, variance).values
     errors, information = [], np.zeros(0)
     for _ in range(stages):
-        z = search(z, variance, evaluations).values
+        z = search(z, variance).values
         error, slope = linearised(z)
         errors, information = np.split(error, edges), slope.T @ slope
         scaled = information / variance

@@ -454,5 +454,5 @@ def _solve(
             for (pressures, slopes), begin in zip(whole, begins, strict=True)
         ]
 
-    starts = [np.where(lacking, share, 0.0)]
-    return fit_output_error(simulated, measured, starts, (5 * kPa) ** 2, (0.05 * kPa) ** 2, positive=lacking)
+    start = np.where(lacking, share, 0.0)
+    return fit_output_error(simulated, measured, start, (5 * kPa) ** 2, (0.05 * kPa) ** 2, positive=lacking)
