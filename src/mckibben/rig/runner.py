@@ -264,19 +264,13 @@ class Runner(StepInterpreter):
             return
         self.backend.move(distance, speed)
         deadline = self.now + 1.5 * abs(distance) / speed + 5 * self.bench.cycle + 1.0
-        while self.backend.moving:
+        while self.backend.moving or abs(position - self.standing) > STILL:
             # shorter cycles near the end, so that no time is lost
             left = math.ceil(abs(position - self.standing) / speed * self.bench.rate) + 1
             self._cycle(min(self.bench.samples_per_cycle, left))
             if self.now > deadline:
-                raise StoppedError("the motor does not finish its move", remedy="check its driver")
-        while abs(position - self.standing) > STILL:
-            self._cycle(max(1, self.bench.samples_per_cycle // 10))
-            if self.now > deadline:
-                raise StoppedError(
-                    f"the motor is {abs(position - self.standing) / mm:.3g} mm away from its target",
-                    remedy="check its driver and its end switches",
-                )
+                message = f"the motor is {abs(position - self.standing) / mm:.3g} mm away from its target"
+                raise StoppedError(message, remedy="check its driver and its end switches")
 
     def _move_by_hand(self, bench: HandBench, position: float) -> None:
         if not bench.weights:  # else the muscle is as long as the weight makes it
@@ -354,24 +348,9 @@ class Runner(StepInterpreter):
                 if holding is not None:
                     self._step_towards(holding, SPEED)
         self._set_valve(pressure)
-        set_at = self.now
-        self.monitor.expect(pressure, set_at)
-        deadline = set_at + self.bench.limits.settling + self.bench.steady
-
-        def in_time(latest: BlockMeans) -> None:
-            if holding is not None:
-                self._step_towards(holding, SPEED)
-            if latest.time > deadline:
-                raise StoppedError(
-                    f"the pressure does not settle: it is {latest.pressure / bar:.3g} bar, and {pressure / bar:.3g} "
-                    "bar were set",
-                    value=latest.pressure,
-                    unit="Pa",
-                    remedy="check supply, valve and muscle, and whether the sensors are swapped",
-                )
-
-        self._settle(lambda latest: abs(latest.pressure - pressure) <= self.bench.settled, in_time, self.bench.steady)
-        self._expect_settled(pressure)
+        self.monitor.expect(pressure, self.now)
+        remedy = "check supply, valve and muscle, and whether the sensors are swapped"
+        self._settle(pressure, lambda measured: abs(measured - pressure) <= self.bench.settled, remedy, holding)
 
     def _vent_and_wait(self) -> None:
         """Vent, and wait until the muscle is empty."""
@@ -379,34 +358,30 @@ class Runner(StepInterpreter):
         self.recorder.event("venting")
         self.backend.vent()
         self.monitor.expect(None, self.now, venting=True)
-        since = self.now
-
-        def in_time(latest: BlockMeans) -> None:
-            if latest.time > since + self.bench.limits.settling:
-                message = f"{latest.pressure / bar:.3g} bar remain {latest.time - since:.3g} s after venting"
-                remedy = "shut the supply by hand, and check the valve; if it is empty, tare its sensor"
-                raise StoppedError(message, value=latest.pressure, unit="Pa", remedy=remedy)
-
-        self._settle(lambda latest: latest.pressure <= self.bench.vented, in_time, self.bench.steady)
-        self._expect_settled(0.0)
+        remedy = "shut the supply by hand, and check the valve; if it is empty, tare its sensor"
+        self._settle(0.0, lambda measured: measured <= self.bench.vented, remedy)
 
     def _set_valve(self, pressure: float) -> None:
         self.backend.set_valves([max(pressure, 0.0)])
 
     def _settle(
-        self, near: Callable[[BlockMeans], bool], in_time: Callable[[BlockMeans], None], duration: float
+        self, pressure: float, near: Callable[[float], bool], remedy: str, holding: float | None = None
     ) -> None:
-        """Wait until the pressure has been near its setpoint for a time [s]; `in_time` checks the deadline."""
-        steady = 0.0
-        while steady < duration - 1e-9:
-            before = self.now
+        """Wait until the pressure has been near its setpoint for a time, then monitor its deviation."""
+        set_at, since, settling = self.now, self.now, self.bench.limits.settling
+        while self.now - since < self.bench.steady - 1e-9:
             latest = self._means()
-            steady = steady + latest.time - before if near(latest) else 0.0
-            in_time(latest)
-
-    def _expect_settled(self, pressure: float) -> None:
-        """Monitor the deviation from now on, without more settling time."""
-        self.monitor.expect(pressure, self.now - self.bench.limits.settling)
+            if not near(latest.pressure):
+                since = latest.time
+            if holding is not None:
+                self._step_towards(holding, SPEED)
+            if latest.time > set_at + settling + self.bench.steady:
+                message = (
+                    f"the pressure does not settle: it is {latest.pressure / bar:.3g} bar {latest.time - set_at:.3g} s "
+                    f"after {pressure / bar:.3g} bar were set"
+                )
+                raise StoppedError(message, value=latest.pressure, unit="Pa", remedy=remedy)
+        self.monitor.expect(pressure, self.now - settling)
 
     def _means(self) -> BlockMeans:
         """Means of one cycle."""
