@@ -134,16 +134,6 @@ def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch):
-    class Usage:
-        free = 100_000
-
-    monkeypatch.setattr(running.shutil, "disk_usage", lambda _: Usage)
-    with pytest.raises(ScenarioError, match="has 0 MB free, and the test takes up to 1 MB; free some space"):
-        run_test(checked(), tmp_path)
-    assert not segments(tmp_path)
-
-
 def test_a_dataset_for_which_there_is_no_room_is_told_with_what_to_do(tmp_path, monkeypatch):
     def full(_, path):
         raise OSError(errno.ENOSPC, "nc_close: a long story")

@@ -106,7 +106,7 @@ def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
         return block
 
     rig = Around(twin(), 0, read=full)
-    with pytest.raises(StoppedError, match="it is 1 bar 1.* s after 0 bar were set; shut the supply by hand"):
+    with pytest.raises(StoppedError, match=r"it is 1 bar 1.* s after 0 bar were set; shut the supply by hand"):
         start(tmp_path, rig, [Move(to=5 * percent, speed=4 * mm), Dwell(duration=1.0)])
     assert (read_record(tmp_path).columns["position"] == 0).all()
 

@@ -172,7 +172,7 @@ def run(
     """
     from mckibben.rig.document import read_test
     from mckibben.rig.record import segments
-    from mckibben.rig.running import check, check_disk_space
+    from mckibben.rig.running import check
 
     standing = parse_optional("--standing-at", standing_at, "1")
     if standing is not None and not resume:
@@ -180,8 +180,6 @@ def run(
     test, document = read_test(protocol)
     checked = check(test, document, source=str(protocol), session=len(segments(out)) if out else 0)
     if dry_run:
-        if out:
-            check_disk_space(out, checked.disk_space)
         echo(checked.describe())
         return
     if out is None:

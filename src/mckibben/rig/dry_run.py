@@ -34,8 +34,8 @@ class DryRun(StepInterpreter):
         All violations of limits, and steps that the rig cannot do.
     duration
         Duration [s].
-    plateaus, samples, rows
-        Numbers of plateaus, of their samples, and of rows of the record.
+    plateaus, samples
+        Numbers of plateaus, and of their samples.
     travel
         Travel of the motor, all moves together [m].
     pressure, contraction, force
@@ -49,7 +49,7 @@ class DryRun(StepInterpreter):
         self._settling, self._holding = settling, holding
         self.duration, self.force = 0.0, 0.0
         self.plateaus = self.samples = 0
-        self.rows = self.travel = 0.0
+        self.travel = 0.0
         self.estimated = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
@@ -58,10 +58,6 @@ class DryRun(StepInterpreter):
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
         self._visited: dict[tuple[float, float], str] = {}  # position and pressure, and the step that reached them
-
-    def bytes(self, row_size: int = 64) -> int:
-        """Return the disk space [bytes] of rows of a size [bytes] when compressed, with a tenth to spare."""
-        return math.ceil(1.1 * self.rows * row_size) + (1 << 20)
 
     def run(self, steps: Sequence[ProtocolStep], channels: Sequence[Channel], patience: float) -> None:
         """Go through the steps, and check the bench; arguments as for `dry_run`."""
@@ -111,11 +107,7 @@ class DryRun(StepInterpreter):
         self._visit()
 
     def _rest(self, duration: float) -> None:
-        self._add(duration, float(np.ceil(duration * self.bench.rate / self.bench.decimation)) + 1)
-
-    def _add(self, duration: float, rows: float) -> None:
         self.duration += duration
-        self.rows += rows
 
     def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
         self._rest(self._settling + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate))
@@ -132,8 +124,7 @@ class DryRun(StepInterpreter):
     def _acquire(self, acquire: Acquire) -> float:
         self._acquired += 1
         self._check_count(self._acquired, "points")
-        every = max(1, round(self.bench.rate * acquire.duration / acquire.samples))
-        self._add(acquire.duration, (acquire.samples - 1) * every + 1)
+        self._rest(acquire.duration)
         if acquire.keep:
             self.plateaus += 1
             self.samples += acquire.samples

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -76,7 +75,7 @@ class CheckedTest:
                 f"{self.test.name}: {self.bench.specimen.name} on the {self.rig} rig",
                 steps_text(self.steps).rstrip(),
                 f"{about}{_time(run.duration)}, {run.plateaus} points, {run.samples} samples, "
-                f"{run.travel:.3g} m of travel, {self.disk_space / 1e6:.0f} MB on disk",
+                f"{run.travel:.3g} m of travel",
                 f"contraction {run.contraction[0] / percent:.4g}..{run.contraction[1] / percent:.4g} %, pressure "
                 f"{run.pressure[0] / bar:g}..{run.pressure[1] / bar:g} bar; {law}limits: {limits.force:g} N, "
                 f"{limits.pressure / bar:g} bar, {limits.stretch / mm:g} mm to stretch, {limits.shorten / mm:g} mm to "
@@ -88,11 +87,6 @@ class CheckedTest:
     def rig(self) -> str:
         """Kind of the rig."""
         return self.backend.description["kind"]
-
-    @property
-    def disk_space(self) -> int:
-        """Space on the disk of record and dataset [bytes]."""
-        return self.dry_run.bytes() + 2 * 4 * self.dry_run.samples
 
 
 def check(
@@ -127,17 +121,6 @@ def check(
     if run.problems:
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
     return CheckedTest(test, backend, bench, steps, run)
-
-
-def check_disk_space(folder: Path, needed: int) -> None:
-    """Raise `ScenarioError` if a disk has less free space [bytes] than needed."""
-    there = folder
-    while not there.exists():
-        there = there.absolute().parent
-    free = shutil.disk_usage(there).free
-    if free < needed:
-        message = f"has {free / 1e6:.0f} MB free, and the test takes up to {needed / 1e6:.0f} MB"
-        raise ScenarioError(str(folder), [Problem(message, remedy="free some space, or choose another folder")])
 
 
 def _with_line(problem: Problem, test: RigTest, lines: Document) -> Problem:
@@ -206,7 +189,7 @@ def run_test(
         If the folder has a record and `resume` is not set, or the reverse; if it is in use; or if the position of the
         motor is not known.
     ScenarioError
-        If the folder has another test, or the disk is too small.
+        If the folder has another test.
     RigError
         If the rig fails; `StoppedError` once it has begun, `SignalledError` after a signal.
     """
@@ -226,7 +209,6 @@ def run_test(
             _check_same(checked, folder)
         past = _past(folder) if resume else _PastSessions()
         if not past.finished:
-            check_disk_space(folder, checked.disk_space)
             if not resume:
                 checked.test.to_yaml(folder / PROTOCOL)
             try:
