@@ -1,4 +1,4 @@
-"""The predictive controller's solver against CasADi with fatrop, and what a known reference brings.
+"""The predictive controller's solver against CasADi with fatrop, and what prediction and a known reference bring.
 
     python benchmarks/preview.py [--periods 1000]
 
@@ -228,10 +228,32 @@ def against_fatrop(periods=1000, names=tuple(REFERENCES)[:3]):
             print(f"| {name}{', known' if known else ''} | " + " | ".join(cells) + " |", flush=True)
 
 
+def looking_ahead(steps=((20, 100), (40, 100), (40, 20))):
+    """How far beyond the reference a joint goes after a step of an angle [deg], with valves of a lag [ms]."""
+    print("| | inverse | predictive | and 120 ms ahead |\n|---|---|---|---|")
+    for step, lag in steps:
+        plant = mk.JointPlant(KNEE, LOAD, mk.FirstOrderValve(lag * ms))
+        believed = {"valve": mk.FirstOrderValve(lag * ms)}
+        parts = KNEE, LOAD, mk.ExtendedStateObserver(250.0)
+        controllers = (
+            mk.DecouplingControl(KNEE, LOAD, mk.PolePlacement(80.0), mk.ExtendedStateObserver(250.0), **believed),
+            mk.PredictiveControl(*parts, bandwidth=80.0, **believed),
+            mk.PredictiveControl(*parts, bandwidth=80.0, horizon=120 * ms, **believed),
+        )
+        half = step / 2 * deg
+        reference = mk.Reference(angle=mk.Step(-half, half, 0.5), stiffness=16.5)
+        cells = []
+        for control in controllers:
+            angle = mk.simulate(plant, control, reference, duration=1.5).columns["angle"]
+            cells.append(f"{(angle[500:].max() - half) / deg:.2g} deg")
+        print(f"| step of {step} deg, valves of {lag} ms: overshoot | " + " | ".join(cells) + " |", flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--periods", type=int, default=1000)
     periods = parser.parse_args().periods
+    looking_ahead()
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # CasADi compiles in the working folder
         against_fatrop(periods)
     for known in (False, True):
