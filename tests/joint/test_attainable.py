@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -75,6 +76,14 @@ def test_a_torque_beyond_the_range_cannot_be_held_and_one_inside_can(knee):
     for torque, holdable in ((low - 1e-6, False), (low + 1e-6, True), (high - 1e-6, True), (high + 1e-6, False)):
         assert np.isfinite(attainable(knee, 0.1, torque)[0]) == holdable
     assert high == pytest.approx(float(knee.torque(0.1, (0.0, 6e5))), rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_ranges_of_a_batch_of_joints_are_those_of_single_ones(knee, count):
+    strengths = np.linspace(0.9, 1.1, count)
+    joints = [replace(knee, muscle1=replace(knee.muscle1, strength=strength)) for strength in (strengths, *strengths)]
+    batch, *single = (np.array(joint.attainable_torque(0.1)) for joint in joints)
+    np.testing.assert_allclose(batch.T, single, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("slope1", "slope2"), [(0.1, 0.0), (0.0, 0.1), (0.1, 0.1), (0.0, 0.0)])

@@ -343,11 +343,6 @@ class Segment(NamedTuple):
         return interpolate
 
 
-def _leading_axis(values: Array, angle: Array) -> Array:
-    """Return values along an axis before those of the angle."""
-    return values.reshape(-1, *[1] * angle.ndim)
-
-
 def cocontraction_segment(
     joint: AntagonisticJoint,
     angle: ArrayLike,
@@ -386,8 +381,8 @@ def _tension_ranges(
 
     def tension_range(muscle: Muscle, path: Array, low: ArrayLike, high: ArrayLike) -> Pair:
         least, most = joint.tendon.permitted(muscle, path)
-        pressures = _leading_axis(jnp.stack([floating(low), floating(high)]), path)
-        tensions = joint.tendon.tension(muscle, path, pressures)
+        pressures = jnp.stack(jnp.broadcast_arrays(floating(low), floating(high)))
+        tensions = jax.vmap(lambda pressure: joint.tendon.tension(muscle, path, pressure))(pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
         # A muscle that is slack at the highest pressure leaves the feasible set empty.
         tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.force_limit), -jnp.inf)
