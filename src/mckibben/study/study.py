@@ -39,9 +39,6 @@ class Records(NamedTuple):
     columns: Table
     computed: int
 
-    def __repr__(self) -> str:
-        return f"<Records: {len(next(iter(self.rows.values())))} rows, {', '.join((*self.rows, *self.columns))}>"
-
 
 class Study(abc.ABC):
     """A study: rows made from parameters and a seed alone, and records computed from them in blocks.
