@@ -93,7 +93,7 @@ BUDGET = {
     "actuator": 1000,
     "calibration": 1540,
     "catalog": 230,
-    "cli": 1560,
+    "cli": 1480,
     "codegen": 2630,
     "component": 1020,
     "config": 550,
@@ -113,13 +113,13 @@ BUDGET = {
     "plant": 600,
     "reachability": 860,
     "report": 2370,
-    "rig": 4550,
+    "rig": 4440,
     "scenario": 880,
     "serial_protocol": 160,
     "simulation": 2860,
     "storage": 570,
     "study": 2880,
-    "web": 2840,
+    "web": 2810,
 }
 
 MOST_ANY = 710  # uses of `Any`
