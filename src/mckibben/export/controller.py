@@ -24,6 +24,7 @@ from mckibben.containment.functions import ControllerFunctions, functions_of
 from mckibben.containment.limits import Limits, containment_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
+from mckibben.export.evaluation import find_function
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
@@ -63,8 +64,8 @@ class ControllerModule(NamedTuple):
 
     module: SourceModule
     units: dict[str, str]
-    columns: tuple[str, ...]  # of the recording
-    recording: NDArray[np.float64]  # setpoint, measurement, commands; the first row is the start, without commands
+    columns: tuple[str, ...]
+    recording: NDArray[np.float64]
     left_out: tuple[str, ...]
 
 
@@ -121,7 +122,17 @@ def controller_module(
         rows = setpoints_over(controller, sampling_times(scenario.duration, source.period))
         substeps = scenario.substeps or source.plant.needed_substeps(source.initial.posture.angles, None, source.period)
     rows = jax.tree.map(lambda x: x[:_MOST_PERIODS], rows)
-    return recorded(source, module, controller, rows, substeps)._replace(left_out=left_out)
+    step = find_function(module.functions, "step")
+    structures = step.arguments | step.results
+    parts = "setpoint", "measurement", "commands"
+    columns = [column for part in parts for column in element_names(part, structures[part])]
+    first, *made = _recorded(source.plant, controller, rows, source.initial, source.period, substeps)
+    joints = [rows] if isinstance(rows, Setpoint) else rows
+    table = [[joint.angle for joint in joints] + [joint.stiffness for joint in joints], *made]
+    start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
+    recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
+    _check_limits(source, columns, recording[1:])
+    return ControllerModule(module, units_of(module, "Pa, gauge"), tuple(columns), recording, left_out)
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
@@ -175,36 +186,6 @@ def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: Anta
     return []
 
 
-def recorded(
-    source: ControllerFunctions,
-    module: SourceModule,
-    controller: PyTree,
-    rows: PyTree,
-    substeps: int,
-) -> ControllerModule:
-    """A module with the recording of a run of its controller.
-
-    Parameters
-    ----------
-    controller, rows
-        The controller in the simulation, and its setpoints, of all joints, a row for each period.
-    substeps
-        Integration steps per period.
-    """
-    step = next(function for function in module.functions if function.name == "step")
-    structures = step.arguments | step.results
-    parts = "setpoint", "measurement", "commands"
-    columns = [column for part in parts for column in element_names(part, structures[part])]
-    timing = source.period, substeps
-    first, *made = _recorded(source.plant, controller, rows, source.initial, *timing)
-    joints = [rows] if isinstance(rows, Setpoint) else rows
-    table = [[joint.angle for joint in joints] + [joint.stiffness for joint in joints], *made]
-    start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
-    recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
-    _check_limits(source, columns, recording[1:])
-    return ControllerModule(module, units_of(module, "Pa, gauge"), tuple(columns), recording, ())
-
-
 def _check_limits(source: ControllerFunctions, columns: Sequence[str], recording: NDArray[np.float64]) -> None:
     """Raise `ExportError` if the recorded samples leave the limits."""
     limits = source.parameters["limits"]
@@ -219,12 +200,7 @@ def _check_limits(source: ControllerFunctions, columns: Sequence[str], recording
 
 @jit_arrays
 def _recorded(
-    plant: Plant,
-    controller: PyTree,
-    rows: PyTree,
-    initial: PyTree,
-    period: ArrayLike,
-    substeps: int,
+    plant: Plant, controller: PyTree, rows: PyTree, initial: PyTree, period: ArrayLike, substeps: int
 ) -> tuple[PyTree, ...]:
     """First measurement; measurements and commands of a run, each of shape (periods,)."""
 

@@ -13,7 +13,7 @@ from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js
 from mckibben.codegen.source_module import element_names
 from mckibben.containment.limits import Limits
-from mckibben.export.controller import ControllerModule, controller_functions, controller_module, controller_program
+from mckibben.export.controller import controller_functions, controller_module, controller_program
 from mckibben.export.evaluation import find_function
 from mckibben.export.targets import Exported, filled
 from mckibben.robot import RobotScenario
@@ -45,49 +45,24 @@ def c_files(
         f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    files = program_files(
-        made, name, f'the scenario "{scenario.name}"', comment, scenario.control_period, single=single
-    )
-    return Exported({**files, "scenario.yaml": text}, made.left_out, made.module.worst_case("step"))
-
-
-def program_files(
-    made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool
-) -> dict[str, str]:
-    """A controller as C99, with a program that replays a recorded run and times the steps.
-
-    Parameters
-    ----------
-    title, comment
-        Name in the instructions, and text at the beginning of the sources.
-    period
-        Control period [s].
-    single
-        Whether numbers have 32 bits.
-    """
     sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
-    columns = [column.split(".") for column in made.columns]
+    columns, worst_case = [column.split(".") for column in made.columns], made.module.worst_case("step")
     values = {
         "name": name,
-        "title": title,
+        "title": f'the scenario "{scenario.name}"',
         "rows": len(made.recording),
         "columns": columns,
         "first_command": [part for part, _ in columns].index("commands"),
         "real": "float" if single else "double",
         "tolerance": _TOLERANCES[single],
-        "seconds": f"{period!r}",
+        "seconds": f"{scenario.control_period!r}",
         "left_out": made.left_out,
-        "worst_case": ", ".join(f"{number} {kind}" for kind, number in made.module.worst_case("step").items()),
+        "worst_case": ", ".join(f"{number} {kind}" for kind, number in worst_case.items()),
     }
-    return {
-        f"{name}.h": sources.header,
-        f"{name}.c": sources.source,
-        "replay.csv": "\n".join(table) + "\n",
-        "README.md": filled("README.md", values),
-        "replay.c": filled("replay.c", values),
-        "Makefile": filled("Makefile", values),
-    }
+    files = {f"{name}.h": sources.header, f"{name}.c": sources.source, "replay.csv": "\n".join(table) + "\n"}
+    files |= {template: filled(template, values) for template in ("README.md", "replay.c", "Makefile")}
+    return Exported({**files, "scenario.yaml": text}, made.left_out, worst_case)
 
 
 def js_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:

@@ -30,17 +30,14 @@ from mckibben.study.parameters import parse_sweeps, sample
 from mckibben.units import atm, bar, deg, litre
 
 OBSERVATION = {
-    "angle": "rad",
-    "velocity": "rad/s",
-    "pressure1": "bar",
-    "pressure2": "bar",
-    "reference_angle": "rad",
-    "reference_stiffness": "N*m/rad",
+    "angle": ("rad", np.pi),
+    "velocity": ("rad/s", 100.0),
+    "pressure1": ("bar", 20.0),
+    "pressure2": ("bar", 20.0),
+    "reference_angle": ("rad", np.pi),
+    "reference_stiffness": ("N*m/rad", 1e4),
 }
-"""Elements of an observation, and their units."""
-LIMITS = {"angle": np.pi, "velocity": 100.0, "pressure1": 20.0, "pressure2": 20.0, "reference_angle": np.pi,
-          "reference_stiffness": 1e4}  # fmt: skip
-"""Largest magnitudes of an observation; larger values are clipped."""
+"""Elements of an observation, their units and largest magnitudes; larger values are clipped."""
 
 
 class RewardTerms(NamedTuple):
@@ -135,7 +132,7 @@ class EpisodeStep(NamedTuple):
     Attributes
     ----------
     observation
-        Shape (8 history - 2,), see `names_of`.
+        Shape (8 history - 2,), see `elements_of`.
     reward
         Mean of the rewards of the control periods.
     failed
@@ -218,19 +215,19 @@ def _starts(plants: Plants, rows: PyTree) -> tuple[PlantState, Array]:
     return jax.vmap(start)(rows)
 
 
-def names_of(history: int) -> dict[str, str]:
-    """Elements of an observation with the last observations and the actions between them, and their units.
+def elements_of(history: int) -> dict[str, tuple[str, float]]:
+    """Elements as in `OBSERVATION`, of the last observations and the actions between them.
 
     Examples
     --------
-    >>> list(names_of(2))[5:9], len(names_of(100))
+    >>> list(elements_of(2))[5:9], len(elements_of(100))
     (['reference_stiffness', 'action1_before1', 'action2_before1', 'angle_before1'], 798)
     """
-    names = dict(OBSERVATION)
+    elements = dict(OBSERVATION)
     for back in range(1, history):
-        names |= {f"action{number}_before{back}": "1" for number in (1, 2)}
-        names |= {f"{name}_before{back}": unit for name, unit in OBSERVATION.items()}
-    return names
+        elements |= {f"action{number}_before{back}": ("1", 1.0) for number in (1, 2)}
+        elements |= {f"{name}_before{back}": element for name, element in OBSERVATION.items()}
+    return elements
 
 
 def begin(problem: SimulationProblem, start: PlantState, period: ArrayLike, history: int) -> tuple[Episode, Array]:
@@ -408,8 +405,8 @@ def _content(plant: JointPlant, state: PlantState) -> Array:
 
 
 def _observation(measured: Measurement, velocity: Array, setpoint: Setpoint) -> Array:
-    """Observation in the units of `OBSERVATION`, within `LIMITS`; numbers that are not finite become 0 or a limit."""
+    """Observation in the units of `OBSERVATION`, within its limits; numbers that are not finite become 0 or a limit."""
     pressure1, pressure2 = measured.pressures
     observation = jnp.stack([measured.angle, velocity, pressure1 / bar, pressure2 / bar, *setpoint])
-    limit = jnp.array([LIMITS[name] for name in OBSERVATION])
+    limit = jnp.array([limit for _, limit in OBSERVATION.values()])
     return jnp.clip(jnp.nan_to_num(observation), -limit, limit)

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from mckibben.errors import ExportError
 from mckibben.export.episodes import (
-    LIMITS,
     ManyProgram,
     RewardTerms,
     Settings,
     SingleProgram,
+    elements_of,
     example_of,
-    names_of,
     plants_of,
 )
 from mckibben.numerics.compiled import numeric
@@ -93,13 +92,13 @@ class _Joint:
         low, high = np.array(ranges).T
         terms = RewardTerms(*map(float, reward))
         self.settings = numeric(Settings(self.scenario.control_period, low, high, terms))
-        names = names_of(history)
-        limit = np.array([LIMITS.get(name.split("_before")[0], 1.0) for name in names], np.float32)
+        units, limits = zip(*(elements := elements_of(history)).values(), strict=True)
+        limit = np.array(limits, np.float32)
         self.observation_space = Box(-limit, limit, dtype=np.float32)
         self.action_space = Box(-1, 1, (2,), dtype=np.float32)
         self.metadata = {
             "render_modes": [],
-            "observation_units": names,
+            "observation_units": dict(zip(elements, units, strict=True)),
             "action_ranges": {f"command{i}": (x / unit, y / unit, shown) for i, (x, y) in enumerate(ranges, 1)},
             "step": repeat * self.scenario.control_period,  # s
             "left_out": ("controller of the scenario", "its reference beyond the current period"),

@@ -98,12 +98,12 @@ class MuscleFunctions:
 
     def __init__(
         self,
-        fixed: PyTree,  # the plant without its real numbers, which are parameters of the module
-        number: int,  # from 1
+        fixed: PyTree,
+        number: int,
         muscle_of: Callable[[PyTree], tuple[Muscle, Tendon]],
-        path_of: Callable[[PyTree, Array], Array],  # path [m] at MuJoCo's length
-        start: tuple[MuscleState, SupportsFloat, PyTree],  # state, pressure [Pa], and state of valve and air
-        filtered: bool,  # whether MuJoCo's filter models the valve
+        path_of: Callable[[PyTree, Array], Array],
+        start: tuple[MuscleState, SupportsFloat, PyTree],
+        filtered: bool,
     ) -> None:
         self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
         valve = fixed.valve.for_muscle(number - 1)

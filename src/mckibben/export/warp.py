@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 from jaxtyping import PyTree
 
-from mckibben.codegen.source_module import Function, SourceModule
+from mckibben.codegen.source_module import Function
 from mckibben.codegen.warp import write_warp
 from mckibben.export.mjcf import COMMAND_DELAY, mujoco_model, plant_and_start
 from mckibben.export.muscle_plugin import NO_CONTROLLER, PluginMuscle
@@ -33,10 +33,25 @@ def warp_files(scenario: Scenario | RobotScenario, name: str, folder: Path) -> E
 
 def warp_plant(plant: JointPlant | RobotPlant, name: str, timestep: float, start: PyTree, title: str = "") -> Exported:
     """MJCF and module of a plant, which starts in a state, for time steps [s]; its commands may be delayed."""
-    model, delay = mujoco_model(_with_strengths(plant), name, timestep, start, plugin=False), plant.command_delay
-    left_out = (NO_CONTROLLER, *(part for part in model.left_out if part != COMMAND_DELAY))
-    text = warp_muscles(model.module, model.muscles, model.names, title or name, float(delay or 0.0), left_out)
-    return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
+    xml, module, muscles, names, omitted = mujoco_model(_with_strengths(plant), name, timestep, start, plugin=False)
+    left_out = (NO_CONTROLLER, *(part for part in omitted if part != COMMAND_DELAY))
+    numbers = range(1, len(muscles) + 1)
+    before = [sum(muscle.anchors for muscle in muscles[: number - 1]) for number in numbers]
+    functions = {function.name: function for function in module.functions}
+    values = {
+        "title": (title or name).replace("\\", "/").replace('"""', "'"),
+        "name": name,
+        "left_out": left_out,
+        "delay": repr(float(plant.command_delay or 0.0)),
+        "functions": write_warp(module),
+        "kernels": "".join(map(partial(_kernels, functions), muscles, numbers, before)),
+        "actuators": repr(names),
+        "pressures": repr(tuple(muscle.activations - 1 if muscle.pressurized else -1 for muscle in muscles)),
+        "anchors": repr(tuple(muscle.anchors for muscle in muscles)),
+        "dynamics": ", ".join(f"dynamics{number}" for number in numbers),
+        "forces": ", ".join(f"forces{number}" for number in numbers),
+    }
+    return Exported({f"{name}.xml": xml, f"{name}_warp.py": filled("warp-muscles.txt", values)}, left_out)
 
 
 def _with_strengths(plant: PyTree) -> PyTree:
@@ -44,49 +59,6 @@ def _with_strengths(plant: PyTree) -> PyTree:
     known = lambda part: isinstance(part, Muscle)  # noqa: E731
     numbered = lambda part: replace(part, strength=1.0) if known(part) and part.strength is None else part  # noqa: E731
     return jax.tree.map(numbered, plant, is_leaf=known)
-
-
-def warp_muscles(
-    module: SourceModule,
-    muscles: Sequence[PluginMuscle],
-    names: Sequence[str],
-    title: str,
-    delay: float,
-    left_out: tuple[str, ...],
-) -> str:
-    """Text of the module of Warp for the muscles of a model.
-
-    Parameters
-    ----------
-    muscles, names
-        States of the muscles, and the names of their actuators.
-    title
-        Name in the description of the module.
-    delay
-        Delay of the commands [s].
-    left_out
-        Parts that the description lists as omitted.
-    """
-    numbers = range(1, len(muscles) + 1)
-    before = [sum(muscle.anchors for muscle in muscles[: number - 1]) for number in numbers]
-    functions = {function.name: function for function in module.functions}
-    kernels = map(partial(_kernels, functions), muscles, numbers, before)
-    return filled(
-        "warp-muscles.txt",
-        {
-            "title": title.replace("\\", "/").replace('"""', "'"),
-            "name": module.name,
-            "left_out": left_out,
-            "delay": repr(delay),
-            "functions": write_warp(module),
-            "kernels": "".join(kernels),
-            "actuators": repr(tuple(names)),
-            "pressures": repr(tuple(muscle.activations - 1 if muscle.pressurized else -1 for muscle in muscles)),
-            "anchors": repr(tuple(muscle.anchors for muscle in muscles)),
-            "dynamics": ", ".join(f"dynamics{number}" for number in numbers),
-            "forces": ", ".join(f"forces{number}" for number in numbers),
-        },
-    )
 
 
 def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: int, anchor: int) -> str:

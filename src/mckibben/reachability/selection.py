@@ -325,7 +325,7 @@ def _candidate_of_make(make: Make, need: Requirement) -> Candidate:
     if not feasible.any():
         raise _unreached(margins, grid)
     at = int(np.argmax(np.where(feasible & (lengths == lengths[feasible].min()), least, -np.inf)))
-    return _candidate(make.name, make.uncertainty, _on_pulleys(make.muscle), _row(grid, at), margins[at], need)
+    return _candidate(make, _row(grid, at), margins[at], need)
 
 
 def _row(lengths: dict[str, Floats], at: int) -> dict[str, float]:
@@ -375,17 +375,10 @@ def _rounded(lengths: Floats, step: float) -> Floats:
     return np.unique(np.round(lengths / step) * step)
 
 
-def _candidate(
-    name: str,
-    uncertainty: float,
-    joint: AntagonisticJoint,
-    lengths: dict[str, float],
-    margins: Floats,
-    need: Requirement,
-) -> Candidate:
+def _candidate(make: Make, lengths: dict[str, float], margins: Floats, need: Requirement) -> Candidate:
     """Torque, stiffness and air supply of a joint with chosen lengths."""
-    angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
-    plants = [_with_lengths(_template(joint, need, 1 + part * uncertainty), lengths) for part in (-1, 0, 1)]
+    angles, joint = np.linspace(need.angles[0], need.angles[1], _ANGLES), _on_pulleys(make.muscle)
+    plants = [_with_lengths(_template(joint, need, 1 + part * make.uncertainty), lengths) for part in (-1, 0, 1)]
     stiffness, torque = [], []
     for plant in plants:
         opposed, both = (float(part) for part in friction_torque(plant, angles, need.speed, _TENSION))
@@ -399,7 +392,7 @@ def _candidate(
     supply = air_supply(plants[1], times, motion, np.asarray(held), need.cycle, need.supply, need.tube)
     plant = dataclasses.replace(plants[1], valve=supply.valve)
     limiting = CONSTRAINTS[int(np.argmin(margins))]
-    return Candidate(name, uncertainty, lengths, plant, limiting, tuple(torque), tuple(stiffness), supply)
+    return Candidate(make.name, make.uncertainty, lengths, plant, limiting, tuple(torque), tuple(stiffness), supply)
 
 
 def _motion(need: Requirement) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
