@@ -44,6 +44,15 @@ def test_a_limited_rate_limits_what_is_attainable():
 
 
 @pytest.mark.parametrize(
+    ("command", "rate"), [(2.1 * bar, 5 * bar), (6 * bar, 10 * bar), (0.0, -10 * bar), (2 * bar, 0)]
+)
+def test_a_limited_rate_is_that_of_the_lag_where_it_is_slower(command, rate):
+    valve = mk.FirstOrderValve(20 * ms, rate=10 * bar)
+    ((first, second), _) = valve.rates((jnp.asarray(2 * bar),) * 2, (), (command,) * 2, tuple)
+    assert float(first) == float(second) == pytest.approx(rate, rel=1e-9)
+
+
+@pytest.mark.parametrize(
     "valve",
     [
         mk.IdealValve(),

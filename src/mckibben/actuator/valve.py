@@ -112,7 +112,7 @@ class FirstOrderValve(Valve):
         error = pressure - command
         if self.rate is not None:
             excess = jnp.maximum(jnp.abs(error) / self.rate - self.time_constant, 0.0)  # [s]
-            limited = jnp.minimum(elapsed, excess)
+            limited = jnp.where(elapsed < excess, elapsed, excess)  # `minimum` would halve the slope where both are 0
             error, elapsed = error - jnp.sign(error) * self.rate * limited, elapsed - limited
         return command + error * jnp.exp(-elapsed / self.time_constant)
 
