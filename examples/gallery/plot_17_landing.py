@@ -31,5 +31,5 @@ figure = mk.report.landing_forces(study)
 # The attainable stiffness of the foot without joint torque: along the leg it is about 80 times that across.
 
 figure = mk.report.point_ellipses(robot.robot, study.angles)
-softest = attainable_point_stiffness(robot.robot, study.angles, [0.0, 0.0])[0]
+softest = min(attainable_point_stiffness(robot.robot, study.angles, [0.0, 0.0]), key=lambda one: one.principal[0])
 print([round(value) for value in softest.principal], "N/m")

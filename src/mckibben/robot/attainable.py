@@ -1,4 +1,4 @@
-"""What is attainable in a posture: torques and stiffness of the joints, and the stiffness of a point."""
+"""Attainable sets in a posture: torques and stiffness of the joints, and stiffness of a point."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from mckibben.errors import UnreachableError
 from mckibben.result import Column, Listing
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.point_stiffness import Floats, PointStiffness, movable, point_jacobian, stiffness_through
-from mckibben.robot.posture import HeldPosture, is_affine
+from mckibben.robot.point_stiffness import PointStiffness, movable, point_jacobian, stiffness_through
+from mckibben.robot.posture import HeldPosture
 from mckibben.units import bar
 
 
@@ -61,9 +61,9 @@ def attainable_statics(
     for index, name in enumerate(names):
         others = np.arange(len(names)) != index
         row, own = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
-        rest = setting.equal[others], setting.held[others]
-        goals = (row, *rest), (slopes[index, index], setting.equal, setting.held)
-        ends = [setting.extreme(sign * goal, *equations) for goal, *equations in goals for sign in (1, -1)]
+        turned = setting._replace(equal=setting.equal[others], held=setting.held[others])
+        goals = (turned, row), (setting, slopes[index, index])
+        ends = [posture.extreme(sign * goal) for posture, goal in goals for sign in (1, -1)]
         (least, by1), (most, by2), (softest, by3), (stiffest, by4) = ends
         at = float(offset[index, index])
         found[name] = JointRange((own + least, own - most), (at + softest, at - stiffest), (by1, by2, by3, by4))
@@ -97,10 +97,9 @@ def attainable_point_stiffness(
 ) -> list[PointStiffness]:
     """Return stable values of the stiffness of a point over what the joints can attain.
 
-    They are those of a grid, `levels` of each joint from the softest to the stiffest. With muscles over two joints, and
-    laws that are affine in pressure, the attainable matrices are a polytope: half of as many values as the grid has are
-    at its corners in random directions, found by linear programs with all muscles taut by 1 N, the others on lines
-    between them. With other laws the grid is that of the pairs, and muscles over two joints are left out.
+    The attainable stiffness matrices of the joints are a polytope: half of as many values as a grid of `levels` for
+    each of up to three joints has are at its corners in random directions, found by linear programs with all muscles
+    taut by 1 N, the others are means of four corners with random weights.
 
     Parameters
     ----------
@@ -113,44 +112,22 @@ def attainable_point_stiffness(
 
     Raises
     ------
-    UnreachableError
-        If the torque of a joint is not attainable, with its name and the attainable range; or if a muscle over two
-        joints cannot be taut; or if none of the values is stable.
+    RangeError, UnreachableError
+        As for `pressures_for_joint_stiffness`; if none of the values is stable.
     """
-    corners = len(robot.all_muscles) > 2 * len(robot.pairs) and is_affine(robot)
-    count = levels ** min(len(robot.joints), 3)
-    matrices = _between_corners(robot, angles, torques, count) if corners else _grid(robot, angles, torques, levels)
+    setting, rng = HeldPosture.of(robot, angles, np.asarray(torques)), np.random.default_rng(0)
+    slopes, count = setting.stiffness()[1], levels ** min(len(robot.joints), 3)
+    aims = rng.normal(size=(max(count // 2, 1), *slopes.shape[:2]))
+    goals = np.einsum("nij,ijm->nm", aims + aims.swapaxes(1, 2), slopes)
+    corners = np.array([setting.affine.stiffness_at(setting.program(goal).x * bar) for goal in goals])
+    chosen, shares = (
+        rng.integers(len(corners), size=(count - len(corners), 4)),
+        rng.dirichlet(np.ones(4), count - len(corners)),
+    )
+    matrices = [*corners, *np.einsum("nk,nkij->nij", shares, corners[chosen])]
     (jacobian, geometric), free = point_jacobian(robot, angles, force, point), movable(robot)
     inner = np.ix_(free, free)
     stable = [one for one in matrices if np.linalg.eigvalsh((one - geometric)[inner]).min(initial=np.inf) > 0]
     if not stable:
         raise UnreachableError("the point is unstable at every stiffness of the joints that was tried")
     return [stiffness_through(jacobian, geometric, free, one) for one in stable]
-
-
-def _grid(robot: Robot, angles: Sequence[float], torques: Sequence[float], levels: int) -> list[Floats]:
-    """Diagonal stiffness matrices [N*m/rad] of the joints, from the softest to the stiffest."""
-    ranges = []
-    for index, (angle, torque) in enumerate(zip(angles, torques, strict=True)):
-        low, high = (float(one) for one in robot.pair(index).attainable_stiffness(angle, torque))
-        if not np.isfinite(low):
-            robot.pressures_for(angles, torques, [None] * len(robot.joints))  # raises, with the name of the joint
-        ranges.append(np.linspace(low, high, levels))
-    return [np.diag(one) for one in np.stack(np.meshgrid(*ranges, indexing="ij")).reshape(len(ranges), -1).T]
-
-
-def _between_corners(robot: Robot, angles: Sequence[float], torques: Sequence[float], count: int) -> list[Floats]:
-    """Stiffness matrices [N*m/rad] of the joints at corners of what is attainable, and between them."""
-    from scipy.optimize import linprog
-
-    setting, rng = HeldPosture.of(robot, angles, np.asarray(torques)), np.random.default_rng(0)
-    slopes = setting.stiffness()[1]
-    corners = []
-    aims = max(count // 2, 1)
-    for direction in rng.normal(size=(aims, *slopes.shape[:2])):
-        goal = np.einsum("ij,ijm->m", direction + direction.T, slopes)
-        found = linprog(goal, A_eq=setting.equal, b_eq=setting.held, bounds=setting.bounds)
-        corners.append(setting.affine.stiffness_at(found.x * bar))
-    first, second = (rng.integers(aims, size=count - aims) for _ in range(2))
-    parts = rng.uniform(size=first.size)
-    return [*corners, *(p * corners[i] + (1 - p) * corners[j] for p, i, j in zip(parts, first, second, strict=True))]

@@ -6,9 +6,10 @@ from numbers import Real
 from typing import Annotated, Any, Literal
 
 import equinox as eqx
+import numpy as np
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive
+from mckibben.component.checks import check_positive, check_within
 from mckibben.config.model import fail_validation
 from mckibben.errors import RangeError
 from mckibben.numerics.spatial import Tensor, Vector, product, total, unit_vector
@@ -101,23 +102,15 @@ class Body(Component):
             raise RangeError(message, field="inertia", value=self.inertia, remedy=remedy)
         if not all(isinstance(number, Real) for number in self.inertia):
             return
-        principal = self._principal()
-        *others, largest = principal
-        if principal[0] < -1e-12 * largest or largest > sum(others) * (1 + 1e-6):
-            raise RangeError(
-                f"{self.name}: no body has principal inertias of {', '.join(f'{one:.4g}' for one in principal)} kg*m^2",
-                field="inertia",
-                value=largest,
-                upper=sum(others),
-                unit="kg*m^2",
-                remedy="give positive ones about the centre of mass, none above the sum of the other two",
-            )
-
-    def _principal(self) -> list[float]:
-        import numpy as np
-
         xx, xy, xz, yy, yz, zz = map(float, self.tensor)
-        return np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
+        least, middle, largest = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
+        if least < -1e-12 * largest or largest > (least + middle) * (1 + 1e-6):
+            shown = f"{least:.4g}, {middle:.4g}, {largest:.4g} kg*m^2"
+            message = f"{self.name}: no body has principal inertias of {shown}"
+            remedy = "give positive ones about the centre of mass, none above the sum of the other two"
+            raise RangeError(
+                message, field="inertia", value=largest, upper=least + middle, unit="kg*m^2", remedy=remedy
+            )
 
     @property
     def tensor(self) -> Tensor:
@@ -193,24 +186,11 @@ class Joint(Component):
         if not all(isinstance(one, Real) for one in (self.lower, self.upper)):
             return
         if not self.lower < self.upper:
-            raise RangeError(
-                f"{self.name}: the range of the angle is {self.lower / deg:g}..{self.upper / deg:g} deg",
-                field="upper",
-                value=self.upper,
-                lower=self.lower,
-                unit="rad",
-                remedy="give the lower angle first",
-            )
-        if isinstance(self.locked, Real) and not self.lower <= self.locked <= self.upper:
-            raise RangeError(
-                f"{self.name}: it is locked at {self.locked / deg:g} deg, beyond its range",
-                field="locked",
-                value=self.locked,
-                lower=self.lower,
-                upper=self.upper,
-                unit="rad",
-                remedy="lock it within its range",
-            )
+            message = f"{self.name}: the range of the angle is {self.lower / deg:g}..{self.upper / deg:g} deg"
+            remedy = "give the lower angle first"
+            raise RangeError(message, field="upper", value=self.upper, lower=self.lower, unit="rad", remedy=remedy)
+        ends, locked = (self.lower / deg, self.upper / deg), None if self.locked is None else self.locked / deg
+        check_within(self.name, *ends, "deg", remedy="lock it within its range", locked=locked)
 
     @property
     def direction(self) -> Vector:

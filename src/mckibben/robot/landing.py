@@ -120,7 +120,7 @@ class LandingStudy(Result):
         for kind, title, at in (("robust", "robust", self.robust()), ("best", "nominal best", best[..., 0])):
             force, meets = (np.take_along_axis(values, at[..., None], axis=-1) for values in (quantile, share))
             columns[f"{kind}_stiffness"] = Column("N*m/rad", f"{title} stiffness", digits=3), levels[at]
-            columns[f"{kind}_force"] = Column("1", "95 % force", digits=3), force
+            columns[f"{kind}_force"] = Column("1", "95 % trunk force", digits=3), force
             columns[f"{kind}_share"] = Column("1", "bottoms out", "%", digits=3), meets
         ends = np.percentile(levels[best[..., 1:]], EDGES, axis=-1)
         for name, edge, own in zip(("low", "high"), EDGES, ends, strict=True):

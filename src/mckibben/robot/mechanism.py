@@ -125,7 +125,8 @@ class Robot(Component):
             if name not in frames:
                 yield f"{name}: no joint carries it", f"bodies.{number}.name", name, "give its name to a joint's `body`"
         for number, joint in enumerate(self.joints):
-            if joint.rotor_inertia is None and not any(self._inertias(joint.direction, number, ZERO)):
+            inertia = self.inertia_beyond(number)
+            if isinstance(inertia, Real) and not inertia:
                 message = f"{joint.name}: it turns no mass and no inertia about its axis"
                 remedy = "give it a body with mass and inertia, a rotor_inertia, or another axis"
                 yield message, f"joints.{number}.body", joint.body, remedy
@@ -158,11 +159,14 @@ class Robot(Component):
             return
         for number, unit in enumerate(self.muscles):
             over = [self.index(name) for name in unit.joint_names]
-            try:
-                unit.check_range([self.joints[index] for index in over])
-            except RangeError as error:
-                error.field = f"joints.{over[0]}.{error.field}"
-                raise
+            for index, (low, high) in zip(over, unit.angle_ranges, strict=True):
+                for end, angle in zip(("lower", "upper"), limits[index], strict=True):
+                    if not low - 1e-9 <= angle <= high + 1e-9:
+                        known = f"{low / deg:.4g}..{high / deg:.4g} deg"
+                        message = f"{self.joint_names[index]}: the geometry of its muscles is known for {known}"
+                        details: Any = {"value": float(angle), "lower": low, "upper": high, "unit": "rad"}
+                        remedy = "give a smaller range, or a geometry for all of it"
+                        raise RangeError(message, field=f"joints.{index}.{end}", remedy=remedy, **details)
             if unit.points:
                 places = [f"the {place} of all ranges" for place in ("lower ends", "middle", "upper ends")]
                 angles = [np.linspace(low, high, len(places)) for low, high in limits]
@@ -236,24 +240,19 @@ class Robot(Component):
         """Return the least inertia [kg*m^2] that a joint turns: its rotor and the next body with a mass."""
         joint = self.joints[index]
         rotor = 0.0 if joint.rotor_inertia is None else joint.rotor_inertia
-        return total(rotor, self._least_inertia(joint.direction, index, ZERO))
+        beyond = self._inertias_beyond(joint.direction, index, ZERO)
+        return total(rotor, functools.reduce(jnp.minimum, beyond) if beyond else 0.0)
 
-    def _inertias(self, axis: Vector, index: int, point: Vector) -> Iterator[bool]:
-        """Yield whether each body that a joint carries may have an inertia about an axis through a point."""
+    def _inertias_beyond(self, axis: Vector, index: int, point: Vector) -> list[Any]:
+        """Inertia about an axis through a point of the body on a joint, or, without one, of each next body with one."""
         body = self.frame_bodies[index + 1]
-        yield body is not None and not (isinstance(own := body.inertia_about(axis, point), Real) and own == 0)
-        for number in (number for number, parent in enumerate(self.parents) if parent == index + 1):
-            yield from self._inertias(axis, number, point - self.joints[number].place.vector)
-
-    def _least_inertia(self, axis: Vector, index: int, point: Vector) -> Any:
-        """Least inertia about an axis through a point of what a joint carries, of its body or of those beyond."""
-        body = self.frame_bodies[index + 1]
-        if body is not None and (own := body.inertia_about(axis, point)):
-            return own
+        own = 0.0 if body is None else body.inertia_about(axis, point)
+        if not (isinstance(own, Real) and own == 0):
+            return [own]
         below = [number for number, parent in enumerate(self.parents) if parent == index + 1]
-        places = (point - self.joints[number].place.vector for number in below)
-        own = (self._least_inertia(axis, number, at) for number, at in zip(below, places, strict=True))
-        return min(own, default=0.0)
+        places = [point - self.joints[number].place.vector for number in below]
+        pairs = zip(below, places, strict=True)
+        return [found for number, at in pairs for found in self._inertias_beyond(axis, number, at)]
 
     @property
     def all_muscles(self) -> tuple[Muscle, ...]:

@@ -20,7 +20,7 @@ from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import total
 from mckibben.robot.bodies import BodyPoint, Joint
 from mckibben.robot.tree import Bends, Frame, Hinge, path_through
-from mckibben.units import Coordinate, deg
+from mckibben.units import Coordinate
 
 Action = Literal["lengthens", "shortens"]
 """Change of a muscle's path as the angle of a joint increases."""
@@ -105,8 +105,10 @@ class MuscleUnit(Component):
     def routed(self, skeleton: Skeleton) -> list[Routed]:
         """Return the muscles in a posture."""
 
-    def check_range(self, joints: Sequence[Joint]) -> None:
-        """Raise `RangeError` if a path is unknown within the ranges of its joints."""
+    @property
+    @abc.abstractmethod
+    def angle_ranges(self) -> tuple[tuple[float, float], ...]:
+        """Angles [rad] of each of these joints between which the path over it is known."""
 
 
 class MusclePair(MuscleUnit):
@@ -161,9 +163,9 @@ class MusclePair(MuscleUnit):
             Routed(self.muscle2, self.tendon, path2, {index: -arm2}, lambda: bend(1)),
         ]
 
-    def check_range(self, joints: Sequence[Joint]) -> None:
-        (joint,) = joints
-        _check_known(joint, *self.geometry.angle_range)
+    @property
+    def angle_ranges(self) -> tuple[tuple[float, float], ...]:
+        return (self.geometry.angle_range,)
 
 
 class OverJoint(Component):
@@ -271,24 +273,9 @@ class PathMuscle(MuscleUnit):
 
         return [Routed(self.muscle, self.tendon, length - self.connector_length, slopes, bends)]
 
-    def check_range(self, joints: Sequence[Joint]) -> None:
-        for joint, part in zip(joints, self.over, strict=True):
-            _check_known(joint, *part.path.angle_range)
-
-
-def _check_known(joint: Joint, low: float, high: float) -> None:
-    """Raise unless a path over a joint is known for its whole range."""
-    for field, angle in (("lower", joint.lower), ("upper", joint.upper)):
-        if isinstance(angle, Real) and not low - 1e-9 <= angle <= high + 1e-9:
-            raise RangeError(
-                f"{joint.name}: the geometry of its muscles is known for {low / deg:.4g}..{high / deg:.4g} deg",
-                field=field,
-                value=float(angle),
-                lower=low,
-                upper=high,
-                unit="rad",
-                remedy="give a smaller range, or a geometry for all of it",
-            )
+    @property
+    def angle_ranges(self) -> tuple[tuple[float, float], ...]:
+        return tuple(part.path.angle_range for part in self.over)
 
 
 def check_contractions(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, ArrayLike
@@ -154,13 +154,10 @@ class HeldPosture(NamedTuple):
 
     def check_torques(self) -> None:
         """Raise `UnreachableError` unless pressures within the limits give the torques."""
-        from scipy.optimize import linprog
-
-        equal, held = self.equal, self.held
-        if linprog(np.zeros(self.low.size), A_eq=equal, b_eq=held, bounds=self.bounds).status == 0:
+        if self.program(np.zeros(self.low.size)).status == 0:
             return
         names = [joint.name for joint in self.robot.joints if joint.locked is None]
-        for name, row, torque in zip(names, equal, held, strict=True):
+        for name, row, torque in zip(names, self.equal, self.held, strict=True):
             least, most = (np.where(row * sign > 0, self.low, self.high) @ row for sign in (1, -1))
             if not least <= torque <= most:
                 raise UnreachableError(
@@ -178,11 +175,15 @@ class HeldPosture(NamedTuple):
             remedy="choose another posture, less force or weaker muscles over several joints",
         )
 
-    def extreme(self, goal: Floats, equal: Floats, held: Floats) -> tuple[float, str]:
-        """Return the least value of a goal over the pressures, and the muscle whose limit keeps it from being less."""
+    def program(self, goal: Floats, slack: float = 0.0) -> Any:
+        """Solve the linear program of a goal over the pressures [bar] that hold the torques, their limits wider."""
         from scipy.optimize import linprog
 
-        found = linprog(goal, A_eq=equal, b_eq=held, bounds=self.bounds)
+        return linprog(goal, A_eq=self.equal, b_eq=self.held, bounds=self.bounds + np.array([-slack, slack]))
+
+    def extreme(self, goal: Floats) -> tuple[float, str]:
+        """Return the least value of a goal over the pressures, and the muscle whose limit keeps it from being less."""
+        found = self.program(goal)
         multipliers = -(found.lower.marginals + found.upper.marginals)
         limits = self.limits(multipliers)
         return float(found.fun), " at ".join(limits[0]) if limits else ""

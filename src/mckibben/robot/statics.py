@@ -300,8 +300,6 @@ def _settled(
     setting: HeldPosture, moved: Floats, bent: Floats, problem: Callable[[Floats], tuple[Floats, Floats]]
 ) -> tuple[Floats, Floats]:
     """N at the pressures [bar] that solve the problem linearised about them, and these."""
-    from scipy.optimize import linprog
-
     offset, slopes = setting.stiffness()
 
     def yielding(pressures: Floats) -> tuple[Floats, float]:
@@ -335,7 +333,7 @@ def _settled(
 
     rng, size = np.random.default_rng(0), slopes.shape[-1]
     goals = [-np.trace(slopes), *rng.normal(size=(_STARTS, size))]  # the stiffest on average, and others
-    found = [linprog(goal, A_eq=setting.equal, b_eq=setting.held, bounds=setting.bounds).x for goal in goals]
+    found = [setting.program(goal).x for goal in goals]
     middle = np.mean(found, axis=0)
     at = min((settled(start) for start in (middle, *found)), key=error)
     if not np.isfinite(error(at)):
@@ -438,10 +436,7 @@ def _certificate(setting: HeldPosture, at: Floats, gradient: Floats, residual: F
 
     The squared error is convex: it lies above its tangent, whose least value is a linear program.
     """
-    from scipy.optimize import linprog
-
-    bounds = setting.bounds + np.array([-1e-12, 1e-12])
-    found = linprog(gradient, A_eq=setting.equal, b_eq=setting.held, bounds=bounds)
+    found = setting.program(gradient, slack=1e-12)
     if found.status != 0:
         return 0.0, np.zeros(at.size)
     square = residual @ residual + 2 * (found.fun - gradient @ at)
