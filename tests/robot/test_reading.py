@@ -1,5 +1,6 @@
 """Robots from MJCF and URDF, and all examples against MuJoCo: lengths, moment arms, mass matrix and accelerations."""
 
+import dataclasses
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -82,15 +83,18 @@ def test_an_arm_is_read_as_mujoco_reads_it(tmp_path):
     assert RobotScenario.read(tmp_path / "robot.yaml").robot == read.robot
 
 
-def test_what_we_write_reads_back(tmp_path):
-    leg = read_robot("lei-leg")
+@pytest.mark.parametrize("base", ["vertical", "free", "spatial"])
+def test_what_we_write_reads_back(base, tmp_path):
+    leg = dataclasses.replace(read_robot("lei-leg-planar" if base == "free" else "lei-leg"), base=base)
     (tmp_path / "leg.xml").write_text(assembled(RobotPlant(leg, mk.FirstOrderValve(0.02))).mjcf("robot", 1e-3))
     read = read_mjcf(tmp_path / "leg.xml").robot
-    assert (read.base, read.is_planar, read.foot.radius) == ("vertical", False, 0.02)
+    assert (read.base, read.is_planar, read.foot.radius) == (base, leg.is_planar, 0.02)
     for angles in ((0.1, 0.05, -0.3), (-0.1, -0.05, 0.2)):
+        angles = angles[-len(leg.joints) :]
         posture, again = posture_of(leg, angles), posture_of(read, angles)
-        moved = acceleration(leg, posture, at_rest(posture), (1.0, 2.0, 3.0), (), 9.81)
-        found = acceleration(read, again, at_rest(again), (1.0, 2.0, 3.0), (), 9.81)
+        torques = (1.0, 2.0, 3.0)[: len(angles)]
+        moved = acceleration(leg, posture, at_rest(posture), torques, (), 9.81)
+        found = acceleration(read, again, at_rest(again), torques, (), 9.81)
         np.testing.assert_allclose(found.angles, moved.angles, rtol=1e-9)
 
 

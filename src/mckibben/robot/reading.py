@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -22,8 +23,13 @@ from mckibben.robot.scenario import RobotScenario
 
 Floats = NDArray[np.float64]
 
-_SLIDES: dict[tuple[str, ...], Freedom] = {("z",): "vertical", ("x", "z"): "planar", ("x", "y", "z"): "spatial"}
-_REMEDY = "name a file of MJCF or URDF that MuJoCo loads"
+_BASES: dict[tuple[str, ...], Freedom] = {
+    ("z",): "vertical",
+    ("x", "z"): "planar",
+    ("x", "z", "turn about y"): "free",
+    ("x", "y", "z"): "spatial",
+}
+"""Motions of the base by the axes of its slides, and of a hinge after them."""
 
 
 class ReadRobot(Result):
@@ -99,7 +105,7 @@ def read_mjcf(path: Path, muscle: Muscle | None = None) -> ReadRobot:
     """Return the robot of a file of MJCF or URDF.
 
     Carried over are bodies with their inertias, hinges with range, damping, armature and friction, spatial tendons
-    through sites, a base that is fixed, free or on slides along x, y and z, and spheres (geoms) whose names
+    through sites, a base that is fixed, free, or on slides (`_BASES`), and spheres (geoms) whose names
     begin with ``foot``. Axes are those of the world at the pose of the file.
 
     Parameters
@@ -162,7 +168,10 @@ class _Reader:
             self._spec = mujoco.MjSpec.from_file(str(path))
             self._model = mujoco.MjModel.from_xml_path(str(path))
         except (ValueError, OSError, mujoco.FatalError) as error:
-            raise ScenarioError(str(path), [Problem(" ".join(str(error).split()), remedy=_REMEDY)]) from error
+            text = "; ".join(" ".join(line.split()) for line in str(error).splitlines())
+            line = re.search(r"\bline (\d+)", text)
+            problem = Problem(text, int(line[1]) if line else None, remedy="correct the file, which MuJoCo reads")
+            raise ScenarioError(str(path), [problem]) from error
         self._spec.compile()
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
@@ -215,12 +224,26 @@ class _Reader:
             return "floating"
         if kinds.mjJNT_SLIDE not in types:
             return "fixed"
+        for number in numbers:
+            parts = {"range": model.jnt_limited, "stiffness": model.jnt_stiffness}
+            of_dof = {"damping": model.dof_damping, "friction": model.dof_frictionloss, "armature": model.dof_armature}
+            given = [what for what, values in parts.items() if np.any(values[number])]
+            given += [what for what, values in of_dof.items() if np.any(values[model.jnt_dofadr[number]])]
+            self.left_out += [f"{what} of the base's {self._joint(number)}" for what in given]
         axes = [np.abs(self._data.xaxis[number]) for number in numbers]
-        along = tuple("xyz"[int(axis.argmax())] for axis in axes if axis.max() > 1 - 1e-9)
-        if len(along) == len(types) == types.count(kinds.mjJNT_SLIDE) and along in _SLIDES:
-            return _SLIDES[along]
-        what = f"joint {self._named('joint', numbers[0])}{self._line(self._spec.joints, numbers[0])}"
-        raise self._refuse(f"{what}: a base that moves in this way", "give a freejoint, or slides along x, y and z")
+        turns = ["turn about " if kind == kinds.mjJNT_HINGE else "" for kind in types]
+        along = tuple(
+            turn + "xyz"[int(axis.argmax())] for turn, axis in zip(turns, axes, strict=True) if axis.max() > 1 - 1e-9
+        )
+        if len(along) == len(types) and along in _BASES:
+            return _BASES[along]
+        found = ", ".join(map(self._joint, numbers))
+        known = "; ".join(", ".join(names) for names in _BASES)
+        raise self._refuse(f"{found}: no base of ours moves so", f"give a freejoint, or slides along: {known}")
+
+    def _joint(self, number: int) -> str:
+        """Name of a joint, and its line."""
+        return f"joint {self._named('joint', number)}{self._line(self._spec.joints, number)}"
 
     def _joints(self, body: int, bodies: list[Body]) -> Iterator[Joint]:
         """Yield the hinges of a body, the last of which carries it, and add the body."""
@@ -229,14 +252,14 @@ class _Reader:
         above, at = self._origins[int(model.body_weldid[model.body_parentid[body]])]
         numbers = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         for number in numbers:
-            joint, line = self._named("joint", number), self._line(self._spec.joints, number)
+            joint, named = self._named("joint", number), self._joint(number)
             if model.jnt_type[number] != self._mujoco.mjtJoint.mjJNT_HINGE:
                 remedy = "we have hinges: give it successive ones, or leave it out"
-                raise self._refuse(f"joint {joint}{line} is no hinge", remedy)
+                raise self._refuse(f"{named} is not a hinge", remedy)
             if not model.jnt_limited[number]:
-                raise self._refuse(f"joint {joint}{line} has no range", "give it a `range`, within which muscles act")
+                raise self._refuse(f"{named} has no range", "give it a `range`, within which muscles act")
             if np.any(model.jnt_stiffness[number]):
-                self.left_out.append(f"stiffness of joint {joint}{line}")
+                self.left_out.append(f"stiffness of {named}")
             dof, anchor = model.jnt_dofadr[number], data.xanchor[number]
             loss, rotor = float(model.dof_frictionloss[dof]), float(model.dof_armature[dof])
             low, high = model.jnt_range[number].tolist()

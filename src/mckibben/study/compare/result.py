@@ -105,6 +105,11 @@ class CompareResult(Result):
         """Yield remarks on low margins, runs that cannot start, narrow ranges, and gains that take too much air."""
         for name, margins in self.margins.items():
             yield from margin_remarks(float(margins.disk.min()), f", of {name} {margins.limit()}")
+        if len(self.batches) == 1:
+            text = (
+                "one controller is compared with itself alone: PID and decoupling need a pair of muscles at each joint"
+            )
+            yield Remark.warning("controllers", text, remedy="give others in `controllers` of the suite")
         if count := int((~self.started).sum()):
             yield Remark.warning("runs", f"{count} runs were infeasible: no static equilibrium at their start")
         if self.at_air and (left_out := [n for n, gains in self.tuned.items() if gains and n not in self.at_air.tuned]):
