@@ -20,6 +20,7 @@ from mckibben.containment.limits import Limits
 from mckibben.control import Reference, Sine, Step
 from mckibben.export import export
 from mckibben.firmware import Hardware
+from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
 from mckibben.study.compare import Suite
 from mckibben.units import deg
@@ -125,7 +126,8 @@ def main() -> int:
         return 1
     title = "| controller | numbers | code [kB] | stack [B] | linked, M7, M4F, M0+ [kB] | memory [B] |"
     print(f"{title} instructions per step | deviation |\n|---|---|---:|---:|---:|---:|---:|---:|")
-    for name, scenario in (scenarios() | {"BP": scenarios(0.3)["BP"]}).items():
+    leg = RobotScenario.read(ROOT / "examples" / "robot" / "lei-leg-control.yaml")
+    for name, scenario in {**scenarios(), "BP": scenarios(0.3)["BP"], "leg": leg}.items():
         for single in (False, True):
             with tempfile.TemporaryDirectory() as made:
                 folder = Path(made)

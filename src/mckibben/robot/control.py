@@ -68,20 +68,10 @@ class PressureSchedule(RobotController):
         times = self.switches or ((),) * len(self.levels)
         check_count("switches", len(times), len(self.levels), "muscle, () for no switching times")
         for number, (levels, own) in enumerate(zip(self.levels, times, strict=True), 1):
-            if len(levels) != len(own) + 1:
-                raise RangeError(
-                    f"muscle {number}: {len(levels)} levels for {len(own)} switching times",
-                    field="levels",
-                    value=len(levels),
-                    remedy=f"give {len(own) + 1}",
-                )
+            check_count("levels", len(levels), len(own) + 1, f"time between switches of muscle {number}")
             if all(isinstance(one, Real) for one in own) and any(np.diff(own) < 0):
-                raise RangeError(
-                    f"muscle {number}: switching times {', '.join(f'{one:g}' for one in own)} s",
-                    field="switches",
-                    value=own,
-                    remedy="give them in increasing order",
-                )
+                message = f"muscle {number}: switching times {', '.join(f'{one:g}' for one in own)} s"
+                raise RangeError(message, field="switches", value=own, remedy="give them in increasing order")
 
     @property
     def by_muscle(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:

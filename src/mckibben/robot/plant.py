@@ -184,14 +184,10 @@ class RobotPlant(Plant[RobotState]):
             for muscle, one in zip(self.robot.all_muscles, forces.contractions, strict=True)
         ]
         zero, ground = jnp.zeros_like(state.posture.x), _sum(forces.contacts, state)
+        base = {name: getattr(state.posture, name) for name in ("x", "y", "z", "pitch", "yaw", "roll")}
         return RobotSample(
-            x=state.posture.x,
-            y=zero if state.posture.y is None else state.posture.y,
-            z=state.posture.z,
+            **{name: zero if value is None else value for name, value in base.items()},
             speed=state.velocity.z,
-            pitch=state.posture.pitch,
-            yaw=zero if state.posture.yaw is None else state.posture.yaw,
-            roll=zero if state.posture.roll is None else state.posture.roll,
             angle=state.posture.angles,
             velocity=state.velocity.angles,
             pressure=state.pressures,

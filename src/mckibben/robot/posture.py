@@ -85,12 +85,9 @@ def _terms(parts: tuple[Robot, tuple[ArrayLike, ...]], _: None) -> tuple[JointTe
 def check_affine(robot: Robot) -> None:
     """Raise `RangeError` unless laws are affine in pressure and tendons rigid."""
     for name, kind in _not_affine(robot):
-        raise RangeError(
-            f"{name}: with a {kind} the stiffness is not affine in the pressures",
-            field="muscle",
-            value=kind,
-            remedy="give it a law that is affine in pressure, and a rigid tendon",
-        )
+        message = f"{name}: with a {kind} the stiffness is not affine in the pressures"
+        remedy = "give it a law that is affine in pressure, and a rigid tendon"
+        raise RangeError(message, field="muscle", value=kind, remedy=remedy)
 
 
 def is_affine(robot: Robot) -> bool:
@@ -160,20 +157,12 @@ class HeldPosture(NamedTuple):
         for name, row, torque in zip(names, self.equal, self.held, strict=True):
             least, most = (np.where(row * sign > 0, self.low, self.high) @ row for sign in (1, -1))
             if not least <= torque <= most:
-                raise UnreachableError(
-                    f"{name}: its torque is outside what taut muscles can hold, by "
-                    f"{max(least - torque, torque - most):.3g} N*m",
-                    value=float(torque),
-                    lower=float(least),
-                    upper=float(most),
-                    unit="N*m",
-                    remedy="choose another posture or less force",
-                )
-        raise UnreachableError(
-            "no pressures hold the torques of all joints at once",
-            unit="N*m",
-            remedy="choose another posture, less force or weaker muscles over several joints",
-        )
+                excess = max(least - torque, torque - most)
+                message = f"{name}: its torque is outside what taut muscles can hold, by {excess:.3g} N*m"
+                details: Any = {"value": float(torque), "lower": float(least), "upper": float(most), "unit": "N*m"}
+                raise UnreachableError(message, remedy="choose another posture or less force", **details)
+        remedy = "choose another posture, less force or weaker muscles over several joints"
+        raise UnreachableError("no pressures hold the torques of all joints at once", unit="N*m", remedy=remedy)
 
     def program(self, goal: Floats, slack: float = 0.0) -> Any:
         """Solve the linear program of a goal over the pressures [bar] that hold the torques, their limits wider."""
@@ -229,23 +218,17 @@ def _pressure_ranges(
             below["slack"] = float((minimum_tension - offset) / slope)
             above["rated force"] = float((muscle.specimen.force_limit - offset) / slope)
         elif offset < minimum_tension:
-            raise UnreachableError(
-                f"{name}: it is slack, and pressure does not tighten it",
-                value=float(offset),
-                lower=minimum_tension,
-                unit="N",
-                remedy="choose a posture that stretches it more, or a shorter spring",
-            )
+            message = f"{name}: it is slack, and pressure does not tighten it"
+            remedy = "choose a posture that stretches it more, or a shorter spring"
+            raise UnreachableError(message, value=float(offset), lower=minimum_tension, unit="N", remedy=remedy)
         lower, upper = max(below, key=lambda key: below[key]), min(above, key=lambda key: above[key])
         low, high = below[lower], above[upper]
         if low > high:
-            raise UnreachableError(
+            message, remedy = (
                 f"{name}: no pressure within its limits holds it taut",
-                value=low,
-                upper=high,
-                unit="Pa",
-                remedy="choose a posture that stretches it more",
+                "choose a posture that stretches it more",
             )
+            raise UnreachableError(message, value=low, upper=high, unit="Pa", remedy=remedy)
         lows.append(low)
         highs.append(high)
         names.append((lower, upper))

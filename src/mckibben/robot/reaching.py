@@ -80,16 +80,16 @@ class PointReference(ConfigModel):
 
     def _check_reached(self, robot: Robot, angles: Floats, left: Floats, times: Floats) -> None:
         """Raise `UnreachableError` where the point stays away, or a joint would be beyond a stop."""
-        remedy = "choose positions within reach, or `start` nearer to the first"
-        if (far := left > _REACHED).any():
-            first = int(np.argmax(far))
-            text = f"at {times[first]:.3g} s the point stays {left[first] / mm:.3g} mm away from its reference"
-            raise UnreachableError(text, value=float(left[first]), unit="m", field="reference", remedy=remedy)
+        parts = [("the point {:.3g} mm away from its reference", left / mm, left > _REACHED)]
         for joint, angle in zip(robot.joints, angles.T, strict=True):
-            if (beyond := (angle < joint.lower) | (angle > joint.upper)).any():
-                first = int(np.argmax(beyond))
-                text = f"at {times[first]:.3g} s the point needs {joint.name} at {angle[first] / deg:.3g} deg"
-                raise UnreachableError(text, value=float(angle[first]), unit="rad", field="reference", remedy=remedy)
+            beyond = (angle < joint.lower) | (angle > joint.upper)
+            parts.append((joint.name + " at {:.3g} deg, beyond its stops", angle / deg, beyond))
+        for text, values, wrong in parts:
+            if wrong.any():
+                first = int(np.argmax(wrong))
+                message = f"at {times[first]:.3g} s the reference of the point would have {text.format(values[first])}"
+                remedy = "choose positions within reach, or `start` nearer to the first"
+                raise UnreachableError(message, field="reference", remedy=remedy)
 
 
 @jit
