@@ -106,7 +106,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3620,
     "joint": 1200,
-    "robot": 4890,
+    "robot": 4630,
     "muscle": 1620,
     "numerics": 840,
     "paper": 720,
