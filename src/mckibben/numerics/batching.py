@@ -44,7 +44,7 @@ def lanes_of(tree: PyTree) -> tuple[int | None, PyTree]:
     """
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
-    if not any(np.ndim(leaf) for leaf in leaves if eqx.is_array_like(leaf)):
+    if not any(getattr(leaf, "ndim", 0) for leaf in leaves):
         return None, jax.tree.unflatten(structure, [False] * len(leaves))
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         axes = np.ndim(leaf) if eqx.is_array_like(leaf) else 0
