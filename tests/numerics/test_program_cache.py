@@ -113,6 +113,18 @@ def test_a_class_of_the_users_that_was_edited_is_the_new_one(folder):
     assert not folder.exists()
 
 
+def solved(matrix, vector):
+    return jnp.linalg.solve(matrix, vector)
+
+
+solved.__module__ = "mckibben.pretended"
+
+
+def test_a_program_that_calls_lapack_is_not_kept_as_it_would_crash_another_process(folder):
+    assert np.asarray(Program(solved)(2 * np.eye(2), np.ones(2))).tolist() == [0.5, 0.5]
+    assert list(folder.glob("*.program")) == []
+
+
 def test_while_the_source_is_edited_nothing_is_written(folder, monkeypatch):
     monkeypatch.setattr(program_cache, "source_files", lambda: program_cache.SOURCES[:-1])
     assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]

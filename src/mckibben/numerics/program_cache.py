@@ -113,6 +113,8 @@ def load_or_compile(
 ) -> Callable[..., PyTree]:
     """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder.
 
+    One that calls LAPACK is not written, as JAX makes these functions known only where it is traced: it would crash.
+
     Parameters
     ----------
     jitted, arrays
@@ -130,7 +132,10 @@ def load_or_compile(
         payload, answer = pickle.loads(read_private(path))
         return deserialize_and_load(payload, arguments, jax.tree.structure(answer))
     except Exception:  # missing, damaged, not private, or of another JAX
-        program = jitted.lower(*arrays).compile()
+        lowered = jitted.lower(*arrays)
+        program = lowered.compile()
+        if "lapack" in lowered.as_text():
+            return program
     try:
         payload, _, answer = serialize(program)
         jax.block_until_ready(deserialize_and_load(payload, arguments, answer)(*arrays))  # not every one loads again

@@ -40,11 +40,11 @@ HERMITE_LIMIT = 1.19
 
 
 class LastStep(NamedTuple):
-    """What a smooth motion keeps of its last integration step; see `JointPlant.with_last_step`."""
+    """Explicit part of a Hermite step, with one evaluation per step: the implicit part is evaluated in the next one."""
 
-    angle: Scalar  # terms of the end of the step that its beginning gives [rad]
+    angle: Scalar  # [rad], the terms of the corrector from the beginning of the step
     velocity: Scalar  # likewise [rad/s]
-    rates: tuple[Scalar, Scalar]  # of the pressures at its end [Pa/s]
+    rates: tuple[Scalar, Scalar]  # of the pressures at the end of the step [Pa/s]
 
 
 class PlantState(NamedTuple):
