@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import jax
@@ -89,11 +89,11 @@ def _check_cuda(many: bool) -> None:
 class BatchFunction:
     """A pure function of a shared tree and of one with the runs along the last axis, compiled by any engine.
 
-    Without the second tree it is a function of the first, of one run.
+    Without the second tree it is a function of the first, of one run. `flags` are further options of the C compiler.
     """
 
-    def __init__(self, function: Callable[[PyTree, PyTree], PyTree]) -> None:
-        self._function, self.native, self._cuda = function, NativeFunction(function), CudaFunction(function)
+    def __init__(self, function: Callable[[PyTree, PyTree], PyTree], flags: Sequence[str] = ()) -> None:
+        self._function, self.native, self._cuda = function, NativeFunction(function, flags), CudaFunction(function)
 
     def __call__(
         self, engine: str, shared: PyTree, lanes: PyTree = None, precision: DTypeLike = np.float64

@@ -52,11 +52,12 @@ class Totals(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A whole run: number of control periods, their length [s], and what has been tracked from each to the next."""
+    """A whole run: number of control periods, their length [s], what has been tracked, and the last change."""
 
     periods: Array
     period: ArrayLike
-    tracked: PyTree = None
+    tracked: PyTree = None  # from each control period to the next
+    change: PyTree = None  # of the desired stiffness
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ class SettlingTime(Largest):
     """Time [s] from the last change until a quantity, the number of the period from 1 if outside a band, stays 0."""
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        change: Change = run.tracked.change
+        change: Change = run.change
         unsettled = jnp.maximum(totals.maxima[self.of] - 1, change.at - 1)
         in_band = run.periods - 1 - unsettled  # periods at the end
         never = (_SETTLED * in_band < run.periods - change.at) | ((change.at > 0) & ~change.ends)
@@ -190,7 +191,7 @@ class LargestAfterChange(Largest):
     """Largest value of a quantity since the last change of the setpoint; NaN without one."""
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        return jnp.where(run.tracked.change.ends, totals.maxima[self.of], jnp.nan)
+        return jnp.where(run.change.ends, totals.maxima[self.of], jnp.nan)
 
 
 @labelled
@@ -346,17 +347,6 @@ def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
     return Change(index, before, desired[-1], (index > 0) & (index < len(desired) - 1) & ~ramp)
 
 
-class Course(NamedTuple):
-    """What is tracked over a run: its `Oscillations`, and the last change of its desired stiffness."""
-
-    angle: Array
-    period: Array
-    stiffness: Array
-    command: Array
-    reversals: Array
-    change: Change
-
-
 class MetricSample(NamedTuple):
     """Quantities of a control period that metrics are made of; flags are 0 or 1."""
 
@@ -454,7 +444,7 @@ class Accumulation(NamedTuple):
 
     def run(self, periods: Array, period: ArrayLike, change: Change) -> Run:
         """Return the run as a whole, with its oscillations."""
-        return Run(periods, period, Course(*self.oscillation.found(periods, period), change))
+        return Run(periods, period, self.oscillation.found(periods, period), change)
 
 
 _ANGLE_AT_END = RootMeanSquare("rad", "root mean square error of the angle at the end", of="angle_error_at_end")

@@ -379,7 +379,7 @@ def _visited(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     return states, functools.reduce(jnp.maximum, (cycle.amplitude for cycle in cycles))
 
 
-@BatchFunction
+@functools.partial(BatchFunction, flags=("-O1",))  # long, and run for few periods: -O2 takes gcc four times as long
 def _along(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     """Derivatives of the next state and of the commands in a direction of the state and the disturbed commands."""
     (loop, period, substeps), (own, start, state, setpoint, direction) = shared, lane
