@@ -14,7 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
 from mckibben.identification.fit import warning_texts
-from mckibben.identification.fitting import check_law_type, fit_law, law_of
+from mckibben.identification.fitting import check_law_type, fit_law
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
 from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights, with_loads
 from mckibben.identification.least_squares import UnitCube
@@ -246,7 +246,7 @@ def identify_hysteresis(
     if form is not None and (missing := model.missing(form)):
         message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
-    model, start = _started(model, half_gap, law)
+    model, start = _started(model, half_gap)
     notes = [*left_out(outliers)]
     for name in _shapes_at_bound(model.template) & set(of_law):
         of_law = tuple(other for other in of_law if other != name)
@@ -270,33 +270,24 @@ def identify_hysteresis(
     return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
 
 
-def _started(
-    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw], *, rounds: int = 2
-) -> tuple[PathDependentModel, dict[str, float]]:
-    """Model and start of the fits, from alternate fits of the friction and of a law."""
+def _started(model: PathDependentModel, half_gap: float) -> tuple[PathDependentModel, dict[str, float]]:
+    """Best of the models, and its values: which branch paths start on, and whether the muscle rested at turning points.
+
+    The law is free: it would lean towards the friction of the branch that it was fitted with.
+    """
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(model.paths.step))}
-    model, start = _branched(model, start)
-    for _ in range(rounds):
-        friction = model.components(start)[1]
-        corrected = IsobaricDataset(model.means.table.assign(force=("point", model.means.force - friction)))
-        try:
-            model = dataclasses.replace(model, template=law_of(law_type, corrected.select(model.used)))
-        except (IdentificationError, np.linalg.LinAlgError):
-            break  # the start is good enough
-        model, start = _branched(model, start)
-    return model, start | {name: float(getattr(model.template, name)) for name in model.law_names}
-
-
-def _branched(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
-    """Best of the models: which branch paths start on, and whether the muscle rested at turning points or overshot."""
+    start |= {name: float(getattr(model.template, name)) for name in model.law_names}
     models = [
         dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, turn_travel=travel))
         for travel in (TURN_TRAVELS if model.paths.turns.any() else TURN_TRAVELS[:1])
         for side in (model.paths.side, -model.paths.side)
     ]
-    solutions = [branch.fit(start, ("half_width", "log_presliding"), evaluations=20) for branch in models]
+    free = (*model.law_names, "half_width", "log_presliding")
+    solutions = [branch.fit(start, free, evaluations=20) for branch in models]
     best = int(np.argmin([solution.minimum.cost for solution in solutions]))
-    return models[best], solutions[best].values
+    values = solutions[best].values
+    model = dataclasses.replace(models[best], template=model.law(values))
+    return model.weighted(values), values
 
 
 def _shapes_at_bound(law: ForceLaw) -> set[str]:

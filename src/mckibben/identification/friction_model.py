@@ -24,7 +24,7 @@ from mckibben.identification.estimator import (
     standard_errors,
     unidentifiable,
 )
-from mckibben.identification.grouping import finest_grouping, group_labels
+from mckibben.identification.grouping import finest_grouping, group_labels, measured_weights
 from mckibben.identification.least_squares import FitProblem
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, moving_rates
 from mckibben.muscle import ForceLaw, MaxwellSlip
@@ -218,19 +218,33 @@ class PathDependentModel:
         own = [values[name] if name in values else getattr(self.template, name) for name in self._problem.names]
         return self._law(np.array(own, np.float64))
 
-    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
-        """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        half_width, growth, by_tension, viscous, asymmetry, log_presliding = (
-            np.array([values[name] for values in sets]) for name in FRICTION
-        )
+    def weighted(self, values: Mapping[str, float]) -> PathDependentModel:
+        """Model with the weights of the measured quantity (`measured_weights`), by the slope of law and friction."""
+        limit = self._limit(self._tension(values)[0][:, None], [values])
+        deflections, stiffness, share = self._elements(limit, [values])
+        sticks = np.abs(deflections) < limit[self.paths.place][..., None] * share / stiffness
+        slope = self.paths.scattered(np.sum(stiffness * sticks, axis=-1))[:, 0]
+        slope *= self.means.table.attrs["initial_length"]
+        return dataclasses.replace(self, weights=measured_weights(self.law(values), self.means, slope))
+
+    def _limit(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Half width [N] for each column of tensions and its parameter set, shape (rows, sets)."""
+        half_width, growth, by_tension = _columns(sets, "half_width", "growth", "tension_growth")
         above = (self.means.pressure - self.reference_pressure)[:, None]
-        width = half_width + growth * above + by_tension * (tension - self.reference_tension)
-        limit = smooth_limit(width, tension, np)
+        return smooth_limit(half_width + growth * above + by_tension * (tension - self.reference_tension), tension, np)
+
+    def _elements(self, limit: Floats, sets: Sequence[Mapping[str, float]]) -> tuple[Floats, Floats, Floats]:
+        """Deflections [m], shape (points, paths, sets, elements), stiffness [N/m] and share of the elements."""
+        half_width, log_presliding = _columns(sets, "half_width", "log_presliding")
         share, stiffness = polygon(MaxwellSlip.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
-        deflections = play_response(
-            self.paths.travel[..., None], limit[self.paths.place], stiffness, share, side=self.paths.side[:, None]
-        )
+        travel, side = self.paths.travel[..., None], self.paths.side[:, None]
+        return play_response(travel, limit[self.paths.place], stiffness, share, side=side), stiffness, share
+
+    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
+        limit, (viscous, asymmetry) = self._limit(tension, sets), _columns(sets, "viscous", "viscous_asymmetry")
+        deflections, stiffness, _ = self._elements(limit, sets)
         force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
         if self.rate is None or not viscous.any():
             return force
@@ -281,6 +295,11 @@ class PathDependentModel:
         variance = robust_errors(jacobian, minimum.residuals, labels).variance(np.eye(jacobian.shape[1]))[0]
         errors[inside] = np.maximum(errors[inside], np.sqrt(variance))
         return dataclasses.replace(solution, errors=errors)
+
+
+def _columns(sets: Sequence[Mapping[str, float]], *names: str) -> list[Floats]:
+    """Values of the named parameters in each set."""
+    return [np.array([values[name] for values in sets]) for name in names]
 
 
 @dataclass(frozen=True, eq=False)
