@@ -96,11 +96,12 @@ def test_the_isotonic_test_of_the_rig_agrees_with_the_law(tmp_path):
     identify_with_friction(ExponentialLaw, recording.plateaus().dataset)
 
 
-def test_samples_between_held_pressures_are_left_out_and_long_strokes_averaged():
+@pytest.mark.parametrize("ramp", [1, 8])
+def test_samples_between_held_pressures_are_left_out_and_long_strokes_averaged(ramp):
     """Of four pressures with ramps in between, sampled faster at the end."""
     time = np.concatenate([np.arange(0, 76, 0.02), np.arange(76, 80, 0.001)])
-    level = np.interp(time % 20, [0, 1], [0, 1]) + time // 20
-    eps = np.interp(time % 20, [0, 1, 10, 20], [0, 0, 0.1, 0])
+    level = np.interp(time % 20, [0, ramp], [0, 1]) + time // 20
+    eps = np.interp(time % 20, [0, ramp, 14, 20], [0, 0, 0.1, 0])
     pressure = (1 + level) * bar + np.random.default_rng(0).normal(0, 300, len(time))
     data = IsobaricDataset.of(time=time, pressure=pressure, contraction=eps, force=1e-3 * pressure * (1 - 3 * eps))
     assert sample_rate(data.table) == pytest.approx(50)

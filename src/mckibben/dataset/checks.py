@@ -176,8 +176,9 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
 def _copies(points: Points) -> Iterator[Question]:
     """Rows that are no measurements of their own.
 
-    Blocks of rows that repeat others, zeros of all columns, numbers of channels in the first row, and a first or last
-    row, of the table or of a pressure, that equals the mean or median of the others to the last decimal.
+    Blocks of rows that repeat others, zeros of all columns, numbers or ranges of channels in the first row, and a first
+    or last row, of the table or of a pressure, that equals the mean or median of the others to the last decimal. No
+    muscle pulls most where it is shortest, at any pressure.
     """
     rows = points.table
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -191,6 +192,8 @@ def _copies(points: Points) -> Iterator[Question]:
         yield points.ask("rows", "all numbers of a row are 0: a restart?", int(zeros[0]))
     if np.allclose(rows[0], (1, 2, 3)):
         yield points.ask("rows", "looks like numbers of channels:", 0)
+    if len(rows) > 1 and np.all(rows[0] > rows[1:].max(axis=0)):
+        yield points.ask("rows", "exceeds all others in pressure, contraction and force, as ranges of channels do:", 0)
     level = pressure_levels(points.pressure)
     parts = [np.arange(len(rows)), *(np.flatnonzero(level == pressure) for pressure in np.unique(level))]
     tolerance = [0.6 * _resolution(column) for column in rows.T]
@@ -217,7 +220,8 @@ def _saturated(points: Points) -> Iterator[Question]:
     """Readings at the end of a sensor's range.
 
     The largest force repeats, or forces within 3 % of it belong to points of which one has 15 % more pressure and is
-    shorter; or the highest pressure repeats more often than those of other levels (binomial test, 1 %).
+    shorter; or the highest pressure repeats more often than those of other levels (binomial test, 1 %), while not all
+    pressures repeat, as set ones do. Or a force stays in five rows while the muscle moves, and no other in two.
     """
     from scipy.special import bdtrc
 
@@ -225,9 +229,16 @@ def _saturated(points: Points) -> Iterator[Question]:
     parts = [points.pressure[level == value] for value in np.unique(level[np.isfinite(level)])]
     *others, last = [(np.count_nonzero(part == part.max()), len(part)) for part in parts if len(part) > 3] or [(0, 1)]
     usual = [count / size for count, size in others]
-    if others and max(usual) < 1 and bdtrc(last[0] - 1, last[1], np.mean(usual)) < 0.01:
+    some = np.unique(points.pressure, return_counts=True)[1].min() == 1
+    if others and some and max(usual) < 1 and bdtrc(last[0] - 1, last[1], np.mean(usual)) < 0.01:
         text = "the highest pressure repeats, and the others scatter: is the sensor saturated, first"
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
+    begins = np.flatnonzero(np.diff(points.force, prepend=np.nan) != 0)
+    stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
+    if np.count_nonzero(stays > 1) == 1 and stays.max() > 4:
+        first = int(begins[stays.argmax()])
+        if np.ptp(points.contraction[first : first + stays.max()]):
+            yield points.ask("rows", "the force stays for 5 rows or more: was the sensor stuck, first", first)
     top = np.flatnonzero(points.force >= 0.97 * points.force.max())
     pressure, stroke = points.pressure[top], np.ptp(points.contraction)
     shorter = points.contraction[top, None] - points.contraction[top]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
+_DWELLS = 1, 5, 25  # s: at a pressure, as it may rise slowly between two
 _LEVEL = 10 * kPa  # pressures closer than this are of one level
 _MOST = 100  # points of a stroke
 _FEWEST = 3  # points of a level, and of a pass on average
@@ -103,13 +104,16 @@ def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     counts = np.unique(pressure_levels(pressure), return_counts=True, equal_nan=False)[1]
     if not rate or "set_pressure" in table or counts.min(initial=_FEWEST) >= _FEWEST:
         return table, rows, []
-    held = np.zeros(len(pressure), bool)
-    segments = steady_segments([(pressure, _LEVEL)], _restarts(table), int(rate))
-    for first, last in zip(segments.first, segments.last, strict=True):
-        held[first:last] = True
-    held[held] = np.isfinite(pressure_levels(pressure[held]))  # no slow sweep
     under = pressure > _LEVEL
-    if 2 * np.count_nonzero(held & under) <= np.count_nonzero(under):
+    for seconds in _DWELLS:
+        held = np.zeros(len(pressure), bool)
+        segments = steady_segments([(pressure, _LEVEL)], _restarts(table), int(seconds * rate))
+        for first, last in zip(segments.first, segments.last, strict=True):
+            held[first:last] = True
+        held[held] = np.isfinite(pressure_levels(pressure[held]))  # no slow sweep
+        if 2 * np.count_nonzero(held & under) > np.count_nonzero(under):
+            break
+    else:
         return table, rows, []
     note = f"{np.count_nonzero(~held)} samples between pressures that are held are left out"
     return table.isel(point=held), rows[held], [note]
@@ -292,11 +296,12 @@ def one_way_parts(values: Floats, reversal: float = 0.1) -> list[tuple[slice, st
 def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the slack muscle's force subtracted, and notes.
 
-    Without a slack muscle, the table is unchanged, and if no force is 0, a note says that the zero is not known.
+    Without a slack muscle, the table is unchanged, and if no force is 0, a note says that the zero is not known, unless
+    weights hung.
     """
     if (slack := _slack_of(table)) is None:
         unknown = "no slack muscle is recognised: the zero of the load cell is not estimated"
-        return table, [unknown] if table["force"].min() > 0 else []
+        return table, [unknown] if table["force"].min() > 0 and held_loads(table) is None else []
     note = f"{slack}; this offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
     return table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit), [note]
 

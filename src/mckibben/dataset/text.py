@@ -286,11 +286,18 @@ def _no_header(lines: Sequence[str]) -> Problem:
     shown = next((line.strip() for line in lines if line.strip()), "")
     if not shown:
         return Problem("is empty", remedy="give a file with a header and rows")
+    text = f"has no header that is understood; it begins with {shown[:80]!r}"
+    cells = max((_split(shown, separator) for separator in _SEPARATORS[:-1]), key=len)
+    if len(cells) > 2 and all(_BEGINS.match(cell) for cell in cells[1:]) and not _BEGINS.match(cells[0]):
+        remedy = "make a table with one row per point: a column each for pressure, contraction or length, and force"
+        return Problem(f"{text}: a matrix?", remedy=remedy)
     remedy = (
         "name its columns by header or, without one, by position: columns={'HEADER': 'force_N', '2': 'pressure_bar'} "
         "(command line: --column 'HEADER=force_N' --column '2=pressure_bar')"
     )
-    return Problem(f"has no header that is understood; it begins with {shown[:80]!r}", remedy=remedy)
+    if re.search(r"\b(m?V|volts?|counts?)\b", shown, re.IGNORECASE):
+        remedy += ", of sensors with their line: --column 'HEADER=2.5*(x-0.4) pressure_bar'"
+    return Problem(text, remedy=remedy)
 
 
 def _take_words(table: RawTable, lines: Iterable[tuple[int, str]]) -> None:

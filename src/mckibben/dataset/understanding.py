@@ -42,8 +42,14 @@ _SIGN_REMEDY = (
     "name the direction in which it grows, WAY being shortening or lengthening: columns={{{0!r}: 'WAY_{1}'}} "
     "(command line: --column '{0}=WAY_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
-_ELSEWHERE = " (in Python columns={...}); per file: --read 'from_name={pressure_bar}bar', --read 'loads=2 kg, 5 kg'"
-_AT_JOINT = "of torques at angles, give the geometry of the joint: --read joint=FILE (in Python joint=FILE); else "
+_ELSEWHERE = (
+    " (in Python columns={...}); per file: --read 'from_name={pressure_bar}bar', --read 'loads=2 kg, 5 kg'; in that of a "
+    "second device: --read clocks=estimated"
+)
+_AT_JOINT = (
+    "of torques at angles, give the geometry of the joint: --read joint=FILE (in Python joint=FILE), of forces at a "
+    "lever also --read 'lever=250 mm'; else "
+)
 _UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -134,7 +140,7 @@ class _Reader:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
             meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
-            at_joint = "torque" in names.lower() or "moment" in names.lower()
+            at_joint = any(parse_header(column.label or column.name).quantity in _OF_JOINTS for column in raw.columns)
             named = f"{_AT_JOINT if at_joint and not self.recipe.joint else ''}name them: {meant}{_ELSEWHERE}"
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=named)
         self._ask_about_words(chosen)
@@ -317,6 +323,8 @@ class _Reader:
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
         self.bad |= wrong
         marks = np.isin(np.abs(values), _MARKS)
+        inside = values[~marks & ~wrong]
+        marks &= (values > inside.max(initial=-np.inf)) | (values < inside.min(initial=np.inf))
         if 0 < np.count_nonzero(marks) < len(values) / 2:
             row = int(np.argmax(marks))
             text, line = f"{values[row]:g} may mark a missing value", int(self.table.lines[row])

@@ -11,6 +11,7 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
 from mckibben.identification.fit import warning_texts
@@ -72,7 +73,7 @@ class HysteresisFit(Result):
         modelled force [N].
     used
         Mask of the points that count, shape (points,): without outliers, points without a direction, rows at a reversal
-        if the rate counts, and, unless there is drift, slack points.
+        if the rate counts, those where a muscle with a held load sticks and, unless there is drift, slack points.
     points_slack, dataset
         Number of slack points; summary of the data.
     outliers
@@ -287,7 +288,7 @@ def _started(model: PathDependentModel, half_gap: float) -> tuple[PathDependentM
     best = int(np.argmin([solution.minimum.cost for solution in solutions]))
     values = solutions[best].values
     model = dataclasses.replace(models[best], template=model.law(values))
-    return model.weighted(values), values
+    return model if held_loads(model.means.table) is None else model.sliding(values), values
 
 
 def _shapes_at_bound(law: ForceLaw) -> set[str]:

@@ -22,9 +22,10 @@ from mckibben.identification.estimator import (
     remembered,
     robust_errors,
     standard_errors,
+    t_quantile,
     unidentifiable,
 )
-from mckibben.identification.grouping import finest_grouping, group_labels, measured_weights
+from mckibben.identification.grouping import finest_grouping, group_labels
 from mckibben.identification.least_squares import FitProblem
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, moving_rates
 from mckibben.muscle import ForceLaw, MaxwellSlip
@@ -218,14 +219,16 @@ class PathDependentModel:
         own = [values[name] if name in values else getattr(self.template, name) for name in self._problem.names]
         return self._law(np.array(own, np.float64))
 
-    def weighted(self, values: Mapping[str, float]) -> PathDependentModel:
-        """Model with the weights of the measured quantity (`measured_weights`), by the slope of law and friction."""
+    def sliding(self, values: Mapping[str, float]) -> PathDependentModel:
+        """Model without the rows where the muscle sticks after a reversal.
+
+        Where the load is held, it sticks over several pressures, and its friction there is that of moves within the
+        noise of the length.
+        """
         limit = self._limit(self._tension(values)[0][:, None], [values])
         deflections, stiffness, share = self._elements(limit, [values])
-        sticks = np.abs(deflections) < limit[self.paths.place][..., None] * share / stiffness
-        slope = self.paths.scattered(np.sum(stiffness * sticks, axis=-1))[:, 0]
-        slope *= self.means.table.attrs["initial_length"]
-        return dataclasses.replace(self, weights=measured_weights(self.law(values), self.means, slope))
+        slides = np.all(np.abs(deflections) >= limit[self.paths.place][..., None] * (share / stiffness), axis=(2, 3))
+        return dataclasses.replace(self, used=self.used & self.paths.scattered(slides).astype(bool))
 
     def _limit(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Half width [N] for each column of tensions and its parameter set, shape (rows, sets)."""
@@ -272,7 +275,10 @@ class PathDependentModel:
         return PathSolution(values(minimum.values), free, minimum)
 
     def solve(self, start: Mapping[str, float], free: tuple[str, ...]) -> PathSolution:
-        """Bounded least squares with standard errors; an `IdentificationError` if the points do not determine it."""
+        """Bounded least squares with standard errors; an `IdentificationError` if the points do not determine it.
+
+        The errors are those of a normal distribution with the same intervals for 95 %, as groups are few.
+        """
         solution = self.fit(start, free)
         minimum, inside = solution.minimum, solution.inside
         jacobian = minimum.jacobian[:, inside]
@@ -292,8 +298,9 @@ class PathDependentModel:
             )
         errors, _ = standard_errors(minimum.jacobian, minimum.residuals, ~inside)
         labels = group_labels(self.means, finest_grouping(self.means))[self.used]  # as of a fit of the law alone
-        variance = robust_errors(jacobian, minimum.residuals, labels).variance(np.eye(jacobian.shape[1]))[0]
-        errors[inside] = np.maximum(errors[inside], np.sqrt(variance))
+        variance, freedom = robust_errors(jacobian, minimum.residuals, labels).variance(np.eye(jacobian.shape[1]))
+        few = t_quantile(0.95, freedom) / t_quantile(0.95, np.inf)  # groups
+        errors[inside] = np.maximum(errors[inside], few * np.sqrt(variance))
         return dataclasses.replace(solution, errors=errors)
 
 
