@@ -269,7 +269,7 @@ class PathDependentModel:
             np.concatenate([np.clip([start[name] for name in free], lower, upper), np.zeros_like(unbounded)]),
             lambda x: self.jacobian(values(x), free),
             (np.concatenate([lower, -unbounded]), np.concatenate([upper, unbounded])),
-            tolerance=1e-10,
+            tolerance=1e-8,
             evaluations=evaluations,
         )
         return PathSolution(values(minimum.values), free, minimum)
