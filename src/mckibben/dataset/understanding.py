@@ -43,8 +43,8 @@ _SIGN_REMEDY = (
     "(command line: --column '{0}=WAY_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
 _ELSEWHERE = (
-    " (in Python columns={...}); per file: --read 'from_name={pressure_bar}bar', --read 'loads=2 kg, 5 kg'; in that of a "
-    "second device: --read clocks=estimated"
+    " (in Python columns={...}); per file: --read 'from_name={pressure_bar}bar', --read 'loads=2 kg, 5 kg'; in that "
+    "of a second device: --read clocks=estimated"
 )
 _AT_JOINT = (
     "of torques at angles, give the geometry of the joint: --read joint=FILE (in Python joint=FILE), of forces at a "
