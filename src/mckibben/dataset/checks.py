@@ -6,7 +6,7 @@ and quadratic in the contraction (Chou and Hannaford, IEEE Trans. Robotics and A
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -122,14 +122,7 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
     if asked := list(_sign(points)) or list(_ranges(points, specimen)):
         return asked
     points = points.every(1 + len(points.force) // most)
-    checks: tuple[Callable[[Points], Iterator[Question]], ...] = (
-        _copies,
-        _saturated,
-        _counted,
-        _surface,
-        _exchanged,
-        _offsets,
-    )
+    checks = _copies, _saturated, _surface, _offsets
     return [asked for check in checks for asked in check(points)]
 
 
@@ -221,7 +214,7 @@ def _saturated(points: Points) -> Iterator[Question]:
 
     The largest force repeats, or forces within 3 % of it belong to points of which one has 15 % more pressure and is
     shorter; or the highest pressure repeats more often than those of other levels (binomial test, 1 %), while not all
-    pressures repeat, as set ones do. Or a force stays in five rows while the muscle moves, and no other in two.
+    pressures repeat, as set ones do. Or a force stays in five rows, and no other in two.
     """
     from scipy.special import bdtrc
 
@@ -237,8 +230,7 @@ def _saturated(points: Points) -> Iterator[Question]:
     stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
     if np.count_nonzero(stays > 1) == 1 and stays.max() > 4:
         first = int(begins[stays.argmax()])
-        if np.ptp(points.contraction[first : first + stays.max()]):
-            yield points.ask("rows", "the force stays for 5 rows or more: was the sensor stuck, first", first)
+        yield points.ask("rows", "the force stays for 5 rows or more: was the sensor stuck, first", first)
     top = np.flatnonzero(points.force >= 0.97 * points.force.max())
     pressure, stroke = points.pressure[top], np.ptp(points.contraction)
     shorter = points.contraction[top, None] - points.contraction[top]
@@ -249,15 +241,6 @@ def _saturated(points: Points) -> Iterator[Question]:
     ):
         text = "forces of very different points are within 3 % of the largest: is the sensor saturated, first"
         yield points.ask("saturation", text, int(top[np.argmax(apart.any(axis=1))]), "force")
-
-
-def _counted(points: Points) -> Iterator[Question]:
-    """Pressures that a spreadsheet counted up while the muscle reversed."""
-    steps, moves = np.diff(points.pressure), np.diff(points.contraction)
-    large = moves[np.abs(moves) > 0.1 * np.median(np.abs(moves))] if len(moves) else moves
-    equal = len(steps) > 3 and steps.any() and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
-    if equal and np.count_nonzero(np.diff(np.sign(large))) > 1:
-        yield points.ask("rows", "the pressure rises by one step from row to row: was it counted up?", field="pressure")
 
 
 def _surface(points: Points) -> Iterator[Question]:
@@ -348,16 +331,6 @@ def residuals_of(values: Floats, basis: Floats) -> Floats:
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
-def _exchanged(points: Points) -> Iterator[Question]:
-    """Contraction without load that is proportional to the pressure, as the force at full length is."""
-    level = np.nan_to_num(pressure_levels(points.pressure))
-    free = [rows[np.argmin(points.force[rows])] for rows in (np.flatnonzero(level == at) for at in np.unique(level))]
-    ratio = points.contraction[free] / np.maximum(points.pressure[free], 1.0)
-    slack = points.force[free].max() <= 0.05 * points.force.max()
-    if len(free) > 2 and slack and points.force.max() < 50 and 0 < ratio.max() < 1.15 * ratio.min():
-        yield points.ask("order", "the contraction without load is proportional to the pressure: exchanged columns?")
-
-
 def _offsets(points: Points) -> Iterator[Question]:
     """Forces that begin at the pressure of the atmosphere, or that remain without pressure.
 
@@ -390,7 +363,7 @@ def _offsets(points: Points) -> Iterator[Question]:
 
 
 def _labels(dataset: IsobaricDataset) -> Iterator[Question]:
-    """Set pressures far from the measured ones, and directions that are the reverse of the motion."""
+    """Set pressures and loads far from the measured ones."""
     table, level = dataset.table, dataset.levels
     for name in ("pressure", "force"):
         measured = table[name].to_numpy()
@@ -399,11 +372,3 @@ def _labels(dataset: IsobaricDataset) -> Iterator[Question]:
             text = f"{np.count_nonzero(apart)} set {name}s are far from the measured ones"
             remedy = "check the units of both, or ignore the column"
             yield question(text, "order", field=f"set_{name}", remedy=remedy)
-    if "direction" in table:
-        label = table["direction"].to_numpy()
-        steps = np.where(np.diff(level) == 0, np.diff(dataset.contraction), 0.0)
-        used = (label[1:] == label[:-1]) & (np.abs(steps) > 0.2 * percent)
-        signs = [sign * steps[used & (label[1:] == word)] > 0 for word, sign in (("loading", 1), ("unloading", -1))]
-        if all(len(wrong) > 2 and wrong.mean() > 0.9 for wrong in signs):  # of one direction they may be sorted
-            text = "the contraction grows in loading and falls in unloading, but loading is being stretched"
-            yield question(text, "order", field="direction", remedy="exchange the words")
