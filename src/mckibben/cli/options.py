@@ -35,14 +35,14 @@ def on_command_line(text: str) -> str:
     return _BOTH_REMEDIES.sub(r"\1", text)
 
 
-def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
+def echo(text: str, *, err: bool = False) -> None:
     """Print text; control characters, such as escape sequences in names, are escaped. Messages keep to the terminal."""
     shown, stream = printable(text), sys.stderr if err else sys.stdout
-    if nl and stream.isatty() and not shown.startswith("{"):  # JSON is kept
+    if stream.isatty() and not shown.startswith("{"):  # JSON is kept
         width = shutil.get_terminal_size().columns
         whole: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
         shown = "\n".join(textwrap.fill(line, width, subsequent_indent="    ", **whole) for line in shown.splitlines())
-    print(shown, file=stream, end="\n" * nl, flush=True)
+    print(shown, file=stream, flush=True)
 
 
 def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False) -> float:
@@ -68,11 +68,6 @@ def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False)
         message = f"{option} {quoted(text)} is not above 0"
         raise ParameterError(message, field=option, value=value, unit=unit, remedy="give a positive value")
     return value
-
-
-def parse_optional(option: str, text: str, unit: str, *, positive: bool = False) -> float | None:
-    """As `parse_quantity`; None if the option was not given."""
-    return parse_quantity(option, text, unit, positive=positive) if text else None
 
 
 def parse_limits(option: str, text: str, unit: str) -> tuple[float, float]:

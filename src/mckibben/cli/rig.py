@@ -16,7 +16,7 @@ from typer import Argument
 
 from mckibben.cli.command import plain_command, present
 from mckibben.cli.help import Command, Commands
-from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_optional, required_folder
+from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_quantity, required_folder
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 from mckibben.storage.files import check_free, make_folder
 from mckibben.units import bar, deg, percent
@@ -174,7 +174,7 @@ def run(
     from mckibben.rig.record import segments
     from mckibben.rig.running import check
 
-    standing = parse_optional("--standing-at", standing_at, "1")
+    standing = parse_quantity("--standing-at", standing_at, "1") if standing_at else None
     if standing is not None and not resume:
         raise ParameterError("--standing-at applies to a resumed test", remedy="add --resume")
     test, document = read_test(protocol)
