@@ -142,8 +142,8 @@ def spacing(periods: int) -> int:
 
 
 def full_vectors(runs: Runs) -> Runs:
-    """Runs repeated to fill vectors: XLA compiles a program for each number of them."""
-    return np.resize(runs, -(-runs.size // VECTOR) * VECTOR)
+    """Runs repeated to fill vectors of 64-bit numbers: XLA compiles a program for each number of them."""
+    return np.resize(runs, -(-runs.size // (VECTOR // 2)) * (VECTOR // 2))
 
 
 class Refinement(NamedTuple):
@@ -202,11 +202,15 @@ def refine(
         counts = np.isfinite(fine).all(axis=0)
         if meaningful is not None:
             counts &= meaningful(fine, runs)
+        with np.errstate(invalid="ignore", over="ignore"):
+            apart = np.minimum(np.abs(fine - coarse).max(axis=0), np.finfo(float).max)
+        apart[np.isnan(apart)] = np.inf
+        if counts.all():  # the common case
+            return apart
         counts = np.logical_and.accumulate(counts, axis=0)
         ends = np.zeros_like(counts)
         ends[1:] = counts[:-1] & ~counts[1:]
         with np.errstate(invalid="ignore", over="ignore"):
-            apart = np.nan_to_num(np.abs(fine - coarse), nan=np.inf).max(axis=0)
             alike = apart < _SAME_END * (1 + np.abs(fine).max(axis=0))
         return np.where(counts, apart, np.where(ends & ~alike, np.inf, 0.0))
 

@@ -352,7 +352,7 @@ class _Runs(NamedTuple):
             padded = full_vectors(which)
             constant = *shared, np.asarray(self.period, float), np.asarray(substeps), every
             positions, _ = _positions(self.engine, constant, jax.tree.map(lambda leaf: leaf[..., padded], varying))
-            return np.stack(positions)[..., : which.size]
+            return np.stack([x[..., : which.size] for x in positions])
 
         def meaningful(angles: Positions, which: Runs) -> NDArray[np.bool_]:
             near = np.abs(angles[0] - (desired if desired.shape[1] == 1 else desired[:, which])) <= SWUNG_OVER_AT
