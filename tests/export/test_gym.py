@@ -150,7 +150,7 @@ def test_random_plants_are_within_their_ranges_and_belong_to_a_seed(env, envs, s
     assert masses.shape == (8,)
     assert 0.25 <= masses.min() < masses.max() <= 0.75
     np.testing.assert_array_equal(masses, envs.joint.plants.varying.plant.load.mass2)
-    other = JointEnv(scenario, random_plant=RANDOM, repeat=REPEAT, plants=8, plants_seed=1)
+    other = JointEnv(scenario, random_plant="load.mass2=+-50 %", repeat=REPEAT, plants=8, plants_seed=1)
     assert not np.any(np.isin(masses, other.joint.plants.varying.plant.load.mass2))
 
 

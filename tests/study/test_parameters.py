@@ -140,7 +140,7 @@ def test_a_spread_has_to_go_with_its_number(name, spread, why):
 MIXED = sweep_parameters(
     BACKPROP,
     {
-        "load.mass2": Uniform(0.2, 1.0, points=5),
+        "load.mass2": Uniform(0.2, 1.0),
         "controller.position.base.kp": LogUniform(1e4, 1e6),
         "controller.position.seed": Values(tuple(range(10))),
         "valve.time_constant": Normal(0.02, 0.005),
@@ -203,6 +203,13 @@ def test_a_grid_is_every_combination_the_last_number_fastest():
 def test_a_grid_that_is_none_is_refused(texts, why):
     with pytest.raises(ParameterError, match=why):
         sample(parse_sweeps(texts, BACKPROP), "grid")
+
+
+@pytest.mark.parametrize("design", ["sobol", "random"])
+def test_points_of_a_grid_belong_to_the_design_of_a_grid(design):
+    with pytest.raises(ParameterError) as refused:
+        sample(parse_sweeps(["load.mass2=1..3 kg in 3"], BACKPROP), design)
+    assert "--design grid" in refused.value.remedy
 
 
 @pytest.mark.parametrize(

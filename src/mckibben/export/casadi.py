@@ -82,7 +82,8 @@ def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str
     inputs: dict[str, PyTree] = {}
     names_by_argument = {argument: element_names(argument, members) for argument, members in function.arguments.items()}
     if parameters:
-        names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in parameters]
+        symbolic = [parameters] if isinstance(parameters, str) else parameters
+        names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in symbolic]
     for argument, names in names_by_argument.items():
         symbols[argument] = casadi.SX.sym(argument, len(names))
         inputs.update({name: symbols[argument][place] for place, name in enumerate(names)})

@@ -159,6 +159,7 @@ def example_of(
     scenario: Scenario | Suite | str | os.PathLike[str], random_plant: Sequence[str]
 ) -> tuple[Scenario, tuple[str, ...]]:
     """Scenario, and the variations of its plant; a suite adds its conditions."""
+    random_plant = (random_plant,) if isinstance(random_plant, str) else random_plant
     if isinstance(scenario, Suite):
         return scenario.example(), (*conditions_of(scenario), *random_plant)
     return (scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)), tuple(random_plant)

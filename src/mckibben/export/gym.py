@@ -66,7 +66,7 @@ class _Joint:
         plants_seed: int = 0,
     ) -> None:
         self.scenario, random_plant = example_of(scenario, random_plant)
-        nominal = self.scenario.plant()
+        nominal, reward = self.scenario.plant(), RewardTerms(*map(float, reward))
         if reward.air_price and not all(
             muscle.specimen.has_volume for muscle in (nominal.joint.muscle1, nominal.joint.muscle2)
         ):
@@ -90,8 +90,7 @@ class _Joint:
         if direct:
             ranges, unit, shown = [(-1.0, 1.0)] * 2, 1.0, "1"
         low, high = np.array(ranges).T
-        terms = RewardTerms(*map(float, reward))
-        self.settings = numeric(Settings(self.scenario.control_period, low, high, terms))
+        self.settings = numeric(Settings(self.scenario.control_period, low, high, reward))
         units, limits = zip(*(elements := elements_of(history)).values(), strict=True)
         limit = np.array(limits, np.float32)
         self.observation_space = Box(-limit, limit, dtype=np.float32)

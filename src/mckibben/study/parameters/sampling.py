@@ -279,7 +279,8 @@ def sample(
 ) -> Table:
     """Sample combinations of values.
 
-    Raises `ParameterError` if there is no parameter, one is repeated, or a grid has no number of points.
+    Raises `ParameterError` if there is no parameter, one is repeated, or a grid has no number of points or another
+    design has one.
 
     Parameters
     ----------
@@ -306,6 +307,9 @@ def sample(
         raise ParameterError("nothing is varied", remedy="name a parameter, as in 'load.mass2=0.2 kg..1.0 kg'")
     if method == "grid":
         return _grid(swept)
+    if pointed := next((parameter for parameter in swept if getattr(parameter.distribution, "points", None)), None):
+        remedy = "leave `in ...` out, or sample a grid (command line: --design grid)"
+        raise ParameterError(f"{pointed.text} has points of a grid, and the design is {method}", remedy=remedy)
     check_count("samples", samples, 1, MAX_ROWS)
     check_count("seed", seed, 0, 2**63 - 1)
     generator = np.random.Generator(np.random.PCG64(seed))
