@@ -1,7 +1,7 @@
 """Controllers and references. A controller knows a model of the joint, never the plant."""
 
 from mckibben.control.backprop import BackpropPID
-from mckibben.control.base import Controller, JointModel, LoadModel, Loop, Measurement, Reference, Setpoint, ValveModel
+from mckibben.control.base import Controller, JointModel, Loop, Measurement, Reference, Setpoint
 from mckibben.control.cost import AngleLimits, StageCost, StageEnd
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
@@ -37,7 +37,6 @@ __all__ = [
     "Feedback",
     "InverseModelControl",
     "JointModel",
-    "LoadModel",
     "Loop",
     "Measurement",
     "Multisine",
@@ -60,6 +59,5 @@ __all__ = [
     "StageEnd",
     "Step",
     "Sum",
-    "ValveModel",
     "VelocityObserver",
 ]

@@ -57,6 +57,9 @@ class Feedforward(NamedTuple):
     path: Scalar  # displacement [rad] that the position loop does not see, so that its derivative does not oppose it
 
 
+NO_FEEDFORWARD = Feedforward(0.0, 0.0, 0.0)
+
+
 class PositionStiffnessControl(Controller[PositionStiffnessState]):
     """Position loop on the differential pressure pd, stiffness loop on the co-contraction pc (Fig. 5 of the paper).
 
@@ -103,24 +106,21 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
             warnings.warn(f"{text} Pa for an error of 1 rad: {remedy}", McKibbenWarning, stacklevel=user_level())
 
     def init(self, measurement: Measurement) -> PositionStiffnessState:
-        return self.init_with(None, measurement)
+        return self.init_with(NO_FEEDFORWARD, measurement)
 
     def step(
         self, state: PositionStiffnessState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PositionStiffnessState, Pair]:
-        return self.step_with(None, state, setpoint, measurement, period)
+        return self.step_with(NO_FEEDFORWARD, state, setpoint, measurement, period)
 
-    def init_with(self, feedforward: Feedforward | None, measurement: Measurement) -> PositionStiffnessState:
+    def init_with(self, feedforward: Feedforward, measurement: Measurement) -> PositionStiffnessState:
         """Return the initial state with a feedforward."""
         angle, (pressure1, pressure2) = measurement
         estimate = self.model.stiffness_for(angle, measurement.pressures, self.stiffness_amplitude)
-        differential, cocontraction = (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
-        if feedforward is not None:
-            differential = differential - feedforward.differential
-            cocontraction = cocontraction - feedforward.cocontraction
-            angle = angle - feedforward.path
+        differential = (pressure2 - pressure1) / 2 - feedforward.differential
+        cocontraction = (pressure1 + pressure2) / 2 - feedforward.cocontraction
         return PositionStiffnessState(
-            position=self.position.init(angle, angle, differential),
+            position=self.position.init(angle - feedforward.path, angle - feedforward.path, differential),
             stiffness=self.stiffness.init(estimate, estimate, cocontraction),
             estimate=estimate,
             saturated=jnp.asarray(False),
@@ -128,7 +128,7 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
 
     def step_with(
         self,
-        feedforward: Feedforward | None,
+        feedforward: Feedforward,
         state: PositionStiffnessState,
         setpoint: Setpoint,
         measurement: Measurement,
@@ -137,21 +137,15 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
         """Return the next state and the commands with a feedforward."""
         angle, pressures = measurement
         estimate = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
-        target, measured = setpoint.angle, angle
-        if feedforward is not None:
-            target, measured = target - feedforward.path, measured - feedforward.path
+        target, measured = setpoint.angle - feedforward.path, angle - feedforward.path
         position, differential = self.position.step(state.position, target, measured, period)
         stiffness, cocontraction = self.stiffness.step(state.stiffness, setpoint.stiffness, estimate, period)
 
-        offset, mean_offset = (
-            (0.0, 0.0) if feedforward is None else (feedforward.differential, feedforward.cocontraction)
-        )
-        commands, saturated = limit_commands(
-            self.model, self.minimum_tension, angle, differential + offset, cocontraction + mean_offset
-        )
-        given_differential, given_mean = achieved(self.model, commands, cocontraction + mean_offset)
-        position = self.position.track(position, differential, given_differential - offset, period)
-        stiffness = self.stiffness.track(stiffness, cocontraction, given_mean - mean_offset, period)
+        wanted = differential + feedforward.differential, cocontraction + feedforward.cocontraction
+        commands, saturated = limit_commands(self.model, self.minimum_tension, angle, *wanted)
+        given_differential, given_mean = achieved(self.model, commands, wanted[1])
+        position = self.position.track(position, differential, given_differential - feedforward.differential, period)
+        stiffness = self.stiffness.track(stiffness, cocontraction, given_mean - feedforward.cocontraction, period)
         return PositionStiffnessState(position, stiffness, estimate, saturated), commands
 
     def telemetry(self, state: PositionStiffnessState) -> dict[str, Scalar]:

@@ -84,25 +84,6 @@ class TorqueStiffnessMap(NamedTuple):
     torque: AffineMap
     stiffness: AffineMap
 
-    def pressures_for(self, torque: ArrayLike, stiffness: ArrayLike) -> Pair:
-        """Return the gauge pressures [Pa] that give a torque [N*m] and a stiffness [N*m/rad], without limits.
-
-        The exact inverse of the 2x2 map; not finite where it is singular.
-
-        >>> from mckibben import catalog
-        >>> affine = catalog.joint("knee-table-2").affine_map(0.1)
-        >>> back = affine.pressures_for(affine.torque((3e5, 4e5)), affine.stiffness((3e5, 4e5)))
-        >>> [round(float(pressure)) for pressure in back]
-        [300000, 400000]
-        """
-        (torque0, t1, t2), (stiffness0, k1, k2) = self.torque, self.stiffness
-        more_torque, more_stiffness = torque - torque0, stiffness - stiffness0
-        determinant = t1 * k2 - t2 * k1
-        return (
-            (k2 * more_torque - t2 * more_stiffness) / determinant,
-            (t1 * more_stiffness - k1 * more_torque) / determinant,
-        )
-
 
 class MuscleForces(NamedTuple):
     """Tensions [N], torque [N*m] and contractions [-] of the muscles, friction and creep included."""

@@ -90,12 +90,6 @@ def solve_static(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, 
     A stiffness of NaN selects the middle of the segment of co-contraction. Compiled; differentiable with respect to the
     arguments and the joint's parameters by one Newton step at the root.
     """
-    return _solve_static(joint, angle, torque, stiffness)
-
-
-def _solve_static(
-    joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike
-) -> StaticSolution:
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     return _solve(segment.profile(), segment.feasible, stiffness, _fractions(joint))
 
@@ -103,7 +97,7 @@ def _solve_static(
 @jit
 def _solve_many(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the solutions for arrays of shape (n,)."""
-    return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)
+    return jax.vmap(lambda *numbers: solve_static(joint, *numbers))(angle, torque, stiffness)
 
 
 def pressures_for(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:

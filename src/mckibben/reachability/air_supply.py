@@ -51,17 +51,12 @@ def air_supply(
     cycle: float,
     supply: float,
     tube_length: float,
-    *,
-    valve_margin: float = 2.0,
-    tube_margin: float = 4.0,
-    compressor_margin: float = 1.3,
-    drop: float = 0.05,
 ) -> AirSupply:
     """Size the air supply for a motion whose last cycle [s] is periodic; isothermal air in the muscles.
 
     The motion is angle [rad], velocity and acceleration at times [s], with a stiffness [N*m/rad] of the joint.
-    Valve and tube have multiples of the needed conductance, of a critical pressure ratio of 0.3; the compressor has a
-    margin for leaks and its rests. In a cycle the absolute pressure of the reservoir drops by a part of the supply.
+    Valve and tube have two and four times the needed conductance, of a critical pressure ratio of 0.3; the compressor
+    has 30 % more than the mean for leaks and its rests. In a cycle the absolute pressure of the reservoir drops by 5 %.
     Raises `UnreachableError` if no pressures give the motion, or no valve of the catalog is large enough.
     """
     torque = plant.load.required_torque(*motion)
@@ -77,15 +72,15 @@ def air_supply(
         vent = np.asarray(mass_flow(1.0, 0.3, absolute, ATMOSPHERE))
         needed = max(needed, float((flow / fill).max()), float((-flow / np.maximum(vent, 1e-12)).max()))
         taken += float(np.maximum(np.diff(mass[last]), 0.0).sum())
-    name, valve = _valve(valve_margin * needed, supply)
+    name, valve = _valve(2 * needed, supply)
     return AirSupply(
         needed,
         valve,
         name,
-        _tube(tube_margin * needed, tube_length),
+        _tube(4 * needed, tube_length),
         taken / DENSITY,
-        taken * ENERGY / (drop * (supply + ATMOSPHERE)),
-        compressor_margin * taken / DENSITY / cycle,
+        taken * ENERGY / (0.05 * (supply + ATMOSPHERE)),
+        1.3 * taken / DENSITY / cycle,
     )
 
 
