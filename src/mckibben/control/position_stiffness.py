@@ -57,7 +57,7 @@ class Feedforward(NamedTuple):
     path: Scalar  # displacement [rad] that the position loop does not see, so that its derivative does not oppose it
 
 
-NO_FEEDFORWARD = Feedforward(0.0, 0.0, 0.0)
+NO_FEEDFORWARD = Feedforward(0.0, 0.0, 0.0)  # type: ignore[arg-type]  # plain numbers
 
 
 class PositionStiffnessControl(Controller[PositionStiffnessState]):
