@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -222,22 +221,6 @@ def draws(minima: Sequence[LocalMinimum], count: int) -> Array:
     return jnp.asarray([minima[0].z, *drawn])
 
 
-def with_derivatives(function: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
-    """Return values, shape (samples,), and their derivatives with respect to parameters, shape (samples, parameters).
-
-    >>> values, slopes = with_derivatives(lambda z: z**2, jnp.array([1.0, 3.0]))
-    >>> values.tolist(), slopes.tolist()
-    ([1.0, 9.0], [[2.0, 0.0], [0.0, 6.0]])
-    """
-
-    def twice(z: Array) -> tuple[Array, Array]:
-        values = function(z)
-        return values, values
-
-    slopes, values = jax.jacfwd(twice, has_aux=True)(z)
-    return values, slopes
-
-
 class OutputErrorFit(NamedTuple):
     """Result of `fit_output_error`.
 
@@ -251,11 +234,6 @@ class OutputErrorFit(NamedTuple):
 
     minimum: LocalMinimum
     errors: list[Floats]
-
-    @property
-    def residual(self) -> float:
-        """Root mean square error."""
-        return root_mean_square(self.errors)
 
 
 def fit_output_error(

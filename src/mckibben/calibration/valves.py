@@ -37,7 +37,6 @@ from mckibben.calibration.fitting import (
     misfit_remarks,
     noise_of,
     root_mean_square,
-    with_derivatives,
 )
 from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError
@@ -123,16 +122,14 @@ class ValveCalibration(Calibration):
     @property
     def differing(self) -> tuple[str, ...]:
         """Names of the determined quantities in which the two valves differ by more than three standard deviations."""
-        if len(self.valves) == 1:
-            return ()
         names = (parameter.name for parameter in next(iter(self._problems.values())).parameters)
-        return tuple(name for name in names if self._differs(name))
-
-    def _differs(self, name: str) -> bool:
-        first, second = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
-        if first is None or second is None or not (first.determined and second.determined):
-            return False
-        return abs(first.value - second.value) > 3 * math.hypot(first.deviation, second.deviation)
+        pairs = {name: [self.quantities.get(f"valve{number}.{name}") for number in (1, 2)] for name in names}
+        return tuple(
+            name
+            for name, (first, second) in pairs.items()
+            if first and second and first.determined and second.determined
+            if abs(first.value - second.value) > 3 * math.hypot(first.deviation, second.deviation)
+        )
 
     @property
     def muscles(self) -> tuple[int, ...]:
@@ -425,7 +422,13 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
 @jit_arrays
 def _sensitivities(problem: _Problem, z: ArrayLike, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
     """Pressures [Pa] of a muscle, shape (samples,), and their derivatives, shape (samples, parameters)."""
-    return with_derivatives(lambda z: _simulated(problem, z, record, muscle, substeps), jnp.asarray(z))
+
+    def simulated(z: Array) -> tuple[Array, Array]:
+        pressures = _simulated(problem, z, record, muscle, substeps)
+        return pressures, pressures
+
+    slopes, pressures = jax.jacfwd(simulated, has_aux=True)(jnp.asarray(z))
+    return pressures, slopes
 
 
 def _traced(problem: _Problem) -> _Problem:
