@@ -106,7 +106,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3620,
     "joint": 1190,
-    "robot": 4630,
+    "robot": 4590,
     "muscle": 1620,
     "numerics": 810,
     "paper": 720,

@@ -9,13 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from mckibben import robot as robots
-from mckibben.actuator import IdealValve, Tube
 from mckibben.cli import app
 from mckibben.codegen.templates import filled
 from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.robot.landing import valve_with
-from mckibben.robot.scenario import DrawSettings
-from mckibben.robot.uncertainty import drawn_air, drawn_plant, with_mass
+from mckibben.robot.uncertainty import drawn_plant, with_mass
 from mckibben.storage.files import file_lock
 from tests.robot.conftest import FILE
 
@@ -225,60 +223,6 @@ def test_draws_scatter_about_the_nominal_robot(scenario):
     assert strength[0] == 1.0 and strength[1:].std() == pytest.approx(0.05, rel=0.1)
     mass = np.asarray(plant.robot.bodies[0].mass)
     assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
-    assert np.ndim(plant.valve.polytropic_index) == 0
-
-
-def test_draws_of_the_air(scenario):
-    spec = DrawSettings(wall_conductance=0.3, polytropic_index=0.2, draws=2000)
-    warm = dataclasses.replace(scenario.valve, wall_conductance=0.5)
-    valve = drawn_air(warm, spec)
-    wall, index = np.asarray(valve.wall_conductance), np.asarray(valve.polytropic_index)
-    assert wall[0] == 0.5 and np.log(wall[1:]).std() == pytest.approx(0.3, rel=0.1) and np.ndim(valve.leak) == 0
-    assert index[0] == 1.2 and (index.min(), index.max()) == (1.0, 1.4)
-    tube = drawn_air(Tube(warm, volume=3e-6, conductance=2e-9), spec)
-    np.testing.assert_array_equal(tube.wall_conductance, wall)
-    assert drawn_air(IdealValve(), spec) == IdealValve()
-    alone = drawn_air(warm, spec.model_copy(update={"wall_conductance": 0.0}))
-    np.testing.assert_array_equal(alone.polytropic_index, index)
-    assert abs(np.corrcoef(np.log(wall), index)[0, 1]) < 0.1
-
-
-REGULATOR = "{from: smc-itv0050, supply: 7 bar}"
-WARM = "{from: smc-itv0050, supply: 7 bar, wall_conductance: 0.5 W/K}"
-
-
-@pytest.mark.parametrize(
-    ("name", "valve", "remedy"),
-    [
-        ("wall_conductance", REGULATOR, "that has it"),
-        ("leak", REGULATOR, "that has it"),
-        ("dead_volume", REGULATOR, "that has it"),
-        ("polytropic_index", WARM, "wall_conductance"),
-        ("polytropic_index", "ideal", "a valve with air"),
-        ("leak", "{time_constant: 20 ms}", "a valve with air"),
-        ("polytropic_index", f"{{class: unequal, muscle: {REGULATOR}}}", "one valve"),
-    ],
-)
-def test_scatter_of_air_that_the_valve_does_not_have(name, valve, remedy):
-    with pytest.raises(ScenarioError) as caught:
-        robots.RobotScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
-    (problem,) = caught.value.problems
-    assert problem.field == f"uncertainty.{name}" and remedy in problem.remedy
-
-
-@pytest.mark.slow
-def test_a_landing_of_a_draw_is_that_with_its_air(scenario):
-    none = {"strength": 0.0, "mass": 0.0}
-    spec = scenario.uncertainty.model_copy(update=none | {"polytropic_index": 0.1})
-    drawn = robots.study_landing(scenario.model_copy(update={"uncertainty": spec}))
-    draw = 7
-    index = float(np.asarray(drawn_air(scenario.valve, spec).polytropic_index)[draw])
-    own = dataclasses.replace(scenario.valve, polytropic_index=index)
-    spec = scenario.uncertainty.model_copy(update=none)
-    alone = robots.study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": own}))
-    found, expected = (one.table["peak_trunk_force"].sel(valve=robots.landing.CLOSED) for one in (drawn, alone))
-    np.testing.assert_allclose(found.sel(draw=draw), expected.sel(draw=0), rtol=1e-5)
-    assert np.ptp(found.to_numpy(), axis=-1).max() > 100 * np.ptp(expected.to_numpy(), axis=-1).max()
 
 
 def test_draws_of_the_mass_scale_every_inertia():

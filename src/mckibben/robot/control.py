@@ -156,7 +156,7 @@ class JointwiseState(NamedTuple):
 
 
 class JointwiseControl(TrackingControl):
-    """A controller of position and stiffness for each joint with a pair, and constant pressures of other muscles.
+    """A controller of position and stiffness for each joint of a robot that has pairs of muscles alone.
 
     Parameters
     ----------
@@ -164,12 +164,9 @@ class JointwiseControl(TrackingControl):
         One controller of a joint for each joint of the robot; each has its own model.
     reference
         Setpoints of the joints.
-    others
-        Gauge pressures [Pa] of the muscles that are in no pair.
     """
 
     controllers: tuple[Controller, ...]
-    others: tuple[Pressure, ...] = ()
 
     def init(self, measurement: RobotMeasurement) -> JointwiseState:
         check_count("controllers", len(self.controllers), len(measurement.angles), "joint, in their order")
@@ -183,8 +180,8 @@ class JointwiseControl(TrackingControl):
     ) -> tuple[JointwiseState, tuple[Array, ...]]:
         parts = enumerate(zip(self.controllers, state.controllers, setpoints, strict=True))
         steps = [one.step(held, to, _of_joint(measurement, index), period) for index, (one, held, to) in parts]
-        commands = [command for _, pair in steps for command in pair]
-        return state._replace(controllers=tuple(held for held, _ in steps)), (*commands, *map(jnp.asarray, self.others))
+        commands = tuple(command for _, pair in steps for command in pair)
+        return state._replace(controllers=tuple(held for held, _ in steps)), commands
 
     def telemetry(self, state: JointwiseState) -> dict[str, PyTree]:
         signals = [one.telemetry(held) for one, held in zip(self.controllers, state.controllers, strict=True)]
@@ -199,9 +196,10 @@ def check_pairs(robot: Robot, controller: RobotController) -> None:
     """Raise `RangeError` if a controller commands pairs of muscles, and joints of a robot have none."""
     if isinstance(controller, JointwiseControl):
         check_count("controllers", len(controller.controllers), len(robot.pairs), "joint with a pair of muscles")
-        if list(robot.pairs.items()) != [(index, 2 * index) for index in range(len(robot.joints))]:
-            remedy = "give all joints a pair, in their order and before the other muscles"
-            raise RangeError("a controller of pairs, of a robot with others", field="controllers", remedy=remedy)
+        in_order = list(robot.pairs.items()) == [(index, 2 * index) for index in range(len(robot.joints))]
+        if not in_order or len(robot.all_muscles) > 2 * len(robot.joints):
+            remedy = "give one `controller` of all muscles, or each joint a pair, in their order, and no other muscles"
+            raise RangeError("controllers of pairs, of a robot with other muscles", field="controllers", remedy=remedy)
 
 
 def _of_joint(measurement: RobotMeasurement, index: int) -> Measurement:

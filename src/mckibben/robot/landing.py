@@ -24,7 +24,7 @@ from mckibben.robot.metrics import RobotMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import simulate_robots
-from mckibben.robot.uncertainty import drawn_air, drawn_plant, take
+from mckibben.robot.uncertainty import drawn_plant, take
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
@@ -124,7 +124,7 @@ class LandingStudy(Result):
             columns[f"{kind}_share"] = Column("1", "bottoms out", "%", digits=3), meets
         ends = np.percentile(levels[best[..., 1:]], EDGES, axis=-1)
         for name, edge, own in zip(("low", "high"), EDGES, ends, strict=True):
-            columns[f"best_{name}"] = Column("N*m/rad", f"nominal best, {edge:g} % of draws", digits=3), own
+            columns[f"best_{name}"] = Column("N*m/rad", f"nominal best, {edge:g} % of draws", dims=("landing",)), own
         nominal = np.take_along_axis(stopped[..., 0], best[..., :1], axis=-1)[..., 0]
         remark = np.where(nominal, "the nominal best bottoms out", "")
         columns["remark"] = Column(), np.where(stopped[..., 0].all(axis=-1), "no stiffness avoids the stop", remark)
@@ -291,7 +291,7 @@ class Landings(Study):
 
     def _land(self, rows: Table, engine: str) -> Batch:
         """Landings with one valve."""
-        valve = drawn_air(list(self.valves.values())[int(rows["valve"][0])], self.scenario.uncertainty)
+        valve = list(self.valves.values())[int(rows["valve"][0])]
         commands = tuple(self.pressures[rows["stiffness"]].T)
         speeds = -np.sqrt(2 * self.drawn.gravity * np.array(self._landing.drop)[rows["drop"]])
         return simulate_robots(

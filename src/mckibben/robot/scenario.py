@@ -93,28 +93,16 @@ Angles = dict[str, Angle]
 
 
 class DrawSettings(ConfigModel):
-    """Relative standard deviations of the strength of each muscle, of the mass of each body, and of the air.
+    """Relative standard deviations of the strength of each muscle and of the mass of each body, independent.
 
-    All are independent; the inertia of a body follows its mass. Muscles whose law is a
-    fit file vary within the errors of the fit as well, those with the same file identically. The numbers of the air are
-    those of the valve, which all muscles share, with logarithmic deviations; 0 where they are not given. Fewer than 20
-    draws have no 5th and 95th percentiles.
+    The inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors of the fit as well,
+    those with the same file identically. Fewer than 20 draws have no 5th and 95th percentiles.
     """
 
     strength: Spread = 0.05
     mass: Spread = 0.03
-    wall_conductance: Spread = 0.0
-    leak: Spread = 0.0
-    dead_volume: Spread = 0.0
-    polytropic_index: Spread = 0.0
     draws: Annotated[int, BoundedInt(20, 10_000)] = 64
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
-
-    @property
-    def air(self) -> dict[str, float]:
-        """Deviations of the uncertain numbers of the air, by the fields of valves."""
-        names = ("wall_conductance", "leak", "dead_volume", "polytropic_index")
-        return {name: spread for name in names if (spread := getattr(self, name))}
 
 
 class LandingSettings(ConfigModel):
@@ -318,24 +306,6 @@ class RobotScenario(StudiedScenario):
     def _of_the_robot(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and (robot := info.data.get("robot")) is not None:
             value.check(robot, info.data.get("valve"))
-        return value
-
-    @field_validator("uncertainty", mode="after")
-    @classmethod
-    def _of_the_air(cls, value: DrawSettings, info: ValidationInfo) -> DrawSettings:
-        if (valve := info.data.get("valve")) is None:
-            return value
-        valve = getattr(valve, "valve", valve)  # of a tube
-        for name in value.air:
-            if valve.muscle_count is not None:
-                remedy = "leave it out, or give all muscles one valve"
-                fail_validation("is not supported with unequal valves", remedy, field=name)
-            if not (valve.holds_air and getattr(valve, name, None)):
-                remedy = "leave it out, or use a valve with air that has it: {from: smc-itv0050, supply: 7 bar, ...}"
-                fail_validation(f"the valve has no {name}", remedy, field=name)
-            if name == "polytropic_index" and valve.wall_conductance is not None:
-                remedy = "leave it out, and give the deviation of the wall_conductance"
-                fail_validation("has no effect on air with a temperature", remedy, field=name)
         return value
 
     @model_validator(mode="after")

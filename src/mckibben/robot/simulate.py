@@ -95,8 +95,13 @@ class RobotResult(RunResult):
 
     def verdict(self) -> str:
         """Return duration, size of the robot, and largest force of the ground."""
-        size = f"{len(self.joints)} joints, {len(self.muscles)} muscles"
-        return f"{self.duration:g} s, {size}, ground force up to {self['ground_up'].max():.4g} N"
+        return f"{self.size}, ground force up to {self['ground_up'].max():.4g} N"
+
+    @property
+    def size(self) -> str:
+        """Duration, and numbers of joints and muscles, in words."""
+        counts = ((len(self.joints), "joint"), (len(self.muscles), "muscle"))
+        return ", ".join([f"{self.duration:g} s", *(f"{count} {noun}{'s' * (count != 1)}" for count, noun in counts)])
 
     def _rows_of(self, name: str) -> tuple[str, ...]:
         label = _LABELS.get(name)

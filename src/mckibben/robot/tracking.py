@@ -50,8 +50,7 @@ class TrackingResult(RobotResult):
         """Return duration, size of the robot, and the errors of the worst joints."""
         angle, stiffness = self.metrics["angle_rmse"] / deg, self.metrics["stiffness_rmse"]
         return (
-            f"{self.duration:g} s, {len(self.joints)} joints, {len(self.muscles)} muscles; "
-            f"RMS errors up to {angle.max():.3g} deg ({self.joints[angle.argmax()]}) and "
+            f"{self.size}; RMS errors up to {angle.max():.3g} deg ({self.joints[angle.argmax()]}) and "
             f"{stiffness.max():.3g} N*m/rad ({self.joints[stiffness.argmax()]})"
         )
 

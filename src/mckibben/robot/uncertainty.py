@@ -1,4 +1,4 @@
-"""Draws of robots with scatter of muscles, bodies and air: laws, their strength, masses, and the air behind valves."""
+"""Draws of robots with scatter of muscles and bodies: laws, their strength, and masses."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.actuator import Actuator
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.identification import Fit
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw
-from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.robot.bodies import Body
 from mckibben.robot.plant import RobotPlant
-from mckibben.robot.scenario import DrawSettings, RobotScenario
+from mckibben.robot.scenario import RobotScenario
 
 
 def drawn_plant(scenario: RobotScenario) -> RobotPlant:
@@ -59,24 +57,7 @@ def drawn_plant(scenario: RobotScenario) -> RobotPlant:
     known = lambda part: isinstance(part, Muscle)  # noqa: E731
     muscles = jax.tree.map(lambda part: drawn(part) if known(part) else part, robot.muscles, is_leaf=known)
     robot = eqx.tree_at(lambda x: (x.bodies, x.muscles), robot, (bodies, muscles))
-    return eqx.tree_at(lambda x: (x.robot, x.valve), plant, (robot, drawn_air(plant.valve, spec)))
-
-
-def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
-    """Return a valve with arrays over draws in place of the uncertain numbers of its air; the same for any valve."""
-    if (inner := getattr(valve, "valve", None)) is not None:  # of a tube
-        return eqx.tree_at(lambda x: x.valve, valve, drawn_air(inner, spec))
-    if not (valve.holds_air and spec.air):
-        return valve
-    own = [np.random.default_rng((spec.seed, *name.encode())) for name in spec.air]  # as spreads must not affect others
-    normal = [np.append(0.0, rng.standard_normal(spec.draws)) for rng in own]  # the first is nominal
-    drawn = {
-        name: getattr(valve, name) * np.exp(spread * values)
-        for (name, spread), values in zip(spec.air.items(), normal, strict=True)
-    }
-    if (index := drawn.get("polytropic_index")) is not None:
-        drawn["polytropic_index"] = np.clip(index, 1.0, max(HEAT_CAPACITY_RATIO, index[0]))
-    return eqx.tree_at(lambda x: [getattr(x, name) for name in drawn], valve, list(drawn.values()))
+    return dataclasses.replace(plant, robot=robot)
 
 
 def with_mass(body: Body, factors: NDArray[np.float64]) -> Body:
