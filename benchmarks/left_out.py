@@ -3,7 +3,7 @@
     python benchmarks/left_out.py
 
 The data sets of the catalog. Each pressure and each inner contraction is predicted from all others, by
-Eq. 2, Chou's law, the laws with smooth deviations, and a plain Gaussian process: a constant mean, a squared exponential
+Eq. 2, Chou's law, Eq. 2 with smooth deviations, and a plain Gaussian process: a constant mean, a squared exponential
 kernel of two lengths, and noise, by maximum likelihood. Blocks without which Eq. 2 is not determined are left out for
 all. Outliers that `mckibben.identification.find_outliers` names are left out of the data. Prints the table of
 docs/results/intervals.md, the lowest and the highest pressure apart: RMSE, that relative to Eq. 2, the share of

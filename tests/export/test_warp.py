@@ -146,7 +146,7 @@ def cases():
 
 
 CASES = cases()
-BRANCHING = "HuntLaw", "TonduLopezVariableLaw", "GaussianProcessLaw", "tables", "arms and a pulley", "two bones"
+BRANCHING = "HuntLaw", "TonduLopezVariableLaw", "tables", "arms and a pulley", "two bones"
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import fit_law
-from mckibben.muscle import ExponentialLaw, GaussianProcessLaw, SmoothLaw, TonduLopezVariableLaw, forces
+from mckibben.muscle import ExponentialLaw, SmoothLaw, TonduLopezVariableLaw, forces
 from mckibben.muscle.slopes import unphysical
 from mckibben.units import bar, percent
 
@@ -33,23 +33,9 @@ def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
     assert any("Eq. 2 alone" in note.text for note in fit.notes) == (kind is ExponentialLaw)
     assert fit.rmse == pytest.approx(0.3, rel=0.35)
     regression = fit.require_regression()  # cross-validation fits the chosen law anew
-    assert regression.refit is not None
-    assert regression.refit(regression.points.pressure < 6 * bar).problem.law_type is kind
-
-
-@pytest.mark.slow
-def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
-    eps, p = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.02, 0.14, 9), np.linspace(2, 6, 13) * bar))
-    force = forces(EQ_2, eps, p) + 8 * np.sin(2 * p / bar) * (1 + 2 * eps)
-    data = IsobaricDataset.of(
-        pressure=p, contraction=eps, force=force + np.random.default_rng(0).normal(0, 0.3, p.size)
-    )
-    eq_2, found = (fit_law(law, data) for law in (ExponentialLaw, GaussianProcessLaw))
-    assert type(found.law) is GaussianProcessLaw
-    names = {p.name for p in found.law.parameters() if p.penalised}
-    assert names and not names & set(found.to_text().split())  # 36 coefficients without a meaning of their own
-    assert min(found.robust.degrees_of_freedom.values()) >= 1  # also of coefficients that the prior holds at 0
-    assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
+    assert (regression.refit is None) == (kind is ExponentialLaw)
+    if regression.refit:
+        assert regression.refit(regression.points.pressure < 6 * bar).problem.law_type is kind
 
 
 @pytest.mark.slow
@@ -71,10 +57,6 @@ def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed, scat
     fits = [fit_law(kind, data.select(data.pressure < 5.5 * bar)) for kind in (SmoothLaw, ExponentialLaw)]
     ours, theirs = (np.linalg.norm(forces(fit.law, new.contraction, new.pressure) - new.force) for fit in fits)
     assert ours < 1.05 * theirs
-
-
-def test_asked_for_a_gaussian_process_the_result_is_as_simple_as_the_points_allow():
-    assert type(fit_law(GaussianProcessLaw, measured(0.0, 0.3)).law) is ExponentialLaw
 
 
 def test_few_points_with_much_noise_are_no_deviation():

@@ -7,7 +7,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ScenarioError
 from mckibben.identification import Fit, fit_law, read_law
-from mckibben.muscle import Domain, ExponentialLaw, GaussianProcessLaw, Parameter, PressureAffineLaw
+from mckibben.muscle import Domain, ExponentialLaw, Parameter, PressureAffineLaw, SmoothLaw
 from mckibben.units import bar, deg, mm
 
 
@@ -56,7 +56,7 @@ def test_repeats_and_directions_of_the_points_come_back(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [ExponentialLaw, GaussianProcessLaw])
+@pytest.mark.parametrize("law", [ExponentialLaw, SmoothLaw])
 def test_a_file_gives_the_same_intervals(law, tmp_path):
     fit = fit_law(law, catalog.dataset("dmsp-10-250-martens2017"))
     assert type(fit.law) is law

@@ -165,7 +165,7 @@ def test_the_torque_ends_where_a_tension_reaches_its_rating(as_printed):
 @pytest.mark.slow
 def test_a_scan_of_a_segment_has_no_copies_of_the_law_for_its_401_states(knee):
     """With them, the program has 2.2 million characters for a law of many terms."""
-    law = EXAMPLES["GaussianProcessLaw"]()
+    law = EXAMPLES["SmoothLaw"]()
     joint = eqx.tree_at(lambda one: (one.muscle1.law, one.muscle2.law), knee, (law, law))
 
     def computed(given, _):

@@ -25,11 +25,9 @@ EXAMPLES = {
     "SarosiLaw": lambda: catalog.law("sarosi-dmsp-10"),
     "ExponentialLaw": lambda: catalog.law("lei-mas-10-180n"),
     "SmoothLaw": lambda: muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, *S2, EQ_3[6], 0.11, 0.28, BOX),
-    "GaussianProcessLaw": lambda: muscle.GaussianProcessLaw(*EQ_3[:6], *DEVIATION, EQ_3[6], 0.11, 0.28, 3e5, 6e5, BOX),
 }
 EQ_3 = [getattr(catalog.law("lei-mas-10-180n"), p.name) for p in muscle.ExponentialLaw.parameters()]
 S0, S1, S2 = np.array([[8.0, -20.0, 30.0, 10.0, -15.0, 5.0]]) * [[1.0], [0.3e-5], [0.05e-10]]
-DEVIATION = np.outer([4.0, -3.0, 2.0, 1.0, -0.5, 0.2], [1.0, 0.5, -0.3, 0.2, 0.1, -0.05]).ravel()
 OWN = {name: law for name, law in LAWS.items() if law.__module__.startswith("mckibben.")}  # not those of other tests
 ROWS, COLUMNS = 57, 13
 

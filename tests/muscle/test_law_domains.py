@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.muscle import Domain, GaussianProcessLaw, HuntLaw, MartensBoblanLaw, Muscle, TonduLopezVariableLaw, forces
+from mckibben.muscle import Domain, HuntLaw, MartensBoblanLaw, Muscle, PiecewiseLaw, TonduLopezVariableLaw, forces
 from mckibben.units import bar, deg, mm
 
 
@@ -54,11 +54,8 @@ def test_threads_cannot_be_stretched_beyond_straight():
 
 
 def test_an_inverse_is_found_within_the_domain_though_the_force_falls_beyond_it():
-    """The linear terms of Eq. 2 of a fit may fall with pressure at large contractions, where its deviation ends."""
-    zero = dict.fromkeys((f"d{i}{j}" for i in range(6) for j in range(6)), 0.0)
-    window = {"centre": 0.1, "half_width": 0.15, "pressure_centre": 3.5 * bar, "pressure_half_width": 3.5 * bar}
-    line = {"a1": 600.0, "a2": -20 / bar, "b1": -2500.0, "b2": -200 / bar, "c1": 0.0, "c2": 0.0, "decay": 30.0}
-    law = GaussianProcessLaw(**line, **(zero | {"d01": 400.0}), **window, domain=Domain(0.0, 0.2, 1 * bar, 6 * bar))
+    table = {"pressures": (1 * bar, 7 * bar, 12 * bar), "forces": (100.0, 700.0, 300.0), "springs": (500.0,) * 3}
+    law = PiecewiseLaw(**table, domain=Domain(0.0, 0.2, 1 * bar, 6 * bar))
     contraction, pressure = np.array([[0.0], [0.1], [0.2]]), np.append(np.linspace(1 * bar, 6 * bar, 11), 12 * bar)
     force = np.asarray(jax.jit(law.force)(contraction, pressure))
     assert (np.diff(force[:, :-1]) > 0).all() and (force[:, -1] < force[:, -2]).all()

@@ -69,7 +69,7 @@ def test_a_fit_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
     source.write_text(POINTS.replace("force_N", "pull"))
     fields, state = reading.ReadingFields(columns={"pull": "force_N"}), identify.IdentificationState()
     state.use("a file.csv", reading.read([source], fields), [source], fields)
-    law, options = identify.law_types()["ExponentialLaw"], {"friction": False, "robust": False}
+    law, options = identify.LAWS["ExponentialLaw"], {"friction": False, "robust": False}
     fit = identify.identify_with_friction(law, state.data, **options)
     presented = Presented.of(fit, state.steps("ExponentialLaw", **options, inner="10 mm"))
     page, command, program = repeated(presented, tmp_path, monkeypatch)

@@ -25,7 +25,7 @@ from mckibben.identification.grouping import RESOLUTION, at_fixed_lengths, measu
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
-from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, laws_from, smooth_refit
+from mckibben.identification.smooth import fit_smooth, smooth_refit
 from mckibben.identification.summary import (
     CONTRACTION_NOISE,
     DatasetSummary,
@@ -103,8 +103,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     """
     means = without_outliers(means, outliers)
     taut = means.taut
-    smooth = law_type in SMOOTH_LAWS
-    _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
+    _check_count(ExponentialLaw if law_type is SmoothLaw else law_type, taut, slack=len(means) - len(taut))
     check_design(taut)
     points = _within_validity(law_type, taut)
     solution, refit, simpler = _solved(law_type, points)
@@ -162,13 +161,11 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
 
 def _solved(law_type: type[ForceLaw], points: IsobaricDataset) -> tuple[Solution, Refit | None, str]:
     """Solution, for smooth laws its refit to parts of the points, and why Eq. 2 is enough, if it is."""
-    if law_type in SMOOTH_LAWS:
+    if law_type is SmoothLaw:
         eq2 = FitProblem.of(ExponentialLaw, points)
         start = solve(eq2, grid_search(eq2)).position
-        kinds = SMOOTH_LAWS if law_type is SmoothLaw else laws_from(law_type)
-        solution, simpler = fit_smooth(kinds, points, np.ones(len(points), bool), start)
-        kinds = () if simpler else laws_from(solution.problem.law_type)
-        return solution, smooth_refit(kinds, points, start), simpler
+        solution, simpler = fit_smooth(points, np.ones(len(points), bool), start)
+        return solution, None if simpler else smooth_refit(points, start), simpler
     problem = FitProblem.of(law_type, points)
     solution = solve(problem, grid_search(problem))
     if (weights := measured_weights(problem.law(solution.values), points)).std():

@@ -1,6 +1,6 @@
 """Outliers among measured points: points that contradict the smooth surface through all others.
 
-The surface is Eq. 2 with a Gaussian process (`GaussianProcessLaw`), so that the misfit of a force law does not count.
+The surface is Eq. 2 with smooth deviations (`SmoothLaw`), so that the misfit of a force law does not count.
 Each point is tested by its externally studentised residual, that of the fit without it, one point after the other (of
 thousands, one in a thousand at once); the last significant one is the last outlier, because outliers may mask each
 other. Where the surface itself misfits, neighbours of the point are off it, too: an outlier stands out from them.
@@ -25,7 +25,7 @@ from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.smooth import Deviations
 from mckibben.identification.summary import CONTRACTION_NOISE, Outlier
-from mckibben.muscle import ExponentialLaw, GaussianProcessLaw
+from mckibben.muscle import ExponentialLaw
 
 
 def find_outliers(
@@ -149,7 +149,7 @@ def _test(
         return None
     surface = len(used) >= surface_points and bool(np.ptp(used.contraction)) and bool(np.ptp(used.pressure))
     if surface:
-        deviations = Deviations.of(GaussianProcessLaw, points, base)
+        deviations = Deviations.of(points, base)
         model = deviations.prior.model(*deviations.columns(base))
         model = MixedModel(np.hstack([model.fixed, _passes(used)]), model.random, model.residuals, model.scales)
         hyperparameters = model.estimate(starts or deviations.prior.starts, deviations.prior.bounds)[0]

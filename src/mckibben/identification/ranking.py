@@ -25,7 +25,7 @@ from mckibben.identification.regression import (
 )
 from mckibben.identification.summary import Outlier, left_out
 from mckibben.identification.with_friction import shows_hysteresis
-from mckibben.muscle import LAWS, ForceLaw, GaussianProcessLaw, SmoothLaw
+from mckibben.muscle import LAWS, ForceLaw
 from mckibben.muscle.slopes import unphysical
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.result import Column, Listing, Remark, Result, column
@@ -213,13 +213,10 @@ def rank(
     check_design(points)
     blocks, missing = _blocks(points)
     progress, entries = progress or notebook_progress(), []
-    ranked: dict[type[ForceLaw], RankedLaw] = {}
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
-        same = GaussianProcessLaw if kind is SmoothLaw else kind  # `identify` chooses among the same laws for both
-        ranked[same] = ranked.get(same) or _ranked(same, means, blocks)
-        entries.append(dataclasses.replace(ranked[same], law=kind.__name__))
+        entries.append(_ranked(kind, means, blocks))
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)

@@ -1,27 +1,20 @@
-r"""Identification of laws with smooth deviations from Eq. 2: scales by restricted maximum likelihood, and acceptance.
+r"""Identification of `SmoothLaw`: scales by restricted maximum likelihood, and acceptance.
 
-The deviations have a Gaussian prior about zero, of scales that are estimated (`mckibben.identification.mixed_model`):
+The deviations from Eq. 2 have a Gaussian prior about zero, :math:`s_j \sim N(0, (\gamma_j \sigma)^2 S^{-1})` with
+:math:`c^T S c = \int s''^2 dv`, and a scale for each order in pressure, which is estimated
+(`mckibben.identification.mixed_model`). A scale is kept if it raises the log-likelihood by 1 or more (Akaike). With the
+scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
-- `SmoothLaw`: :math:`s_j \sim N(0, (\gamma_j \sigma)^2 S^{-1})` with :math:`c^T S c = \int s''^2 dv`, and a scale
-  for each order in pressure. A scale is kept if it raises the log-likelihood by 1 or more (Akaike).
-- `GaussianProcessLaw`: a Gaussian process with a squared exponential kernel, whose amplitude and lengths over
-  contraction and pressure are estimated. Without 3 in the log-likelihood, it has no support.
-
-With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
-
-Docs/laws.md gives the conditions on which a law is accepted. Of the accepted laws whose errors are within a twentieth
-of the smallest, the one with the lowest Akaike criterion is the result, and Eq. 2 itself if there is none.
+Docs/laws.md gives the conditions on which deviations are accepted; else the result is Eq. 2.
 
 References
 ----------
-C. Rasmussen and C. Williams, "Gaussian Processes for Machine Learning", MIT Press 2006, sections 2.7 and 5.4.2;
-A. Solin and S. Sarkka, Statistics and Computing 30 (2020) 419-446.
+C. Rasmussen and C. Williams, "Gaussian Processes for Machine Learning", MIT Press 2006, sections 2.7 and 5.4.2.
 """
 
 from __future__ import annotations
 
-import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -29,67 +22,47 @@ import numpy as np
 from numpy.polynomial import legendre, polynomial
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
 from mckibben.identification.grouping import RESOLUTION
 from mckibben.identification.least_squares import FitProblem, Solution, project, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.regression import Refit, Regression, contraction_blocks, pressure_blocks
 from mckibben.identification.summary import domain_of
-from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothLaw
-from mckibben.muscle.gaussian_process import ORDER
+from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.muscle.slopes import unphysical
 from mckibben.muscle.smooth import DEGREE
 
-SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw)
-"""Laws of this method; each falls back to the following ones, and to Eq. 2."""
 _MARGIN = 1.0  # window beyond the points, in half ranges of them
 _GAIN = 1.0  # in the logarithm of the restricted likelihood, by hyperparameter
 _WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at left-out blocks, relative to Eq. 2
 _BETTER = 0.95  # largest error over both kinds, relative to Eq. 2 or another law: a smaller gain may be chance
-_NEGLIGIBLE = -20.0  # logarithm of a scale relative to the noise
-_SHORTEST = -1.5  # logarithm of a length in half ranges of the points
-_SPACINGS = 2.0  # shortest length over pressure: the distance between the neighbours of a level that is left out
 
 
 @dataclass(frozen=True, eq=False)
-class Prior(abc.ABC):
-    """Prior of the deviations of a law: ``root @ coefficients``, divided by the scales, is standard normal."""
+class Prior:
+    """Prior of the deviations, a smoothing spline over contraction for each order in pressure.
+
+    ``root @ coefficients``, divided by the scales, is standard normal.
+    """
 
     root: Floats = field(repr=False)
     starts: tuple[Floats, ...]
     bounds: tuple[tuple[float, float], ...]  # at the lower ones a deviation is negligible compared to the noise
 
-    @abc.abstractmethod
-    def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
-        """Logarithm of the scale of each row of the root, relative to the noise, and its derivative."""
-
-    @abc.abstractmethod
-    def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
-        """Hyperparameters without those that the points do not support; None if the law has no support."""
-
-    def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
-        """Mixed model of Eq. 2 and the deviations."""
-        independent = np.asarray(np.linalg.solve(self.root.T, deviations.T).T, np.float64)
-        return MixedModel(fixed, independent, residuals, self.scales)
-
-
-class OrderPrior(Prior):
-    """Smoothing spline over contraction for each order in pressure."""
-
     @classmethod
-    def of(cls, levels: Floats, *, orders: int = 3) -> OrderPrior:
+    def of(cls, levels: Floats, *, orders: int = 3) -> Prior:
         """Prior for the orders from 0 in pressure, up to the highest of the levels [Pa]."""
         scale = np.diag(float(levels.max()) ** np.arange(orders))
         root = np.asarray(np.kron(scale, _roughness_root()), np.float64)
         return cls(root, tuple(np.full(orders, start) for start in (0.0, 5.0)), ((-4.0, 14.0),) * orders)
 
     def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
+        """Logarithm of the scale of each row of the root, relative to the noise, and its derivative."""
         derivative = np.repeat(np.eye(len(hyperparameters)), DEGREE + 1, axis=0)
         return derivative @ hyperparameters, derivative
 
     def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
-        """None if all orders are unsupported."""
+        """Hyperparameters without those that the points do not support; None if they support none."""
         needed = np.zeros(len(best), bool)
         for order in reversed(range(len(best))):
             without = np.where(np.arange(len(best)) == order, self.bounds[order][0], best)
@@ -99,32 +72,10 @@ class OrderPrior(Prior):
                 best, cost = without, higher
         return best if needed.any() else None
 
-
-class SurfacePrior(Prior):
-    """Squared exponential kernel, by its spectral density at the frequencies of the basis (Solin and Sarkka)."""
-
-    @classmethod
-    def of(cls, levels: Floats) -> SurfacePrior:
-        """Hyperparameters: logarithms of the amplitude and of both lengths, in half ranges of the points."""
-        grouped = pressure_levels(levels)  # measured pressures scatter about a level
-        spacing = 2 / max(len(np.unique(np.where(np.isnan(grouped), levels, grouped))) - 1, 1)
-        shortest = max(_SHORTEST, float(np.log(_SPACINGS * spacing)))
-        starts = ((3.0, 0.0, 0.0), (3.0, 1.0, 0.0), (0.0, 0.0, 0.0), (6.0, 1.0, 1.0))
-        return cls(np.eye(ORDER**2), tuple(map(np.array, starts)), ((-6.0, 14.0), (_SHORTEST, 3.0), (shortest, 3.0)))
-
-    def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
-        orders = np.stack(np.meshgrid(np.arange(ORDER), np.arange(ORDER), indexing="ij"), axis=-1).reshape(-1, 2)
-        squares = (np.pi / 2 / (1 + _MARGIN) * orders) ** 2 * np.exp(2 * hyperparameters[1:])
-        constant = 0.5 * np.log(2) * np.count_nonzero(orders == 0, axis=1)  # a constant has twice the norm of a cosine
-        logarithms = hyperparameters[0] + hyperparameters[1:].sum() / 2 - squares.sum(axis=1) / 4 - constant
-        derivative = np.column_stack([np.ones(len(orders)), 0.5 - squares / 2])
-        negligible = logarithms < _NEGLIGIBLE
-        return np.where(negligible, _NEGLIGIBLE, logarithms), np.where(negligible[:, None], 0.0, derivative)
-
-    def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
-        """None without a gain in the likelihood."""
-        gain = model.cost(np.array([self.bounds[0][0], 0.0, 0.0]))[0] - cost
-        return best if gain >= _GAIN * len(best) else None
+    def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
+        """Mixed model of Eq. 2 and the deviations."""
+        independent = np.asarray(np.linalg.solve(self.root.T, deviations.T).T, np.float64)
+        return MixedModel(fixed, independent, residuals, self.scales)
 
 
 @cache
@@ -137,11 +88,6 @@ def _roughness_root() -> Floats:
         for power in np.eye(DEGREE + 1)
     ]
     return np.asarray(np.linalg.cholesky((np.array(curvature) * weights) @ np.array(curvature).T).T, np.float64)
-
-
-def prior_of(kind: type[ForceLaw], levels: Floats) -> Prior:
-    """Prior of a law with deviations, for pressure levels [Pa]."""
-    return (SurfacePrior if kind is GaussianProcessLaw else OrderPrior).of(levels)
 
 
 def prior_rows(prior: Prior, scales: Floats) -> Floats:
@@ -157,7 +103,7 @@ def prior_scales(prior: Prior, rows: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Columns of the deviations of a law, around a fit of Eq. 2 to the selected points."""
+    """Columns of the deviations, around a fit of Eq. 2 to the selected points."""
 
     problem: FitProblem = field(repr=False)
     base: Solution = field(repr=False)
@@ -165,15 +111,13 @@ class Deviations:
     domain: Domain
 
     @classmethod
-    def of(cls, kind: type[ForceLaw], points: IsobaricDataset, base: Solution) -> Deviations:
+    def of(cls, points: IsobaricDataset, base: Solution) -> Deviations:
         """Deviations in a window of twice the range of the selected points."""
         used = points.select(base.problem.selected[: len(points)])
-        constants = dict(zip(("centre", "half_width"), _window(used.contraction), strict=True))
-        if kind is GaussianProcessLaw:
-            centre, half_width = _window(used.pressure)
-            constants |= {"pressure_centre": centre, "pressure_half_width": half_width}
-        prior = prior_of(kind, used.levels)
-        return cls(replace(base.problem, law_type=kind, constants=constants), base, prior, domain_of(used))
+        eps = used.contraction
+        window = {"centre": float(eps.max() + eps.min()) / 2, "half_width": (1 + _MARGIN) * float(np.ptp(eps)) / 2}
+        problem = replace(base.problem, law_type=SmoothLaw, constants=window)
+        return cls(problem, base, Prior.of(used.levels), domain_of(used))
 
     @property
     def _inside(self) -> slice:
@@ -214,56 +158,28 @@ class Deviations:
         return errors
 
 
-def _window(values: Floats) -> tuple[float, float]:
-    """Centre and half width of a window around values."""
-    return float(values.max() + values.min()) / 2, (1 + _MARGIN) * float(np.ptp(values)) / 2
-
-
 def fit_smooth(
-    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, selected: Bools, start: Floats, *, compare: bool = True
+    points: IsobaricDataset, selected: Bools, start: Floats, *, compare: bool = True
 ) -> tuple[Solution, str]:
-    """Best law for the selected points, or Eq. 2 and the reason; without comparison the first law that they support."""
+    """`SmoothLaw` for the selected points, or Eq. 2 and the reason; without comparison, however well it predicts."""
     base, used = solve(FitProblem.of(ExponentialLaw, points).subset(selected), start), points.select(selected)
     if not _may_deviate(base, used):
         return base, "Eq. 2 is exact, or the points are too few"
-    folds = _folds(base, points, used) if kinds and compare else {}
-    theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
-    accepted: list[tuple[Solution, float]] = []
-    reason = "the points support no deviation"
-    for kind in kinds:
-        if kind is GaussianProcessLaw and not np.ptp(used.pressure):
-            continue
-        deviations = Deviations.of(kind, points, base)
-        fitted = deviations.fit()
-        if fitted is None:
-            continue
-        solution, hyperparameters = fitted
-        objection = _objection(solution, base, used)
-        if not objection and not compare:
-            return solution, ""
-        if not objection:
-            score, worse = _compared(deviations, hyperparameters, folds, theirs)
-            if not worse and score < _BETTER:
-                accepted.append((solution, score))
-            objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
-        reason = objection
-    if not accepted:
-        return base, reason
-    least = min(score for _, score in accepted)
-    alike = [solution for solution, score in accepted if _BETTER * score <= least]
-    return min(alike, key=lambda solution: solution.aicc), ""
-
-
-def _compared(
-    deviations: Deviations,
-    hyperparameters: Floats,
-    folds: Mapping[str, Sequence[tuple[Bools, Solution]]],
-    theirs: Mapping[str, Floats],
-) -> tuple[float, list[str]]:
-    """Geometric mean of the errors at left-out blocks relative to those of Eq. 2, and the kinds that are worse."""
-    ratios = {kind: _ratio(deviations.left_out(fits, hyperparameters), theirs[kind]) for kind, fits in folds.items()}
-    score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
-    return score, [kind for kind, ratio in ratios.items() if ratio > _WORSE[kind]]
+    deviations = Deviations.of(points, base)
+    if (fitted := deviations.fit()) is None:
+        return base, "the points support no deviation"
+    solution, hyperparameters = fitted
+    if objection := _objection(solution, base, used):
+        return base, objection
+    folds = _folds(base, points, used) if compare else {}
+    ratios = {
+        kind: _ratio(deviations.left_out(fits, hyperparameters), _left_out(base, fits)) for kind, fits in folds.items()
+    }
+    worse = [kind for kind, ratio in ratios.items() if ratio > _WORSE[kind]]
+    score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0  # geometric mean
+    if worse or not score < _BETTER:
+        return base, f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
+    return solution, ""
 
 
 def _may_deviate(base: Solution, used: IsobaricDataset, *, per_parameter: int = 4, rounding: float = 1e-9) -> bool:
@@ -325,14 +241,9 @@ def _ratio(ours: Floats, theirs: Floats) -> float:
     return float(np.linalg.norm(ours[both]) / np.linalg.norm(theirs[both])) if both.any() else 1.0
 
 
-def laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
-    """Law with deviations, and the simpler ones that may take its place in a refit."""
-    return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
-
-
-def smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
-    """Identification method of cross-validation: the first of the laws that the points left support."""
-    return lambda selected: fit_smooth(laws, points, selected, start, compare=False)[0]
+def smooth_refit(points: IsobaricDataset, start: Floats) -> Refit:
+    """Identification method of cross-validation: `SmoothLaw` where the points left support it."""
+    return lambda selected: fit_smooth(points, selected, start, compare=False)[0]
 
 
 def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:
@@ -343,9 +254,8 @@ def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools,
     values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
     position = problem.cube.position(values[problem.linear :])
     if scales is not None:
-        prior = prior_of(kind, points.levels)
-        problem = replace(problem, prior=prior_rows(prior, scales))
-        refit = smooth_refit(laws_from(kind), points, position)
+        problem = replace(problem, prior=prior_rows(Prior.of(points.levels), scales))
+        refit = smooth_refit(points, position)
     projection = project(problem, position, values[: problem.linear])
     solution = Solution(problem, values, position, projection.cost, projection.triangle, converged=True)
     return Regression(points, problem, solution, at_bound, refit)

@@ -13,16 +13,15 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from mckibben.component.classes import classes_of
 from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.identification.regression import Regression, RobustErrors
-from mckibben.identification.smooth import prior_of, prior_scales, restored_regression
+from mckibben.identification.smooth import Prior, prior_scales, restored_regression
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
-from mckibben.muscle import LAWS, ForceLaw
+from mckibben.muscle import ForceLaw
 from mckibben.result import Remark
 from mckibben.storage.files import atomic_write
 
@@ -66,7 +65,7 @@ class _FitPoints(ConfigModel):
         columns = {name: points.table[name].to_numpy().tolist() for name in _COLUMNS if name in points.table}
         scales = None
         if problem.prior is not None:
-            scales = prior_scales(prior_of(problem.law_type, points.levels), problem.prior).tolist()
+            scales = prior_scales(Prior.of(points.levels), problem.prior).tolist()
         return cls(slack_force=float(points.table.attrs["slack_force"]), prior_scales=scales, **columns)
 
 
@@ -161,9 +160,3 @@ def read_fields(path: Path) -> dict[str, Any] | None:
         "residuals": regression.solution.residuals if regression else None,
         "regression": regression,
     }
-
-
-def law_types() -> dict[str, type[ForceLaw]]:
-    """Force laws by name: those of mckibben, and imported ones."""
-    others = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
-    return {**LAWS, **{name: law for name, law in others.items() if law not in LAWS.values()}}

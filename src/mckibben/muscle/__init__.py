@@ -9,7 +9,6 @@ from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
 from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw
 from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
-from mckibben.muscle.gaussian_process import GaussianProcessLaw
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
@@ -56,7 +55,6 @@ __all__ = [
     "ForceLaw",
     "Friction",
     "FrictionState",
-    "GaussianProcessLaw",
     "HuntLaw",
     "MartensBoblanLaw",
     "MaxwellCreep",

@@ -35,8 +35,7 @@ class SmoothLaw(EquationTwo):
         v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
 
     Outside the window :math:`\varepsilon_m \pm h` the law is Eq. 2. `identify` sets the window, estimates the size of
-    the deviations, and returns a `GaussianProcessLaw` or an `ExponentialLaw` where the data ask for that
-    (docs/laws.md).
+    the deviations, and returns an `ExponentialLaw` where the data support none (docs/laws.md).
 
     Parameters
     ----------

@@ -198,14 +198,13 @@ def law_type_named(name: str) -> type[ForceLaw]:
     >>> law_type_named("Tondu-Lopez").__name__
     'TonduLopezLaw'
     """
-    from mckibben.identification.storage import law_types
+    from mckibben.muscle import LAWS
 
-    laws = law_types()
-    words = {plain_name(law.__name__).removesuffix("law"): law for law in laws.values()}
-    words |= {plain_name(key): law for key, law in laws.items()}
+    words = {plain_name(law.__name__).removesuffix("law"): law for law in LAWS.values()}
+    words |= {plain_name(key): law for key, law in LAWS.items()}
     if law := words.get(plain_name(name)) or words.get(plain_name(name).removesuffix("law")):
         return law
-    short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
+    short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in LAWS]
     remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension)"
     raise _unknown("law", name, remedy)
 

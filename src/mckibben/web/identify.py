@@ -25,8 +25,7 @@ from mckibben.dataset import IsobaricDataset, Question, Recipe, Table
 from mckibben.dataset.formats import ENDINGS
 from mckibben.errors import ScenarioError, printable
 from mckibben.identification import identify_with_friction, rank
-from mckibben.identification.storage import law_types
-from mckibben.muscle import Muscle
+from mckibben.muscle import LAWS, Muscle
 from mckibben.report.palette import CONTRACTION, FORCE, PRESSURE
 from mckibben.result import Remark
 from mckibben.scenario import air_volume, write_identified
@@ -181,7 +180,7 @@ class _Page(JobPage[IdentificationState]):
                     further.bind_value(state.reading, "further").tooltip(MEANINGS["further"])
                     button("Read again", self.read)
             with panel("Force law"):
-                select(sorted(law_types()), "law", "law").bind_value(state, "law")
+                select(sorted(LAWS), "law", "law").bind_value(state, "law")
                 ui.input("inner diameter or fill", placeholder="such as 14 mm or 30 mL").props(
                     "dense stack-label"
                 ).classes("w-full").bind_value(state, "diameter").tooltip(MEANINGS["diameter"])
@@ -297,7 +296,7 @@ class _Page(JobPage[IdentificationState]):
         state, folder = self.state, self.folder
         if (data := self.points()) is None:
             return
-        law, inner, keep = law_types()[state.law], state.diameter, state.keep_outliers
+        law, inner, keep = LAWS[state.law], state.diameter, state.keep_outliers
         friction = _FRICTION[state.friction]
 
         def compute(_: Callable[[str, float], None]) -> tuple[Presented, Muscle | None, Path]:
