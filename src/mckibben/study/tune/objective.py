@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,11 @@ from mckibben.scenario import (
 from mckibben.simulation import Batch
 from mckibben.simulation.problem import check_frequencies
 from mckibben.storage.store import Store
-from mckibben.study.parameters import SweptParameter, Table
+from mckibben.study.parameters import Table, sweep_parameters
 from mckibben.study.parameters.uncertainty import extremes, uncertainty
-from mckibben.study.tune.cost import Cost
+from mckibben.study.tune.cost import Cost, parse_cost
 from mckibben.study.tune.search import Vector
-from mckibben.study.tune.space import SearchSpace, is_gain
+from mckibben.study.tune.space import SearchSpace, is_gain, parse_ranges
 from mckibben.study.tune.trials import Evaluated, first_runs
 
 FAILED_COST = 1e6
@@ -73,20 +74,28 @@ class TuningProblem:
     @classmethod
     def of(
         cls,
-        scenarios: Sequence[StudiedScenario],
-        swept: Sequence[SweptParameter],
-        cost: Cost,
+        scenarios: Sequence[StudiedScenario] | StudiedScenario,
+        over: Any,
+        cost: Cost | str,
         model_follows: ModelFollows = (),
         conditions: Table | None = None,
     ) -> TuningProblem:
-        """Problem with the nominal values of the first scenario.
+        """Problem with the nominal values of the first scenario; arguments as for `tune`.
 
         Raises `ParameterError` if there is no scenario, a parameter is not in every scenario, has no range, is a
         condition as well, or cannot be followed; `SimulationError` if a frequency under the conditions is too high.
         """
+        scenarios = [scenarios] if isinstance(scenarios, StudiedScenario) else list(scenarios)
         if not scenarios:
             raise ParameterError("nothing to tune", remedy="give a scenario")
-        names, drawn = [tuned.name for tuned in swept], conditions or {}
+        swept: Any = [over] if isinstance(over, str) else list(over)
+        if isinstance(over, Mapping):
+            swept = sweep_parameters(scenarios[0], over)
+        elif all(isinstance(text, str) for text in swept):
+            swept = parse_ranges(swept, scenarios[0])
+        cost = cost if isinstance(cost, Cost) else parse_cost(cost)
+        names = [tuned.name for tuned in swept]
+        drawn = {name: np.asarray(column) for name, column in (conditions or {}).items()}
         if both := [name for name in names if name in drawn]:
             raise ParameterError(f"{both[0]} is tuned and a condition", value=both[0], remedy="give it once")
         pairs = zip(swept, find_parameters(scenarios[0], names), strict=True)
@@ -99,6 +108,8 @@ class TuningProblem:
                 raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
             if drawn:
                 check_frequencies(batched(scenario, drawn).references(), scenario.control_period)
+            if all(name.startswith("controller.") for name in names):
+                scenario.check_start()  # raises what no gains can mend
         return cls(tuple(scenarios), space, cost, model_follows, drawn)
 
     def begin(self, store: Store, engine: str) -> TuningProblem:

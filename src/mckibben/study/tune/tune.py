@@ -17,7 +17,7 @@ from mckibben.scenario import ModelFollows, StudiedScenario, with_values
 from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, open_store
-from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
+from mckibben.study.parameters import Distribution, SweptParameter, Table
 from mckibben.study.parameters.sampling import check_count
 from mckibben.study.scenarios import begun_settings
 from mckibben.study.study import digest
@@ -25,7 +25,6 @@ from mckibben.study.tune.cost import Cost, parse_cost
 from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
 from mckibben.study.tune.result import TuneResult
 from mckibben.study.tune.search import SEARCHES, Search, Vector, by_cma
-from mckibben.study.tune.space import parse_ranges
 from mckibben.study.tune.trials import Trial, Trials
 
 FORMAT = "mckibben tuning"
@@ -121,7 +120,7 @@ def tune(
     check_count("iterations", iterations, 1, 10**9)
     check_count("population", population, 4 if search is by_cma else 1, 10**9)
     check_count("seed", seed, 0, 2**32 - 1)
-    asked = _problem(
+    asked = TuningProblem.of(
         scenarios,
         begun.get("parameters", ()) if over is None else over,
         cost_of(begun) if cost is None else cost,
@@ -145,29 +144,6 @@ def tune(
         search(trials.costs, first, population=population, generations=iterations, seed=seed, progress=step)
         report("evaluating", 1.0)
         return _result(asked, problem, trials, 1 if method == "local" else population)
-
-
-def _problem(
-    scenarios: Sequence[StudiedScenario] | StudiedScenario,
-    over: Any,
-    cost: Cost | str,
-    model_follows: ModelFollows,
-    conditions: Table | None,
-) -> TuningProblem:
-    """Return the problem of the arguments of `tune`."""
-    several = [scenarios] if isinstance(scenarios, StudiedScenario) else list(scenarios)
-    swept: Any = [over] if isinstance(over, str) else list(over)
-    if isinstance(over, Mapping) and several:
-        swept = sweep_parameters(several[0], over)
-    elif several and all(isinstance(text, str) for text in swept):
-        swept = parse_ranges(swept, several[0])
-    cost, drawn = cost if isinstance(cost, Cost) else parse_cost(cost), conditions or {}
-    drawn = {name: np.asarray(column) for name, column in drawn.items()}
-    problem = TuningProblem.of(several, swept, cost, model_follows, drawn)
-    if all(name.startswith("controller.") for name in problem.space.names):
-        for scenario in several:
-            scenario.check_start()  # raises what no gains can mend
-    return problem
 
 
 def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, object]:
