@@ -118,7 +118,7 @@ BUDGET = {
     "serial_protocol": 160,
     "simulation": 2860,
     "storage": 570,
-    "study": 2890,
+    "study": 2880,
     "web": 2820,
 }
 
