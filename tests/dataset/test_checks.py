@@ -139,6 +139,7 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "a digit lost": (changed(force=lambda f: np.where(np.arange(len(f)) == 47, f - 300, f)), "order"),
     "rows of two muscles": (changed(force=lambda f: f * np.where(np.arange(len(f)) % 2, 0.5, 1.0)), "order"),
     "sorted forces": (changed(force=np.sort), "order"),
+    "pressures counted up": (changed(pressure=lambda p: 1e5 + 7e3 * np.arange(len(p))), "rows"),
     "a block pasted twice": (lambda arrays: tuple(np.r_[values, values[:9]] for values in arrays), "rows"),  # type: ignore[return-value]
 }  # fmt: skip
 

@@ -122,7 +122,7 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
     if asked := list(_sign(points)) or list(_ranges(points, specimen)):
         return asked
     points = points.every(1 + len(points.force) // most)
-    checks = _copies, _saturated, _surface, _offsets
+    checks = _copies, _saturated, _counted, _surface, _exchanged, _offsets
     return [asked for check in checks for asked in check(points)]
 
 
@@ -243,6 +243,15 @@ def _saturated(points: Points) -> Iterator[Question]:
         yield points.ask("saturation", text, int(top[np.argmax(apart.any(axis=1))]), "force")
 
 
+def _counted(points: Points) -> Iterator[Question]:
+    """Pressures that a spreadsheet counted up while the muscle reversed."""
+    steps, moves = np.diff(points.pressure), np.diff(points.contraction)
+    large = moves[np.abs(moves) > 0.1 * np.median(np.abs(moves))] if len(moves) else moves
+    equal = len(steps) > 3 and steps.any() and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
+    if equal and np.count_nonzero(np.diff(np.sign(large))) > 1:
+        yield points.ask("rows", "the pressure rises by one step from row to row: was it counted up?", field="pressure")
+
+
 def _surface(points: Points) -> Iterator[Question]:
     """Slopes and residuals of ``F = p (a + b x + c x^2) + d + e x + f exp(-6 x)`` of the taut points, x up to 1.
 
@@ -329,6 +338,16 @@ def force_plane(contraction: Floats, pressure: Floats, force: Floats) -> ForcePl
 def residuals_of(values: Floats, basis: Floats) -> Floats:
     """Residuals of values, shape (points,), by least squares with a basis, shape (points, columns)."""
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def _exchanged(points: Points) -> Iterator[Question]:
+    """Contraction without load that is proportional to the pressure, as the force at full length is."""
+    level = np.nan_to_num(pressure_levels(points.pressure))
+    free = [rows[np.argmin(points.force[rows])] for rows in (np.flatnonzero(level == at) for at in np.unique(level))]
+    ratio = points.contraction[free] / np.maximum(points.pressure[free], 1.0)
+    slack = points.force[free].max() <= 0.05 * points.force.max()
+    if len(free) > 2 and slack and points.force.max() < 50 and 0 < ratio.max() < 1.15 * ratio.min():
+        yield points.ask("order", "the contraction without load is proportional to the pressure: exchanged columns?")
 
 
 def _offsets(points: Points) -> Iterator[Question]:
