@@ -256,6 +256,14 @@ def test_friction_that_two_minima_exchange_is_determined_in_sum_only(recorded):
     quantities = quantities_of(problem, minima)
     assert not quantities["muscle1.friction"].determined and not quantities["muscle2.friction"].determined
     assert quantities["friction"].determined
+    fit = JointCalibration(quantities, knee(), LOAD, (), problem, tuple(minima), 0.0, 0.0, 0.0)
+    ratios = fit.combinations()
+    assert len(ratios) == 2 and all("muscle1.friction" in name and "muscle2.friction" in name for name in ratios)
+    traded = next(name for name, ratio in ratios.items() if ratio > 0.5)
+    assert ("+" in traded) and ("-" in traded), "one grows as the other falls"
+    together = next(name for name, ratio in ratios.items() if ratio < 0.5)
+    assert ("+" in together) != ("-" in together), "their product is determined"
+    assert min(ratios.values()) < 0.1
     alone = quantities_of(problem, minima[:1])
     assert alone["muscle1.friction"].determined and alone["muscle2.friction"].determined
 

@@ -152,9 +152,34 @@ class JointCalibration(Calibration):
         before, after = np.sum([np.square(self.errors(recording)) for recording in self.held_out], axis=0)
         return bool(after < before)
 
+    def combinations(self, *, share: float = 0.3) -> dict[str, float]:
+        """Return combinations of the quantities that the recordings do not determine one by one.
+
+        The deviation of each relative to that before: below 1/2 the recordings determine the combination, near 1 they
+        trade its quantities for each other. Quantities count in units of their deviations before, of their logarithms
+        for friction and presliding. Quantities with less than a `share` are not named.
+        """
+        evaluations = [_quantities(self._problem, jnp.asarray(minimum.z)) for minimum in self._minima]
+        names = [name for name, estimate in self.quantities.items() if not estimate.determined]
+        names = [name for name in names if name in evaluations[0][0] and name != "friction"]
+        wide = {name: np.linalg.norm(evaluations[0][1][name]) for name in names}
+        values, slopes = (
+            np.array([[np.asarray(of[i][name]) / wide[name] for name in names] for of in evaluations]) for i in (0, 1)
+        )
+        spread: Any = 0.0
+        for value, slope, minimum in zip(values - values[0], slopes, self._minima, strict=True):
+            spread = spread + minimum.weight * (slope @ minimum.covariance @ slope.T + np.outer(value, value))
+        rows = {}
+        variances, directions = np.linalg.eigh(spread) if names else ((), np.zeros((0, 0)))
+        for variance, direction in zip(variances, directions.T, strict=True):
+            parts = [f"{x:+.2g} {name}" for x, name in zip(direction, names, strict=True) if abs(x) > share]
+            if len(parts) > 1:
+                rows[" ".join(parts)] = math.sqrt(variance)
+        return rows
+
     def listings(self) -> list[Listing]:
-        """Estimates, and errors of each recording by the model before and after."""
-        recordings = *self.recordings, *self.held_out
+        """Estimates, combinations of those that are not determined, and errors of each recording."""
+        recordings, rows = (*self.recordings, *self.held_out), self.combinations()
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
         error = Column("N*m", digits=3)
         columns: dict[str, tuple[Column, Any]] = {
@@ -163,7 +188,15 @@ class JointCalibration(Calibration):
             "model before": (error, before),
             "calibrated": (error, after),
         }
-        return [*super().listings(), Listing("root mean square error", columns)]
+        listings = [*super().listings(), Listing("root mean square error", columns)]
+        if rows:
+            columns = {
+                "combination": (Column(), list(rows)),
+                "deviation relative to before": (Column(digits=2), list(rows.values())),
+                "determined": (Column(), [ratio < 0.5 for ratio in rows.values()]),
+            }
+            listings.insert(-1, Listing("combinations of what is not determined", columns))
+        return listings
 
     def verdict(self) -> str:
         """Deviations of the stiffness along the recordings before and after, and the determined quantities."""
