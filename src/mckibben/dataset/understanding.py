@@ -323,8 +323,8 @@ class _Reader:
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
         self.bad |= wrong
         marks = np.isin(np.abs(values), _MARKS)
-        if np.count_nonzero(marks) == 1:  # between its neighbours, it is a value
-            marks &= (values - np.roll(values, 1)) * (np.roll(values, -1) - values) <= 0
+        # A single one between its neighbours is a value.
+        marks &= (np.count_nonzero(marks) > 1) | ((values - np.roll(values, 1)) * (np.roll(values, -1) - values) <= 0)
         if 0 < np.count_nonzero(marks) < len(values) / 2:
             row = int(np.argmax(marks))
             text, line = f"{values[row]:g} may mark a missing value", int(self.table.lines[row])
