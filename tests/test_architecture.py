@@ -100,7 +100,7 @@ BUDGET = {
     "containment": 300,
     "contract": 650,
     "control": 2020,
-    "dataset": 3370,
+    "dataset": 3390,
     "experiment_design": 710,
     "export": 2250,
     "firmware": 150,

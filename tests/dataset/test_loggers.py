@@ -2,6 +2,7 @@
 """Ordinary files of loggers and spreadsheets are read at once, without a question."""
 
 import io
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from scipy.io import savemat
 
 from mckibben.dataset import read_dataset, read_recording
 from mckibben.dataset import text as texts
+from mckibben.errors import DatasetError
 
 from .conftest import C, F, P, are_the_points
 
@@ -158,6 +160,16 @@ def workbook() -> bytes:
     stream = io.BytesIO()
     book.save(stream)
     return stream.getvalue()
+
+
+def test_a_workbook_with_deep_xml_is_refused_before_it_is_parsed(tmp_path):
+    stream = io.BytesIO(workbook())
+    with zipfile.ZipFile(stream, "a") as archive:
+        archive.writestr("xl/deep.xml", "<c>" * 1000 + "</c>" * 1000)
+    (tmp_path / "deep.xlsx").write_bytes(stream.getvalue())
+    with pytest.raises(DatasetError, match="nested") as refused:
+        read_dataset(tmp_path / "deep.xlsx")
+    assert "CSV" in refused.value.problems[0].remedy
 
 
 def netcdf() -> bytes:

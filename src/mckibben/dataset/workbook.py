@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
 
 from mckibben.dataset.raw import Budget, RawTable, not_installed, readable, several
 from mckibben.dataset.table import question
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from openpyxl.worksheet.worksheet import Worksheet
 
 _SHEET_BYTES = 2**24  # of XML of a workbook
+_MOST_NESTED = 100  # elements, each of which openpyxl holds in memory until its end
 _MARKS: Mapping[str, Callable[[Any], bool]] = {
     "struck out": lambda cell: bool(cell.font and cell.font.strike),
     "noted": lambda cell: cell.comment is not None,
@@ -38,9 +40,12 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     with readable(path, "a workbook"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(info.file_size for info in archive.infolist())
-        if size > _SHEET_BYTES:
-            text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
-            raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
+            if size > _SHEET_BYTES:
+                text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
+                raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
+            for info in archive.infolist():
+                if info.filename.endswith(".xml"):
+                    _check_nesting(path, archive.read(info))
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
     sheets = [sheet for sheet in book.worksheets if part in ("", sheet.title)]
     lines = {sheet.title: _lines(sheet, budget) for sheet in sheets}
@@ -60,6 +65,26 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     table.words += [(None, " ".join(line.split())) for line in others if line.strip()]
     table.questions += [question(text, "layout", field="layout") for text in _hidden(sheet, table.lines[0])]
     return table
+
+
+def _check_nesting(path: Path, xml: bytes) -> None:
+    """Raise a `DatasetError` if the elements of a part of a workbook are nested deeply."""
+    depth = 0
+
+    def begin(*_: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _MOST_NESTED:
+            problem = Problem(f"has more than {_MOST_NESTED} nested elements of XML", remedy="save the sheet as CSV")
+            raise DatasetError(str(path), [problem])
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.Parse(xml, True)
 
 
 def _lines(sheet: Worksheet, budget: Budget) -> list[str]:
