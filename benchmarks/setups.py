@@ -12,8 +12,13 @@ from mckibben.units import deg
 
 FOLDER = Path(__file__).parents[1] / "examples" / "setups"
 
-if __name__ == "__main__":
+
+def errors() -> dict[str, float]:
+    """Root mean square error of the angle [deg] of each set-up."""
     warnings.simplefilter("ignore", McKibbenWarning)  # with a spring, the angle determines the stiffness
-    for name in ("spring", "regulators", "card"):
-        result = Scenario.read(FOLDER / f"{name}.yaml").simulate()
-        print(f"{name}: {result.metrics['angle_rmse'] / deg:.2f} deg")
+    results = {name: Scenario.read(FOLDER / f"{name}.yaml").simulate() for name in ("spring", "regulators", "card")}
+    return {name: result.metrics["angle_rmse"] / deg for name, result in results.items()}
+
+
+if __name__ == "__main__":
+    print(*(f"{name}: {error:.2f} deg" for name, error in errors().items()), sep="\n")

@@ -54,7 +54,7 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     kept = tmp_path / "kept"
     assert {path.name for path in kept.iterdir()} == {
         *("results.json", "runs.nc", "suite.yaml", STUDY, "controllers"),
-        *(f"comparison_{name}.{end}" for name in ("errors", "air", "front") for end in ("png", "svg")),
+        *(f"comparison_{name}.{end}" for name in ("errors", "front") for end in ("png", "svg")),
     }
     assert Suite.read(kept / "suite.yaml") == suite
     (contest,) = made

@@ -8,14 +8,14 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import PLACE, POINT, Event, Point, Recorder, assemble, points
+from mckibben.rig.record import PLACE, POINT, Event, RecordedPoint, Recorder, assemble, points
 from mckibben.rig.runner import columns_of
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"), limits=RigLimits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05)
 )
-POINT_0 = Point(
+POINT_0 = RecordedPoint(
     number=0,
     first=5,
     rows=28,

@@ -253,7 +253,7 @@ def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
                     csv, svg, png = (
                         tab.evaluate(f"saveChart({chart}, '{kind}', 'x')") for kind in ("csv", "svg", "png")
                     )
-        assert csv.startswith('"curve","time [s]","angle [°]"\n"now",0,') and '\n"desired",5.995,' in csv
+        assert csv.startswith('"curve","time [s]","angle [°]"\n"now",0,') and '\n"desired",5.996,' in csv
         assert svg.startswith("<svg") and png.startswith("data:image/png;base64,")
         assert tab.errors == []
 

@@ -228,7 +228,7 @@ def _saturated(points: Points) -> Iterator[Question]:
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
     begins = np.flatnonzero(np.diff(points.force, prepend=np.nan) != 0)
     stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
-    if np.count_nonzero(stays > 1) == 1 and stays.max() > 4:
+    if np.count_nonzero(stays > 1) == 1 and 4 < stays.max() < len(points.force):  # else a weight
         first = int(begins[stays.argmax()])
         yield points.ask("rows", "the force stays for 5 rows or more: was the sensor stuck, first", first)
     top = np.flatnonzero(points.force >= 0.97 * points.force.max())

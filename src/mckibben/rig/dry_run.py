@@ -262,6 +262,7 @@ def dry_run(
     --------
     >>> from mckibben import catalog
     >>> from mckibben.rig.bench import RigLimits
+    >>> from mckibben.units import mm
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     >>> limits = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
     >>> bench = Bench(of=muscle, limits=limits)

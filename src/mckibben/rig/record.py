@@ -117,11 +117,11 @@ class RigRecord:
         return len(self.rows)
 
     @property
-    def points(self) -> list[Point]:
+    def points(self) -> list[RecordedPoint]:
         """Points in the order of their numbers, each as it was measured last."""
         return points(self.events)
 
-    def samples(self, name: str, point: Point) -> np.ndarray:
+    def samples(self, name: str, point: RecordedPoint) -> np.ndarray:
         """Samples of a point by the name of a column, shape (samples,); NaN where they are lost."""
         wanted = point.first + point.every * np.arange(point.samples)
         if not len(self.rows):
@@ -184,7 +184,7 @@ POINT, PLACE = "point", "place"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Point:
+class RecordedPoint:
     """A plateau whose samples were all recorded.
 
     Attributes
@@ -225,12 +225,12 @@ class Point:
     keep: bool
 
 
-def points(events: Iterable[Event]) -> list[Point]:
+def points(events: Iterable[Event]) -> list[RecordedPoint]:
     """The points among events, in the order of their numbers, each as it was measured last."""
-    found: dict[int, Point] = {}
+    found: dict[int, RecordedPoint] = {}
     for event in events:
         if event.kind in (POINT, PLACE):
-            found[event.data["number"]] = Point(**event.data)
+            found[event.data["number"]] = RecordedPoint(**event.data)
     return [found[number] for number in sorted(found)]
 
 
@@ -269,7 +269,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     return IsobaricDataset.of(**columns)
 
 
-def _complete_points(folder: Path) -> tuple[list[Point], dict[str, list[np.ndarray]]]:
+def _complete_points(folder: Path) -> tuple[list[RecordedPoint], dict[str, list[np.ndarray]]]:
     """Points of the dataset, and their samples of force and pressure."""
     record = read_record(folder)
     kept = [point for point in record.points if point.keep]

@@ -18,7 +18,7 @@ from mckibben.rig.backend import Block, Channel, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.by_hand import HandBench, length_of
 from mckibben.rig.interpreter import StepInterpreter
-from mckibben.rig.record import PLACE, POINT, Point, Recorder
+from mckibben.rig.record import PLACE, POINT, RecordedPoint, Recorder
 from mckibben.rig.safety import PROBED, STILL, BlockMeans, RigMonitor, StopFlag
 from mckibben.rig.steps import SPEED, Acquire, HoldForce, ProtocolStep
 from mckibben.storage.mcap import Column
@@ -92,7 +92,7 @@ class Runner(StepInterpreter):
         bench: Bench,
         recorder: Recorder,
         *,
-        done: Sequence[Point] = (),
+        done: Sequence[RecordedPoint] = (),
         origin: float = 0.0,
         since: float = 0.0,
         report: ProgressCallback | None = None,
@@ -153,7 +153,7 @@ class Runner(StepInterpreter):
         first, position = recorder.rows, self.standing
         begun, means = self._sampled(rows, number)
         self._number += 1
-        point = Point(
+        point = RecordedPoint(
             number=number,
             first=first,
             rows=rows,
@@ -175,7 +175,7 @@ class Runner(StepInterpreter):
         recorder.event(POINT if acquire.keep else PLACE, **asdict(point))
         return point.force
 
-    def _check_against_law(self, point: Point) -> None:
+    def _check_against_law(self, point: RecordedPoint) -> None:
         """Raise if the force deviates from the law by more than the limit."""
         of, most = self.bench.of, self.bench.limits.deviation
         if most == math.inf or not isinstance(of, Muscle):

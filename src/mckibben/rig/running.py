@@ -20,7 +20,7 @@ from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.protocol import steps_text
 from mckibben.rig.record import (
-    Point,
+    RecordedPoint,
     Recorder,
     assemble,
     header_of,
@@ -148,7 +148,7 @@ PROTOCOL = "protocol.yaml"
 class _PastSessions:
     """State of a recorded test: `position` is that of the motor, and `certain` whether it was measured at rest."""
 
-    done: tuple[Point, ...] = ()
+    done: tuple[RecordedPoint, ...] = ()
     since: float = 0.0
     position: float = 0.0
     certain: bool = True
