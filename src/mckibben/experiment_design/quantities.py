@@ -6,6 +6,7 @@ import abc
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -164,7 +165,7 @@ def _linearised_stiffness(
     """Stiffness [N*m/rad] of both muscles with a law, its gradients, shape (angles, parameters), and contractions."""
     names = [parameter.name for parameter in type(law).parameters()]
 
-    def joint_with(values: Array) -> AntagonisticJoint:
+    def joint_with(values: Any) -> AntagonisticJoint:
         changed = dataclasses.replace(law, **dict(zip(names, values, strict=True)))
         return eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (changed, changed))
 

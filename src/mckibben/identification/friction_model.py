@@ -228,7 +228,7 @@ class PathDependentModel:
         limit = self._limit(self._tension(values)[0][:, None], [values])
         deflections, stiffness, share = self._elements(limit, [values])
         slides = np.all(np.abs(deflections) >= limit[self.paths.place][..., None] * (share / stiffness), axis=(2, 3))
-        return dataclasses.replace(self, used=self.used & self.paths.scattered(slides).astype(bool))
+        return dataclasses.replace(self, used=self.used & (self.paths.scattered(slides.astype(float)) > 0))
 
     def _limit(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Half width [N] for each column of tensions and its parameter set, shape (rows, sets)."""
