@@ -118,6 +118,13 @@ def test_a_file_of_another_kind_is_one_problem(name):
     assert len(caught.value.problems) == 1
 
 
+def test_a_model_for_mujoco_is_one_problem_with_the_command_that_reads_it():
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.read(EXAMPLES / "robot" / "arm.xml")
+    (problem,) = caught.value.problems
+    assert problem.line == 1 and "`mckibben robot read" in problem.remedy
+
+
 @pytest.mark.parametrize("name", ["own-joint.yaml", "comparison/knee.yaml", "robot/lei-leg.yaml"])
 def test_a_configuration_is_not_read_as_measurements(name):
     with pytest.raises(DatasetError) as caught:

@@ -334,6 +334,8 @@ class _Keys:
         if key and kind == "dict_type" and value not in ("", None):
             remedy = f"give a mapping with one name per section{self._example(key)}"
             return f"{message}names and sections are expected", remedy
+        if not place and str(value).lstrip().startswith("<"):
+            return f"{message}YAML is expected", "of MJCF or URDF, `mckibben robot read FILE` makes a file of a robot"
         if not place and kind == "model_type" and value not in ("", None):
             return f"{message}keys and values are expected", f"give a mapping of {', '.join(self.known)}"
         return "", ""
