@@ -89,7 +89,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 830,
+    "top": 810,
     "actuator": 1000,
     "calibration": 1560,
     "catalog": 230,
@@ -114,7 +114,7 @@ BUDGET = {
     "reachability": 850,
     "report": 2370,
     "rig": 4440,
-    "scenario": 880,
+    "scenario": 870,
     "serial_protocol": 160,
     "simulation": 2860,
     "storage": 570,
