@@ -89,7 +89,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 810,
+    "top": 830,
     "actuator": 1000,
     "calibration": 1560,
     "catalog": 230,
@@ -100,7 +100,7 @@ BUDGET = {
     "containment": 300,
     "contract": 650,
     "control": 2020,
-    "dataset": 3390,
+    "dataset": 3400,
     "experiment_design": 710,
     "export": 2250,
     "firmware": 150,

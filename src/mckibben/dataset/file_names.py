@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mckibben.dataset.raw import RawColumn, RawTable
-from mckibben.dataset.vocabulary import parse_header
+from mckibben.dataset.vocabulary import canonical_unit, parse_header
 from mckibben.errors import DatasetError, Problem
 
 _FIELD = re.compile(r"\{(\w+)\}")
@@ -16,14 +16,21 @@ _NUMBER = r"([-+]?\d+(?:[.,]\d+)?)"
 
 
 def pattern_problem(pattern: str) -> str:
-    """Why a pattern has no quantity with a unit in braces; empty if it is right.
+    """Why a pattern has no quantity with a unit in braces, or one that contradicts its name; empty if it is right.
 
     >>> pattern_problem("L{length_mm}mm"), pattern_problem("L{length}")
     ('', "'L{length}' has no quantity and unit in braces")
+    >>> pattern_problem("hang_{force_N}kg")
+    "'hang_{force_N}kg' reads N, and kg follows"
     """
     headers = [parse_header(name) for name in _FIELD.findall(pattern)]
-    right = headers and all(header.quantity and header.unit for header in headers)
-    return "" if right else f"{pattern!r:.60} has no quantity and unit in braces"
+    if not headers or not all(header.quantity and header.unit for header in headers):
+        return f"{pattern!r:.60} has no quantity and unit in braces"
+    for header, follows in zip(headers, _FIELD.split(pattern)[2::2], strict=True):
+        unit = re.match(r" ?([a-zA-Z]+)(?![a-zA-Z0-9])", follows)
+        if unit and canonical_unit(unit[1], header.quantity) not in ("", header.unit):
+            return f"{pattern!r:.60} reads {header.unit}, and {unit[1]} follows"
+    return ""
 
 
 def add_from_name(table: RawTable, path: Path, pattern: str) -> None:

@@ -72,7 +72,7 @@ class Envelope(Result):
             nearest = ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness or (0.0, 0.0))]
             nearest = nearest * bool(self.stiffness)
             nearest += [f"at {self.amplitude:.3g} of its amplitude"] * (self.amplitude > 0)
-            text = f"the reference is feasible, each alone, {', '.join(nearest)}" if nearest else _NONE
+            text = f"the reference would be feasible {', or '.join(nearest)}" if nearest else _NONE
             remarks.append(Remark.warning("reference", text))
         ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
         limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
