@@ -67,7 +67,7 @@ class JointRunResult(Result):
         yield from self.result.remarks() if self.result else ()
 
     def declared(self) -> dict[str, tuple[Column, object]]:
-        """How the run ended and was vented, and the metrics of the motion."""
+        """Outcome of the run and of its venting, and the metrics of the motion."""
         own: dict[str, tuple[Column, object]] = {
             "ended": (Column(title="end of the run"), self.outcome.kind),
             "vented_after": (Column("s", "duration of the venting"), self.outcome.vented_after),
