@@ -103,7 +103,7 @@ BAD = """<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1"/>
 <geom name="wrap" type="sphere" size="0.1"/></body><site name="t"/></body></worldbody>
 <tendon><spatial name="rope"><site site="s"/><geom geom="wrap"/><site site="t"/></spatial>
 <fixed name="belt"><joint joint="j" coef="1"/></fixed></tendon>
-<equality><weld body1="a" body2="b"/></equality><actuator><motor name="drive" joint="j"/></actuator></mujoco>"""
+<equality><weld body1="a" body2="b"/></equality><actuator><muscle name="drive" tendon="rope"/></actuator></mujoco>"""
 
 
 def test_what_is_not_carried_over_is_named_with_its_line(tmp_path):

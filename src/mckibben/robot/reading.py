@@ -166,13 +166,13 @@ class _Reader:
         self._path, self._mujoco = path, mujoco
         try:
             self._spec = mujoco.MjSpec.from_file(str(path))
-            self._model = mujoco.MjModel.from_xml_path(str(path))
+            self._spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # of muscles that ours replace
+            self._model = self._spec.compile()
         except (ValueError, OSError, mujoco.FatalError) as error:
             text = "; ".join(" ".join(line.split()) for line in str(error).splitlines())
             line = re.search(r"\bline (\d+)", text)
             problem = Problem(text, int(line[1]) if line else None, remedy="correct the file, which MuJoCo reads")
             raise ScenarioError(str(path), [problem]) from error
-        self._spec.compile()
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         self.name = self._spec.modelname or path.stem
