@@ -106,7 +106,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3560,
     "joint": 1190,
-    "robot": 4590,
+    "robot": 4600,
     "muscle": 1560,
     "numerics": 810,
     "paper": 720,

@@ -18,7 +18,7 @@ from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import RobotMetrics
 from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
-from mckibben.robot.point_stiffness import PointStiffness, point_stiffness
+from mckibben.robot.point_stiffness import PointStiffness, point_stiffness, stiffness_matrix
 from mckibben.robot.posture import holding_torques
 from mckibben.robot.reading import ReadRobot, read_mjcf
 from mckibben.robot.scenario import RobotScenario, read_robot
@@ -27,7 +27,6 @@ from mckibben.robot.statics import (
     StaticPressures,
     pressures_for_joint_stiffness,
     pressures_for_point_stiffness,
-    stiffness_matrix,
 )
 from mckibben.robot.tracking import TrackingResult, run_tracking
 

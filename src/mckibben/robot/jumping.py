@@ -301,7 +301,7 @@ def study_jump(
     plant, drawn = scenario.plant(), drawn_plant(scenario)
     start = _squat(scenario, plant.robot.posture_angles(jump.squat), plant, source)
     standing = _standing_heights(plant, drawn)
-    fixed = scenario.whole_steps(jump.duration), scenario.control_period
+    fixed = scenario.timing_over(jump.duration)["duration"], scenario.control_period
     searches = [
         JumpRuns(plant, drawn, scenario.uncertainty.draws, start, variables, *fixed, 1)
         for variables in (
@@ -353,7 +353,7 @@ def _squat(scenario: RobotScenario, angles: tuple[float, ...], plant: RobotPlant
 def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
     """Integration steps that the first schedule needs, for all jumps of a search."""
     schedule = runs.variables.schedule([0.5] * runs.variables.size)
-    nominal = simulate_robot(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.steps)
+    nominal = simulate_robot(runs.plant, schedule, runs.start, **scenario.timing_over(runs.duration))
     assert nominal.resolution is not None
     return nominal.resolution.batch_substeps(
         runs.plant.needed_substeps(runs.start.angles, None, scenario.control_period)
@@ -363,10 +363,9 @@ def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
 def _jump(scenario: RobotScenario, runs: JumpRuns, controller: PressureSchedule, standing: Floats) -> Jump:
     """A jump with its traces, and its results for plants that differ."""
     plant, drawn, start = runs.plant, runs.drawn, runs.start
-    duration = scenario.whole_steps(runs.duration + _LANDING)
-    run = simulate_robot(plant, controller, start, duration=duration, **scenario.steps)
-    steps = {"control_period": runs.step, "substeps": runs.substeps}
-    table = simulate_robots(drawn, controller, start, duration=duration, **steps)
+    timing = scenario.timing_over(runs.duration + _LANDING)
+    run = simulate_robot(plant, controller, start, **timing)
+    table = simulate_robots(drawn, controller, start, **timing | {"substeps": runs.substeps})
     heights, apex = run["mass_height"], int(run["mass_height"].argmax())
     before, bottom = run["ground_up"][:apex], int(heights[: apex + 1].argmin())
     ends = zip(run["angle"][:, bottom], plant.robot.joints, strict=True)

@@ -298,8 +298,7 @@ class Landings(Study):
             take(eqx.tree_at(lambda x: x.valve, self.drawn, valve), rows["draw"]),
             PressureSchedule(tuple((command,) for command in commands)),
             RobotStart(self.scenario.robot.posture_angles(self._landing.touchdown), commands, 0.0, speeds),
-            duration=self.scenario.whole_steps(self._landing.duration),
-            **self.scenario.steps,
+            **self.scenario.timing_over(self._landing.duration),
             engine=engine,
             workers=1,
         )

@@ -21,6 +21,9 @@ from mckibben.robot.mechanism import Robot
 
 Floats = NDArray[np.float64]
 
+SINGULAR = 1e-6
+"""Least singular value of what can turn or move independently, relative to the largest."""
+
 
 class PointStiffness(NamedTuple):
     """Stiffness of a point with the base held.
@@ -189,3 +192,58 @@ def _jacobian(
     q = jnp.stack([jnp.asarray(one) for one in angles])
     pushed = jnp.stack([jnp.asarray(one) for one in force])
     return jax.jacfwd(placed)(q), jax.jacfwd(lambda x: jax.jacfwd(placed)(x).T @ pushed)(q)
+
+
+def stiffness_matrix(principal: Sequence[float], direction: float, sideways: float | None = None) -> Floats:
+    """Return the stiffness matrix [N/m] of a point with principal stiffness [N/m] in the plane of x and z.
+
+    Parameters
+    ----------
+    principal
+        Along the first axis, and across it.
+    direction
+        Angle [rad] of the first axis from the forward direction.
+    sideways
+        Stiffness to the side [N/m], for a robot in space.
+    """
+    along = np.array([np.cos(direction), np.sin(direction)])
+    across = np.array([-along[1], along[0]])
+    plane = principal[0] * np.outer(along, along) + principal[1] * np.outer(across, across)
+    if sideways is None:
+        return plane
+    matrix = np.diag([0.0, sideways, 0.0])
+    matrix[np.ix_([0, 2], [0, 2])] = plane
+    return matrix
+
+
+def check_point(
+    robot: Robot,
+    angles: Sequence[float],
+    wanted: ArrayLike,
+    point: BodyPoint | Foot | None = None,
+    force: Sequence[float] | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Return a wanted stiffness matrix [N/m] of a point, and both of `point_jacobian`.
+
+    Raises `RangeError` unless the matrix is positive definite and has the directions in which the point moves, and for
+    a posture beyond stops, or in which the joints do not move the point in all directions.
+    """
+    robot.check_posture(angles)
+    jacobian, geometric = point_jacobian(robot, angles, force, point)
+    matrix, directions = np.asarray(wanted, float), ("forwards", "to the left", "up")
+    if robot.is_planar:
+        directions = directions[::2]
+    if matrix.shape != (len(directions),) * 2 or not np.allclose(matrix, matrix.T):
+        message = f"the robot moves in {len(directions)} directions, and the stiffness of the point in {len(matrix)}"
+        remedy = f"give a symmetric matrix: {', '.join(directions)}; in a file, `sideways` for a robot in space alone"
+        raise RangeError(message, field="wanted", value=matrix.tolist(), remedy=remedy)
+    if not np.linalg.eigvalsh(matrix).min() > 0:
+        message, remedy = "the stiffness of the point is not positive in all directions", "give a positive definite one"
+        raise RangeError(message, field="wanted", value=matrix.tolist(), remedy=remedy)
+    axes, sizes, _ = np.linalg.svd(jacobian[:, movable(robot)])
+    if len(sizes) < len(directions) or sizes[-1] < SINGULAR * sizes[0]:
+        along = ", ".join(f"{part:.2g} {name}" for part, name in zip(axes[:, -1], directions, strict=True))
+        message = f"the posture is singular: no joint moves the point along ({along})"
+        remedy = "bend the robot, unlock joints, name another point, or give the stiffness of the joints"
+        raise RangeError(message, field="angles", value=list(angles), remedy=remedy)
+    return matrix, jacobian, geometric

@@ -22,9 +22,9 @@ from mckibben.numerics.compiled import jit
 from mckibben.result import Remark
 from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.point_stiffness import Floats, place_of, point_of
+from mckibben.robot.point_stiffness import Floats, place_of, point_of, stiffness_matrix
 from mckibben.robot.posture import holding_torques
-from mckibben.robot.statics import pressures_for_point_stiffness, stiffness_matrix
+from mckibben.robot.statics import pressures_for_point_stiffness
 from mckibben.robot.tree import solve_symmetric
 from mckibben.units import Angle, Quantity, deg, mm
 

@@ -26,31 +26,30 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.actuator import Actuator, IdealValve
+from mckibben.actuator import IdealValve
 from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
 from mckibben.config.document import to_text
-from mckibben.config.fields import Flag, Title
-from mckibben.config.model import ConfigModel, fail_validation, located_below
+from mckibben.config.fields import Title
+from mckibben.config.model import fail_validation, located_below
 from mckibben.control import Controller, Reference
 from mckibben.errors import RangeError, UnreachableError
-from mckibben.muscle import SpringLaw
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors
 from mckibben.result import Remark
-from mckibben.robot.bodies import BodyPoint
 from mckibben.robot.control import JointwiseControl, TimedReference, TrackingControl, check_pairs
 from mckibben.robot.dynamics import joint_load
 from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import TrackingMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
-from mckibben.robot.point_stiffness import movable
+from mckibben.robot.point_stiffness import SINGULAR, movable
 from mckibben.robot.posture import holding_torques, is_affine
-from mckibben.robot.reaching import PointReference, PointStiffnessValue
+from mckibben.robot.reaching import PointReference
+from mckibben.robot.settings import DrawSettings, JumpSettings, LandingSettings, StartSettings, StiffnessSettings
 from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
-from mckibben.robot.statics import SINGULAR, check_point, pressures_for_joint_stiffness, stiffness_matrix
+from mckibben.robot.statics import pressures_for_joint_stiffness
 from mckibben.scenario.scenario import (
     BatchParts,
     ControllerPart,
@@ -66,146 +65,16 @@ from mckibben.simulation.problem import sampling_times, single_run, split_runs
 from mckibben.simulation.stability import least_disk_margins, linearisable, margins_along
 from mckibben.units import (
     Accuracy,
-    Angle,
-    BoundedInt,
     CommandDelay,
     Duration,
-    Percent,
     PositiveTime,
-    Pressure,
-    Quantity,
-    SignedForce,
-    Stiffness,
-    bar,
     mm,
 )
-
-DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
-Spread = Annotated[float, Percent("1", "%", 0, 50)]
 
 _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the robot."""
 
-
 _JOINTS = TypeAdapter(dict[str, ReferencePart])
-Angles = dict[str, Angle]
-"""Angles [rad] by the name of the joint."""
-
-
-class DrawSettings(ConfigModel):
-    """Relative standard deviations of the strength of each muscle and of the mass of each body, independent.
-
-    The inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors of the fit as well,
-    those with the same file identically. Fewer than 20 draws have no 5th and 95th percentiles.
-    """
-
-    strength: Spread = 0.05
-    mass: Spread = 0.03
-    draws: Annotated[int, BoundedInt(20, 10_000)] = 64
-    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
-
-
-class LandingSettings(ConfigModel):
-    """Drops on the ground over stiffness of a joint, drop height and valve."""
-
-    joint: Title  # whose stiffness varies; the others have the middle of their attainable range
-    touchdown: Angles = Field(default_factory=dict)
-    stiffness: Annotated[tuple[Stiffness, ...], Field(min_length=2)] | None = None  # commanded, isobaric
-    levels: Annotated[int, BoundedInt(3, 200)] = 13  # values over the attainable range, without `stiffness`
-    drop: Annotated[tuple[DropHeight, ...], Field(min_length=1)] = (0.02, 0.05, 0.1)
-    time_constants: tuple[PositiveTime, ...] = (0.02,)  # see `valve_with`; constant pressures and closed valves, too
-    duration: Duration = 0.3
-
-    def check(self, robot: Robot, valve: Actuator | None) -> None:
-        """Raise `RangeError` unless the robot can land in this way."""
-        _check_foot(robot)
-        robot.check_angles(self.touchdown, "touchdown")
-        index = robot.index(self.joint)
-        robot.pair(index)
-        if robot.joints[index].locked is not None:
-            message, remedy = f"{self.joint} is locked: its stiffness has no effect", "name a joint that can move"
-            raise RangeError(message, field="joint", value=self.joint, remedy=remedy)
-        if self.time_constants and valve is not None and not valve.holds_air:
-            message = "landing.time_constants (default: 20 ms) are of a valve with air, and the valve has none"
-            remedy = "give a valve such as {class: regulator, ...}, or `time_constants: []`"
-            raise RangeError(message, field="time_constants", remedy=remedy)
-
-
-class JumpSettings(ConfigModel):
-    """A jump from a squat."""
-
-    squat: Angles = Field(default_factory=dict)  # at the start, held by the muscles at rest
-    low: Pressure = 0.0  # the muscles are switched between these pressures
-    high: Pressure = 6e5
-    latest: Duration = 0.15  # switching time
-    duration: Duration = 0.5
-
-    @model_validator(mode="after")
-    def _in_order(self) -> JumpSettings:
-        for (name, value), (below, least) in (
-            (("high", self.high), ("low", self.low)),
-            (("duration", self.duration), ("latest", self.latest)),
-        ):
-            if value <= least:
-                fail_validation(f"{name} is not above {below}", f"give more than {least:g}", value=value)
-        return self
-
-    def check(self, robot: Robot, valve: Actuator | None) -> None:
-        """Raise `RangeError` unless the robot can jump in this way."""
-        _check_foot(robot)
-        robot.check_angles(self.squat, "squat")
-        muscles = [one for one in robot.all_muscles if not isinstance(one.law, SpringLaw)]
-        rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
-        for what, highest in (("rating of a muscle", rated), ("supply", getattr(valve, "supply", None) or np.inf)):
-            if self.high > highest:
-                message = f"high is {self.high / bar:g} bar, above the {what} of {highest / bar:g} bar"
-                raise RangeError(message, field="high", value=self.high, upper=highest, unit="Pa", remedy="lower it")
-
-
-class StiffnessSettings(ConfigModel):
-    """A stiffness in a posture: of a point, as its main axes (see `stiffness_matrix`), or of joints."""
-
-    principal: tuple[PointStiffnessValue, PointStiffnessValue] | None = None
-    direction: Angle = 0.0
-    sideways: PointStiffnessValue | None = None
-    posture: Angles = Field(default_factory=dict)
-    point: Annotated[BodyPoint, ComponentField(BodyPoint)] | None = None  # default: the foot
-    force: tuple[SignedForce, ...] | None = None  # on the point: forwards and up, or forwards, to the left and up
-    joints: dict[str, Stiffness] = Field(default_factory=dict)  # in place of a point
-    gravity: Flag = False  # whether the muscles hold the weight, the base held
-
-    @model_validator(mode="after")
-    def _of_a_point_or_of_joints(self) -> StiffnessSettings:
-        if self.joints and self.principal is not None:
-            remedy = "give principal, for a point, or joints"
-            fail_validation("has a stiffness of a point and of joints", remedy, field="joints")
-        return self
-
-    def check(self, robot: Robot, _: Actuator | None) -> None:
-        """Raise `RangeError` for another posture, point or direction than the robot has, and a singular posture."""
-        robot.check_angles(self.posture, "posture")
-        robot.check_angles(dict.fromkeys(self.joints), "joints")
-        if self.principal is not None:
-            matrix = stiffness_matrix(self.principal, self.direction, self.sideways)
-            check_point(robot, robot.posture_angles(self.posture), matrix, self.point, self.force)
-
-
-def _check_foot(robot: Robot) -> None:
-    """Raise `RangeError` unless a robot moves and touches the ground."""
-    if robot.base == "fixed":
-        raise RangeError("needs a base that can move", remedy="give the robot a `base` such as vertical")
-    if robot.foot is None:
-        raise RangeError("needs a foot", remedy="give the robot a `foot`: body, place and radius")
-
-
-class StartSettings(ConfigModel):
-    """Start of a run, at rest: angles by joint (default: those of the references), and clearance of the foot [m].
-
-    With a reference of a point the run starts there; the angles are where its inverse kinematics begins.
-    """
-
-    angles: Angles = Field(default_factory=dict)
-    clearance: DropHeight = 0.0
 
 
 class RobotScenario(StudiedScenario):
@@ -332,14 +201,9 @@ class RobotScenario(StudiedScenario):
             _check_independent(self.robot)
         return self
 
-    @property
-    def steps(self) -> dict[str, Any]:
-        """Arguments of a simulation for its integration steps."""
-        return {"control_period": self.control_period, "accuracy": self.accuracy, "substeps": self.substeps}
-
-    def whole_steps(self, duration: float) -> float:
-        """The duration [s] as a multiple of the control period."""
-        return self.control_period * round(duration / self.control_period)
+    def timing_over(self, duration: float) -> dict[str, Any]:
+        """As `timing`, for another duration [s], rounded to control periods."""
+        return self.timing | {"duration": self.control_period * round(duration / self.control_period)}
 
     @property
     def supply(self) -> float:

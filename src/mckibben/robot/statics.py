@@ -22,8 +22,10 @@ from mckibben.robot.mechanism import Robot
 from mckibben.robot.point_stiffness import (
     Floats,
     PointStiffness,
+    check_point,
     movable,
     point_jacobian,
+    stiffness_matrix,
     stiffness_of,
     stiffness_through,
 )
@@ -33,7 +35,6 @@ from mckibben.units import bar, deg
 if TYPE_CHECKING:
     from mckibben.robot.scenario import RobotScenario
 
-SINGULAR = 1e-6
 _STARTS, _MARGIN = 8, 0.1
 """Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
 _SURE = 0.01
@@ -374,61 +375,6 @@ def solve_statics(scenario: RobotScenario, *, source: str = "") -> tuple[dict[st
         return attainable_statics(robot, angles, torques=held, supply=supply), found
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="stiffness")]) from error
-
-
-def stiffness_matrix(principal: Sequence[float], direction: float, sideways: float | None = None) -> Floats:
-    """Return the stiffness matrix [N/m] of a point with principal stiffness [N/m] in the plane of x and z.
-
-    Parameters
-    ----------
-    principal
-        Along the first axis, and across it.
-    direction
-        Angle [rad] of the first axis from the forward direction.
-    sideways
-        Stiffness to the side [N/m], for a robot in space.
-    """
-    along = np.array([np.cos(direction), np.sin(direction)])
-    across = np.array([-along[1], along[0]])
-    plane = principal[0] * np.outer(along, along) + principal[1] * np.outer(across, across)
-    if sideways is None:
-        return plane
-    matrix = np.diag([0.0, sideways, 0.0])
-    matrix[np.ix_([0, 2], [0, 2])] = plane
-    return matrix
-
-
-def check_point(
-    robot: Robot,
-    angles: Sequence[float],
-    wanted: ArrayLike,
-    point: BodyPoint | Foot | None = None,
-    force: Sequence[float] | None = None,
-) -> tuple[Floats, Floats, Floats]:
-    """Return a wanted stiffness matrix [N/m] of a point, and both of `point_jacobian`.
-
-    Raises `RangeError` unless the matrix is positive definite and has the directions in which the point moves, and for
-    a posture beyond stops, or in which the joints do not move the point in all directions.
-    """
-    robot.check_posture(angles)
-    jacobian, geometric = point_jacobian(robot, angles, force, point)
-    matrix, directions = np.asarray(wanted, float), ("forwards", "to the left", "up")
-    if robot.is_planar:
-        directions = directions[::2]
-    if matrix.shape != (len(directions),) * 2 or not np.allclose(matrix, matrix.T):
-        message = f"the robot moves in {len(directions)} directions, and the stiffness of the point in {len(matrix)}"
-        remedy = f"give a symmetric matrix: {', '.join(directions)}; in a file, `sideways` for a robot in space alone"
-        raise RangeError(message, field="wanted", value=matrix.tolist(), remedy=remedy)
-    if not np.linalg.eigvalsh(matrix).min() > 0:
-        message, remedy = "the stiffness of the point is not positive in all directions", "give a positive definite one"
-        raise RangeError(message, field="wanted", value=matrix.tolist(), remedy=remedy)
-    axes, sizes, _ = np.linalg.svd(jacobian[:, movable(robot)])
-    if len(sizes) < len(directions) or sizes[-1] < SINGULAR * sizes[0]:
-        along = ", ".join(f"{part:.2g} {name}" for part, name in zip(axes[:, -1], directions, strict=True))
-        message = f"the posture is singular: no joint moves the point along ({along})"
-        remedy = "bend the robot, unlock joints, name another point, or give the stiffness of the joints"
-        raise RangeError(message, field="angles", value=list(angles), remedy=remedy)
-    return matrix, jacobian, geometric
 
 
 def _certificate(setting: HeldPosture, at: Floats, gradient: Floats, residual: Floats) -> tuple[float, Floats]:
