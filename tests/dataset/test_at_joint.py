@@ -5,6 +5,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset import read_columns, read_dataset, read_recording
+from mckibben.dataset.reading import read_torques
 
 from .conftest import problems_of, table
 
@@ -43,6 +44,33 @@ def test_a_recording_without_a_header_of_forces_at_a_lever_is_read_by_one_recipe
     assert recording.contraction == pytest.approx(contraction, abs=1e-9)
     assert recording.force == pytest.approx(force, rel=1e-7, abs=1e-6)
     assert recording.time[-1] == pytest.approx(3.136)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3, -1])
+@pytest.mark.parametrize("pair", [False, True])
+def test_a_torque_of_wrong_unit_or_sign_is_named_with_its_option(put, factor, pair):
+    (_, first, arm1), (_, second, arm2) = muscle(1), muscle(2)
+    torque = np.concatenate([second * arm2, -first * arm1])[: 66 if pair else 33] * factor
+    pressures = [PRESSURES, 0 * PRESSURES]
+    columns = [np.append(*pressures), np.append(*pressures[::-1])] if pair else [PRESSURES]
+    angles = np.tile(ANGLES, 2) if pair else ANGLES
+    header = "Angle [deg];Moment [mNm];" + ("p2 [bar];p1 [bar]" if pair else "Druck [bar]")
+    path = put(table(header, angles, 1e3 * torque, *columns))
+    problem, *_ = problems_of(path, read_torques if pair else read_dataset, **OPTIONS)
+    assert "Moment [mNm]" in problem.partition(";")[0]
+    assert ("=-torque_mN*m'" if factor < 0 else "=torque_UNIT'") in problem
+
+
+def test_forces_at_a_lever_need_its_arm_and_torques_none(put):
+    _, force, arm = muscle(2)
+    columns = {"Angle [deg]": ANGLES, "Pressure [bar]": PRESSURES, "Force [N]": force * arm / 0.25}
+    at_lever = put(table(";".join(columns), *columns.values()))
+    assert any("lever=250 mm" in problem for problem in problems_of(at_lever, **OPTIONS))
+    columns["Torque [Nm]"] = force * arm
+    both = put(table(";".join(columns), *columns.values()), "both.csv")
+    for lever, remedy in ((None, "'Force [N]=ignore'"), (0.25, "leave lever out")):
+        (problem,) = problems_of(both, lever=lever, **OPTIONS)
+        assert problem.startswith("Torque [Nm]") and remedy in problem
 
 
 def test_angles_without_a_geometry_or_beyond_it_are_asked_about(put):

@@ -28,9 +28,11 @@ HEADER = "Pressure [bar];Contraction [%];Force [N]"
         ("Weg [mm]", "displacement", "mm"), ("Muscle length [in]", "length", "in"), ("Zeit  1 - Standardmessrate [s]", "time", "s"),
         ("Model Root/Pressure [bar]/In1", "pressure", "bar"), ("millis", "time", "ms"), ("Pressure (bar) Ave", "pressure", "bar"),
         ("Istdruck [bar]", "pressure", "bar"), ("Kontraktion ε [%]", "contraction", "percent"), ("Pressure kPa(g)", "pressure", "kPa"), ("Force (N) - Channel 3", "force", "N"),
+        ("torque_N_m", "torque", "N*m"), ("couple [N.m]", "torque", "N*m"), ("トルク（mNm）", "torque", "mN*m"), ("Torque (kgf·cm)", "torque", "kgf*cm"),
+        ("压力 (kPa)", "pressure", "kPa"), ("荷重 [N]", "force", "N"), ("poids (kg)", "set_force", "kgf"), ("psig", "", "psi"), ("收缩率 (%)", "contraction", "percent"),
     ],
 )  # fmt: skip
-def test_headers_in_english_and_german(header, quantity, unit):
+def test_headers_in_five_languages(header, quantity, unit):
     assert parse_header(header)[:2] == (quantity, unit)
 
 
@@ -117,6 +119,16 @@ def test_megapascals_read_as_bars_are_a_question(put):
     problem = problems_of(path, columns={"Druck": "pressure_bar"})[0]
     assert problem.startswith("pressure") and "--column 'Druck=pressure_UNIT'" in problem
     are_the_points(read_dataset(path, columns={"Druck": "pressure_MPa"}))
+
+
+@pytest.mark.parametrize(
+    ("header", "name"),
+    [("Force [N]", "force_kN"), ("Force [N]", "pressure_bar"), ("Abs. pressure [bar]", "pressure_bar")],
+)
+def test_a_column_named_against_its_header_is_a_question(put, header, name):
+    path = put(table(HEADER.replace(f"{name.partition('_')[0].title()} [bar]", header), P, C, F))
+    problem, *_ = problems_of(path, columns={header: name})
+    assert problem.startswith(header) and "accept=words" in problem
 
 
 def test_every_mistake_is_listed_with_its_line(put):

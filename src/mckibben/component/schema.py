@@ -137,6 +137,12 @@ def field_types(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noq
     return types
 
 
+def _places(kind: type, name: str) -> list[str]:
+    """Fields of a class that hold a component of a class named in a file."""
+    marks = {field: component_field(annotation) for field, annotation in field_types(kind).items()}
+    return [field for field, mark in marks.items() if mark and find_class(mark.base, name)]
+
+
 @functools.cache
 def _keys(kind: type) -> frozenset[str]:
     """Keys of a section of a class."""
@@ -302,9 +308,12 @@ class ComponentField:
         named = section["class"]
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:
-            known = list(classes_of(self.base))
-            remedy = suggest(str(named), known) if known else "there is none yet"
+            known = classes_of(self.base)
+            remedy = suggest(str(named), list(known)) if known else "there is none yet"
             own = "for a user-defined class, load its module first: `mckibben --extension FILE.py ...`, or a module"
+            for name, other in known.items():
+                if places := _places(other, str(named)):
+                    remedy, own = f"write `class: {name}`", f"it can be its {' and its '.join(places)}"
             message = f"there is no class {quoted(named)} of {self.base.__name__}"
             fail_validation(message, f"{remedy}; {own}", value=named)
         return kind

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from mckibben.dataset.raw import Floats
 from mckibben.dataset.table import Column, Question, question
+from mckibben.dataset.vocabulary import QUANTITIES
+from mckibben.muscle import air
 from mckibben.units import show
 
 PRESSURES = ("pressure", "pressure1", "pressure2")
@@ -26,14 +29,49 @@ class JointPaths(Protocol):
         """Return lengths [m] and moment arms [m] of muscles 1 and 2, each a pair, at an angle [rad]."""
 
 
+AT_LEVER = "force at lever"
+"""Column of the forces that became torques."""
+
+
 def needed_at_joint(columns: dict[str, Column], lever: float | None) -> tuple[str, ...]:
     """Quantities that a test on a joint needs; a force at a lever arm [m] becomes a torque."""
-    if lever is not None and "force" in columns:
-        force = columns.pop("force")
-        remarks = (*force.remarks, f"at an arm of {show(lever, 'mm')}")
-        columns["torque"] = replace(force, quantity="torque", values=lever * force.values, remarks=remarks)
+    if lever is not None and "force" in columns and "torque" not in columns:
+        columns[AT_LEVER] = force = columns.pop("force")
+        remarks = (f"at an arm of {show(lever, 'mm')}",)
+        columns["torque"] = Column(force.header, "torque", "N*m", lever * force.values, force.source, remarks)
     measured = "force" if lever is not None and "torque" not in columns else "torque"
     return ("angle", measured) if any(name in columns for name in PRESSURES) else ("angle", measured, "pressure")
+
+
+def implausible_torque(columns: Mapping[str, Column], arms: Floats) -> Iterator[Question]:
+    """Ask about torques that no muscle has at its pressure and moment arm, shape (1 or 2 muscles, rows) [m].
+
+    The largest one by the ideal bound of Chou and Hannaford, with the diameters of muscles; of two muscles, the one
+    with more pressure has to win.
+    """
+    measured, torque = columns.get(AT_LEVER, columns["torque"]), columns["torque"].values
+    pressures = np.array([columns[name].values for name in (PRESSURES[1:] if len(arms) > 1 else PRESSURES[:1])])
+    moments, size = arms * pressures, np.abs(torque)  # N, per area of a muscle
+    largest = np.max(moments, axis=0)
+    option = f"--column '{measured.header}={{}}{measured.quantity}_{{}}'"
+    at = int(np.argmax(np.where(largest > 0, size, 0)))
+    if not (size[at] > 0 and largest[at] > 0):
+        return
+    diameter = air.implied_diameter(size[at] / largest[at])
+    if not air.DIAMETERS[0] <= diameter <= air.DIAMETERS[1]:
+        low, high = (size[at] * (limit / diameter) ** 2 for limit in air.DIAMETERS)
+        found = show(size[at], "N*m", 3), show(diameter, "mm", 3), show(pressures[:, at].max(), "bar", 3)
+        text = (
+            f"the largest torque, {found[0]}, is that of a muscle of {found[1]} diameter: at {found[2]} and an arm of "
+            f"{show(arms[:, at].max(), 'mm')}, those of 1.7 to 80 mm have {low:.2g} to {show(high, 'N*m', 3)}"
+        )
+        units = f"{option.format('', 'UNIT')}, where UNIT is one of {', '.join(QUANTITIES[measured.quantity])}"
+        remedy = f"check its unit{', the lever' * (AT_LEVER in columns)} and the geometry: {units}"
+        yield question(text, "range", field=measured.header, remedy=remedy)
+    elif len(arms) > 1 and np.cov(torque, moments[1] - moments[0])[0, 1] < 0:
+        text = "the torque falls with the pressure of muscle 2 and rises with that of muscle 1: a wrong sign?"
+        remedy = f"turn it: {option.format('-', measured.unit)}; or exchange the pressures"
+        yield question(text, "order", field=measured.header, remedy=remedy)
 
 
 def add_muscle(columns: dict[str, Column], geometry: JointPaths | None) -> Iterator[Question]:
@@ -70,6 +108,7 @@ def add_muscle(columns: dict[str, Column], geometry: JointPaths | None) -> Itera
     columns["pressure"] = replace(columns.pop(name), quantity="pressure")
     told = (f"of muscle {muscle + 1}, by the joint",)
     length, arm = (np.asarray(pair[muscle]) for pair in geometry.paths_and_arms(angle.values))
+    yield from implausible_torque(columns, arm[None])
     force = (torque.values if muscle else -torque.values) / arm
     columns["force"] = Column(torque.header, "force", "N", force, torque.source, told)
     columns["length"] = Column(angle.header, "length", "mm", length, angle.source, told)

@@ -159,7 +159,7 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
         return
     diameter = air.implied_diameter(force[at] / pressure[at], contraction[at])
     known = specimen.initial_diameter if specimen else None
-    smallest, largest = (known * ratio for ratio in air.USUAL_DIAMETERS) if known else (1.7 * mm, 80 * mm)
+    smallest, largest = (known * ratio for ratio in air.USUAL_DIAMETERS) if known else air.DIAMETERS
     if not smallest <= diameter <= largest:
         whose = f", but {specimen.name} has {known / mm:.3g} mm: is it in kgf or lbf?" if known and specimen else ""
         text = f"the largest force is that of a muscle of about {diameter / mm:.2g} mm diameter{whose},"

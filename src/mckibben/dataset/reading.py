@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.clocks import join_clocks
 from mckibben.dataset.file_names import add_from_name
@@ -175,7 +176,12 @@ def check_points(
 
 def _with_header(problem: Problem, dataset: IsobaricDataset) -> Problem:
     """Problem whose remedy names the column of the file and its unit, if they are known."""
-    column = dataset.lines[0].columns.get(problem.field) if dataset.lines else None
+    columns = dataset.lines[0].columns if dataset.lines else {}
+    column = columns.get(problem.field)
+    if problem.field == "force" and "torque" in columns:
+        column = columns.get(AT_LEVER, columns["torque"])
+        turned = "" if _NAMED.search(problem.remedy) else "turn the sign of the torque: --column 'HEADER=-force_N'; or "
+        problem = replace(problem, field=f"force, by {column.header}", remedy=f"{turned}{problem.remedy}")
     if column is None or not column.unit or not problem.remedy:
         return problem
     known, unit = column.quantity, column.unit

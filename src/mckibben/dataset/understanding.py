@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.at_joint import JointPaths, add_muscle, needed_at_joint
+from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque, needed_at_joint
 from mckibben.dataset.clock import seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
@@ -50,6 +50,7 @@ _AT_JOINT = (
     "of torques at angles, give the geometry of the joint: --read joint=FILE (in Python joint=FILE), of forces at a "
     "lever also --read 'lever=250 mm'; else "
 )
+_AT_LEVER = "of forces at a lever of the joint, give its arm: --read 'lever=250 mm' (in Python lever=0.25); else "
 _UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -69,7 +70,7 @@ _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
 _WORDS_LISTED = 20  # unknown words of a column that are named
 _LONGEST = 20.0  # m
-_MASS = re.compile(r"weight|mass|gewicht|last\b", re.IGNORECASE)
+_MASS = re.compile(r"weight|mass|gewicht|last\b|poids|重量|质量|質量|砝码|おもり", re.IGNORECASE)
 _OF_JOINTS = ("angle", "torque", "pressure1", "pressure2")
 _NEEDLESS_UNITS = ("time", "angle", "torque")
 _WITH_UNIT = re.compile(r"(.+?)\s*[\[(]([^\[\]()]+)[\])]\s*")
@@ -131,7 +132,11 @@ class _Reader:
         for entry in chosen:
             self._convert(entry)
         if self.recipe.joint is not None:
+            self._check_lever()
             at_joint = needed_at_joint(table.columns, self.recipe.lever)
+            if "torque" in needed and geometry is not None and {*needed} <= {*table.columns}:
+                arms = geometry.paths_and_arms(table.columns["angle"].values)[1]
+                self.asked += implausible_torque(table.columns, np.asarray(arms))
             if "torque" not in needed:
                 needed = at_joint
                 self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
@@ -141,7 +146,9 @@ class _Reader:
             kinds = " and ".join(missing)
             meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
             at_joint = any(parse_header(column.label or column.name).quantity in _OF_JOINTS for column in raw.columns)
-            named = f"{_AT_JOINT if at_joint and not self.recipe.joint else ''}name them: {meant}{_ELSEWHERE}"
+            of_joint = _AT_JOINT if at_joint and not self.recipe.joint else ""
+            of_joint = _AT_LEVER if "torque" in missing and "force" in table.columns else of_joint
+            named = f"{of_joint}name them: {meant}{_ELSEWHERE}"
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=named)
         self._ask_about_words(chosen)
         table.repairs += [str(replace(asked.problem, remedy="")) for asked in self.asked if asked.topic == "corrupt"]
@@ -159,10 +166,26 @@ class _Reader:
             remedy = "name an absolute one: --column 'HEADER=pressure_bar_abs', or leave ambient out"
             self.ask("no pressure is absolute", field="ambient", remedy=remedy)
 
+    def _check_lever(self) -> None:
+        """Ask about measured torques beside a lever or a force."""
+        if torque := self.table.columns.get("torque"):
+            lever, force = self.recipe.lever, self.table.columns.get("force")
+            ways = "" if lever is None else "leave lever out, or "
+            if ways or force:
+                ways += _NEEDLESS.format((force if force and not ways else torque).header)
+                text = f"is a torque beside {'a lever' if lever else 'a force'}"
+                self.ask(text, field=torque.header, remedy=ways)
+
     def _meant(self, quantity: str) -> str:
-        """Option that names a column of a quantity: the one whose header has its name and an unknown unit, if any."""
+        """Option that names a column of a quantity: the one whose header has its unit, or its name, if any."""
         for column in self.raw.columns:
-            match = _WITH_UNIT.fullmatch(column.label or column.name)
+            label = column.label or column.name
+            if (
+                column.name in self.table.ignored
+                and dimension_of(unit := parse_header(label, column.unit).unit) == quantity
+            ):
+                return f"--column '{column.name}={quantity}_{unit}'"
+            match = _WITH_UNIT.fullmatch(label)
             if match and column.name in self.table.ignored and parse_header(match[1]).quantity == quantity:
                 unit = closest(match[2], QUANTITIES[quantity])
                 line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
@@ -207,12 +230,24 @@ class _Reader:
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
+                if name and (gain, offset) in ((1.0, 0.0), (-1.0, 0.0)):
+                    self._contradiction(column, parse_header(label, column.unit), header)
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
                 understood.append(_Entry(column, header, source, gain, offset))
             else:
                 self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
         sensed = any(entry.header.quantity == "force" for entry in understood)
         return understood if sensed else [entry.without_sensor() for entry in understood]
+
+    def _contradiction(self, column: RawColumn, said: Header, named: Header) -> None:
+        """Ask about a column that is named otherwise than its header says."""
+        kinds = [
+            dimension_of(header.unit or "".join(QUANTITIES.get(header.quantity, ())[:1])) for header in (said, named)
+        ]
+        units = said.unit not in ("", named.unit) if kinds[0] == kinds[1] else all(kinds)
+        if units or (said.absolute and not named.absolute and kinds[1] == "pressure"):
+            text = f"is named {named.quantity}_{named.unit}, which contradicts its header"
+            self.ask(text, "words", field=column.name, remedy="correct either")
 
     def _header_of(self, column: RawColumn, label: str) -> Header:
         """Meaning of a column that the recipe does not name; those of a joint are read in its tests alone."""

@@ -1,4 +1,4 @@
-"""Names and units of columns in English and German: one declared table, and the forms in which headers combine them."""
+"""Names and units of columns in five languages: one declared table, and the forms in which headers combine them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNITS: Mapping[str, str] = {
     "length": "mm m cm um in",
     "time": "s ms us ns min h",
     "angle": "deg rad mrad",
-    "torque": "N*m N*mm N*cm mN*m",
+    "torque": "N*m N*mm N*cm mN*m kN*m kgf*cm kgf*m lbf*in",
 }
 """Units in which each quantity is read, the usual one first."""
 QUANTITIES: Mapping[str, tuple[str, ...]] = {
@@ -37,30 +37,34 @@ as `relative_length` is. `pressure1` and `pressure2` are those of the muscles of
 
 _NAMES: Mapping[str, str] = {
     "pressure": """p, pressure, muscle pressure, air pressure, inner pressure, internal pressure, actuator pressure,
-        druck, muskeldruck, innendruck, istdruck, p muskel, p ist, messdruck, überdruck, absolutdruck""",
+        druck, muskeldruck, innendruck, istdruck, p muskel, p ist, messdruck, überdruck, ueberdruck, absolutdruck,
+        luftdruck, pression, 压力, 气压, 压强, 表压, 圧力, 空気圧, 内圧, ゲージ圧""",
     "force": """f, force, axial force, tension, tensile force, pull, pulling force, contractile force, load,
-        load cell, kraft, zugkraft, axialkraft, muskelkraft, standardkraft, kraftaufnehmer, standard force, last""",
+        load cell, kraft, zugkraft, axialkraft, muskelkraft, standardkraft, kraftaufnehmer, standard force, last,
+        force de traction, 力, 拉力, 张力, 收缩力, 荷重, 張力, 収縮力, 発生力""",
     "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
-        verkuerzung, relative verkürzung""",
-    "length": """l, length, muscle length, länge, laenge, muskellänge, muskellaenge""",
+        verkuerzung, relative verkürzung, taux de contraction, 收缩率, 収縮率""",
+    "length": """l, length, muscle length, länge, laenge, muskellänge, muskellaenge, longueur, 长度, 長さ""",
     "displacement": """displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung,
-        wegaufnehmer, traversenweg, standardweg""",
-    "shortening": """shortening, verkürzungsweg""",
-    "lengthening": """lengthening, elongation, verlängerung""",
+        wegaufnehmer, traversenweg, standardweg, déplacement, deplacement, course, 位移, 变位, 変位, 行程,
+        ストローク""",
+    "shortening": """shortening, verkürzungsweg, raccourcissement, 收缩量, 収縮量""",
+    "lengthening": """lengthening, elongation, verlängerung, allongement, 伸长, 伸び""",
     "relative_length": """relative length, length ratio, l/l0, relative länge, längenverhältnis""",
-    "angle": """angle, joint angle, theta, winkel, gelenkwinkel""",
-    "torque": """torque, joint torque, moment, tau, drehmoment""",
+    "angle": """angle, joint angle, theta, θ, phi, φ, winkel, gelenkwinkel, 角度, 关节角度, 関節角度""",
+    "torque": """torque, joint torque, moment, tau, τ, drehmoment, gelenkmoment, couple, 扭矩, 力矩, 转矩, トルク""",
     "pressure1": "p1, pressure1",
     "pressure2": "p2, pressure2",
     "set_pressure": """set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure,
         target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
         sollwert druck, druck sollwert""",
     "set_force": """set force, force set, force setpoint, nominal force, target force, set load, nominal load, weight,
-        weights, mass, masse, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast""",
+        weights, mass, masse, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast,
+        poids, 重量, 质量, 質量, 砝码, おもり""",
     "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp,
         test time, zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum,
         uhrzeit, zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time,
-        date/time, datum/uhrzeit""",
+        date/time, datum/uhrzeit, temps, heure, zeitpunkt, 时间, 時間, 時刻, 日時, 日期""",
     "direction": "direction, richtung",
     "phase": "phase",
     "repeat": "repeat, wiederholung",
@@ -72,13 +76,15 @@ _MODIFIERS = re.compile(
 )
 _HARMLESS = re.compile(
     r"""^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle
-    |zyklus|alarm\w*|temperature|temperatur|temp|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom
+    |zyklus|alarm\w*|\w*temperature?|température|temp|温度|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom
     |batt(?:ery)?|volt\w*|operator|bediener|seq|stamp|frame|sub\ frame|header|secs|nsecs|ns|events?|marker|ptemp\w*
     |wind\w*|hysteresis|speed|velocity|geschwindigkeit|acceleration|angle|winkel|torque|drehmoment|frequency|frequenz
     |milliseconds?|ms|file|datei)\b|$)""",
     re.VERBOSE,
 )
-ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa)a\b|\(a\)", re.IGNORECASE)
+ABSOLUTE = re.compile(
+    r"\b(?:absolute?[rsn]?|absolue?|abs|absolutdruck)\b|绝对|絶対|(?<=bar|psi|kpa)a\b|\(a\)", re.IGNORECASE
+)
 _GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.IGNORECASE)
 AMBIGUOUS = re.compile(
     r"""strain|dehnung|elongation|stauchung|position|peak
@@ -110,8 +116,8 @@ _SPELLED: Mapping[str, str] = {
     **dict.fromkeys(("nanoseconds", "nanosec"), "ns"),
     **dict.fromkeys(("hour", "hours", "hr", "std", "stunden"), "h"),
     **dict.fromkeys(("°", "degree", "degrees", "grad"), "deg"),
-    **dict.fromkeys(("Nm", "N·m", "N-m", "N m"), "N*m"),
-    **dict.fromkeys(("Nmm", "N·mm"), "N*mm"),
+    **dict.fromkeys(("kgcm", "kpcm"), "kgf*cm"),
+    **dict.fromkeys(("inlb", "lbin", "inlbf"), "lbf*in"),
     "minutes": "min",
 }
 _TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
@@ -164,9 +170,11 @@ def canonical_unit(text: str, quantity: str) -> str:
     ('kgf', '', 'percent')
     """
     bare = unicodedata.normalize("NFKC", text).replace("²", "2").strip(" .")
-    bare = _SPELLED.get(bare) or _SPELLED.get(bare.lower(), bare)
+    product = re.sub(r"[·⋅*. -]", "", bare)  # N·m, N.m, N-m, Nm
+    bare = next((_SPELLED[text] for text in (bare, bare.lower(), product.lower()) if text in _SPELLED), product)
     for unit in QUANTITIES[quantity]:
-        if bare.lower() == unit.lower() and (unit[0] not in "mMgG" or bare[0] == unit[0] or unit == "gf"):
+        same, cased = bare.lower() == unit.replace("*", "").lower(), unit[0] in "mMgG" or "*" in unit
+        if bare == unit or (same and (not cased or bare[0] == unit[0] or unit == "gf")):
             return unit
     return ""
 
@@ -192,6 +200,9 @@ def parse_header(text: str, unit: str = "") -> Header:
     """
     text = " ".join(unicodedata.normalize("NFKC", text[:_LONGEST]).split()).lstrip("#%").strip()
     text = re.sub(r":\d+$", "", text)  # of Simulink
+    text = re.sub(r"_(m?N)_([cm]?m)$", r"_\1*\2", text)  # torque_N_m
+    if dimension_of(text) == "pressure":  # a unit alone
+        return Header("", canonical_unit(_GAUGE.sub("", ABSOLUTE.sub("", text)).strip(), "pressure"), _plain(text))
     if (match := _REFERENCE.fullmatch(text)) and dimension_of(match[2]) == "pressure":  # Pressure kPa(g)
         text = f"{match[1]} ({match[2]} {'gauge' if match[3] else 'abs'})"
     whole = _read_whole(text, unit)

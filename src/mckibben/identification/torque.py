@@ -26,7 +26,7 @@ from mckibben.identification.estimator import (
 from mckibben.identification.fit import parameter_listing
 from mckibben.identification.fitting import check_law_type
 from mckibben.identification.least_squares import FitProblem, design_matrix, grid_search, solve
-from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.muscle import Domain, ForceLaw, SmoothLaw, forces
 from mckibben.muscle.slopes import unphysical
 from mckibben.result import Listing, Remark, Result, column
 from mckibben.units import kPa
@@ -189,6 +189,8 @@ def identify_torque(
         If the points do not determine the parameters; the error names them.
     """
     check_law_type(law_type)
+    if law_type is SmoothLaw:
+        raise IdentificationError("torques do not determine SmoothLaw", remedy="take a law of few parameters")
     angle, torque, *pressures = (table.columns[name].values for name in ("angle", "torque", "pressure1", "pressure2"))
     lengths, arms = (np.array([np.asarray(side) for side in pair]) for pair in geometry.paths_and_arms(angle))
     contraction, pressure = 1 - lengths / initial_length, np.array(pressures)

@@ -48,6 +48,9 @@ USUAL_DIAMETERS = (factor("lbf") ** -0.25, 2.0)
 Below the first, lbf or kgf are nearer to the force than N.
 """
 
+DIAMETERS = 1.7e-3, 80e-3
+"""Diameters [m] of muscles, the smallest and the largest."""
+
 HEAT_CAPACITY_RATIO = 1.4
 """Ratio kappa of the specific heat capacities of air."""
 
