@@ -132,14 +132,7 @@ class _Reader:
         for entry in chosen:
             self._convert(entry)
         if self.recipe.joint is not None:
-            self._check_lever()
-            at_joint = needed_at_joint(table.columns, self.recipe.lever)
-            if "torque" in needed and geometry is not None and {*needed} <= {*table.columns}:
-                arms = geometry.paths_and_arms(table.columns["angle"].values)[1]
-                self.asked += implausible_torque(table.columns, np.asarray(arms))
-            if "torque" not in needed:
-                needed = at_joint
-                self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
+            needed = self._at_joint(needed, geometry)
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
@@ -166,15 +159,23 @@ class _Reader:
             remedy = "name an absolute one: --column 'HEADER=pressure_bar_abs', or leave ambient out"
             self.ask("no pressure is absolute", field="ambient", remedy=remedy)
 
-    def _check_lever(self) -> None:
-        """Ask about measured torques beside a lever or a force."""
-        if torque := self.table.columns.get("torque"):
-            lever, force = self.recipe.lever, self.table.columns.get("force")
-            ways = "" if lever is None else "leave lever out, or "
-            if ways or force:
-                ways += _NEEDLESS.format((force if force and not ways else torque).header)
-                text = f"is a torque beside {'a lever' if lever else 'a force'}"
-                self.ask(text, field=torque.header, remedy=ways)
+    def _at_joint(self, needed: Sequence[str], geometry: JointPaths | None) -> Sequence[str]:
+        """Quantities that a test on a joint needs, with questions; adds those of the only muscle."""
+        columns, lever = self.table.columns, self.recipe.lever
+        if (torque := columns.get("torque")) and (lever is not None or "force" in columns):
+            ways = (torque if lever is not None else columns["force"]).header
+            remedy = f"leave lever out, or {_NEEDLESS}" if lever is not None else _NEEDLESS
+            text = f"is a torque beside a {'force' if lever is None else 'lever'}"
+            self.ask(text, field=torque.header, remedy=remedy.format(ways))
+        at_joint = needed_at_joint(columns, lever)
+        if "torque" not in needed:
+            if {*at_joint} <= {*columns}:
+                self.asked += add_muscle(columns, geometry)
+            return at_joint
+        if geometry is not None and {*needed} <= {*columns}:
+            arms = geometry.paths_and_arms(columns["angle"].values)[1]
+            self.asked += implausible_torque(columns, np.asarray(arms))
+        return needed
 
     def _meant(self, quantity: str) -> str:
         """Option that names a column of a quantity: the one whose header has its unit, or its name, if any."""
