@@ -231,7 +231,7 @@ class _Reader:
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
-                if name and (gain, offset) in ((1.0, 0.0), (-1.0, 0.0)):
+                if name and abs(gain) == 1 and not offset:
                     self._contradiction(column, parse_header(label, column.unit), header)
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
                 understood.append(_Entry(column, header, source, gain, offset))
