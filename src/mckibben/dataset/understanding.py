@@ -231,22 +231,24 @@ class _Reader:
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
-                if name and abs(gain) == 1 and not offset:
-                    self._contradiction(column, parse_header(label, column.unit), header)
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
                 understood.append(_Entry(column, header, source, gain, offset))
+                self._ask_of_contradiction(understood[-1])
             else:
                 self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
         sensed = any(entry.header.quantity == "force" for entry in understood)
         return understood if sensed else [entry.without_sensor() for entry in understood]
 
-    def _contradiction(self, column: RawColumn, said: Header, named: Header) -> None:
-        """Ask about a column that is named otherwise than its header says."""
-        kinds = [
-            dimension_of(header.unit or "".join(QUANTITIES.get(header.quantity, ())[:1])) for header in (said, named)
-        ]
-        units = said.unit not in ("", named.unit) if kinds[0] == kinds[1] else all(kinds)
-        if units or (said.absolute and not named.absolute and kinds[1] == "pressure"):
+    def _ask_of_contradiction(self, entry: _Entry) -> None:
+        """Ask about a column that the recipe names otherwise than its header says, without the line of a sensor."""
+        if entry.source != "columns" or abs(entry.gain) != 1 or entry.offset:
+            return
+        column, named = entry.column, entry.header
+        said = parse_header(column.label or column.name, column.unit)
+        units = [header.unit or "".join(QUANTITIES.get(header.quantity, ())[:1]) for header in (said, named)]
+        first, second = map(dimension_of, units)
+        unlike = said.unit not in ("", named.unit) if first == second else first and second
+        if unlike or (said.absolute and not named.absolute and second == "pressure"):
             text = f"is named {named.quantity}_{named.unit}, which contradicts its header"
             self.ask(text, "words", field=column.name, remedy="correct either")
 
