@@ -154,6 +154,7 @@ def test_the_catalog_lists_laws_and_entries_at_any_width(cli, monkeypatch):
         *(name for kind in ("laws", "specimens", "datasets", "valves") for name in catalog.names(kind)),
     ):
         assert name in found.out
+    assert max(map(len, found.out.splitlines())) <= 80
     tables = {table["title"]: table["columns"] for table in json.loads(cli("catalog", "--json").out)["tables"]}
     assert tables["Force laws"]["law"]["values"] == list(LAWS)
     row = tables["Specimens"]["name"]["values"].index("MAS-10-180N-AA-MC-O")

@@ -46,7 +46,7 @@ def files(tmp_path, shortened):
         (("stiffnes", "joint.yaml"), "stiffness"),
         (("export", "joint.yaml"), "--to"),
         (("simulate", "short-connector.yaml"), "a longer connector_length"),
-        (("identify", "nowhere.csv"), "nowhere.csv: 1 problem\n  there is no such file\n"),
+        (("identify", "nowhere.csv"), "nowhere.csv: 1 problem\n  there is no such file; "),
         (("identify", "dmsp-10-250-martens207"), "did you mean 'dmsp-10-250-martens2017'?"),
         (("identify", FESTO, "--column", "force_N"), "--column 'force_N'"),
         (("identify", FESTO, "--friction", "coulombic"), "take auto, on, off, coulomb"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.errors import ExportError, ParameterError
+from mckibben.errors import CallError, ExportError, ParameterError
 from mckibben.scenario import with_values
 from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
@@ -206,6 +206,8 @@ def test_mistakes_are_refused(scenario):
     with pytest.raises(ExportError) as caught:
         JointEnv(scenario, random_plant=["controller.position.kp=+-50 %"])
     assert caught.value.field == "random_plant"
+    with pytest.raises(CallError, match="'history'"):
+        JointEnv(scenario, histori=2)
     own = mk.Scenario.read("examples/your-muscle/joint.yaml")
     with pytest.raises(ExportError) as caught:
         JointEnv(own, reward=RewardTerms(air_price=1.0))

@@ -134,6 +134,7 @@ def _measured(
     try:
         with keeping(out), run_line(quiet=quiet) as line:
             runs = run_parts(parts, out, rig=device, firmware=scenario, ready=ready, progress=line)
+            echo(f"wrote {', '.join(f'{name}/result.nc' for name in parts)} to {out}", err=True)
             return experiment.recordings(runs)
     except StoppedError as stopped:
         echo(str(stopped), err=True)

@@ -40,7 +40,7 @@ class Helping:
         except _UsageError as error:
             if not given and getattr(self, "no_args_is_help", False):
                 raise  # prints the help
-            text = f"{ctx.command_path}: {error.format_message().rstrip('.')}"
+            text = f"{ctx.command_path}: {error.format_message().replace('Value error, ', '').rstrip('.')}"
             raise ParameterError(text, remedy=f"see {ctx.command_path} --help") from None
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

@@ -124,12 +124,9 @@ def check_unused(place: str, **values: object) -> None:
         raise ParameterError(message, field=names[0], value=values, remedy=f"leave out either, {names[0]} or {place}")
 
 
-_WIDTH_OF_A_PIPE = 100  # characters of a line where there is no terminal
-
-
 def text_width() -> int:
-    """Characters of a line: those of the terminal, or 100 in a file or a pipe."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH_OF_A_PIPE
+    """Characters of a line: COLUMNS or those of the terminal, or 100 in a file or a pipe."""
+    return shutil.get_terminal_size((100, 24)).columns
 
 
 _LOG_INTERVAL, _LOG_SHARE = 10.0, 0.25  # s, and of the elapsed time: between lines of progress in a log

@@ -135,7 +135,8 @@ def check_regular(path: Path) -> int:
     """
     if os.path.isfile(path):  # noqa: PTH113, false for a path that cannot be
         return path.stat().st_size
-    problem = Problem("there is no such file", remedy=FILES_REMEDY if "*" in path.name else similar_file(path))
+    meant = FILES_REMEDY if "*" in path.name else similar_file(path) or "give the path of a file of measurements"
+    problem = Problem("there is no such file", remedy=meant)
     if os.path.isdir(path):  # noqa: PTH112
         problem = Problem("is a directory", remedy=FILES_REMEDY)
     elif os.path.exists(path):  # noqa: PTH110

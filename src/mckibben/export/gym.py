@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mckibben.component.calls import CheckedCalls
 from mckibben.errors import ExportError
 from mckibben.export.episodes import (
     ManyProgram,
@@ -51,7 +52,7 @@ class Options(TypedDict, total=False):
 _MOST_HISTORY = 100
 
 
-class _Joint:
+class Environment(metaclass=CheckedCalls):
     """Common part of both environments: plants, spaces, and settings of a step."""
 
     def __init__(
@@ -145,7 +146,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         **options: Unpack[Options],
     ) -> None:
         self.render_mode = render_mode
-        self.joint = _Joint(scenario, **options)
+        self.joint = Environment(scenario, **options)
         self.observation_space, self.action_space = self.joint.observation_space, self.joint.action_space
         self.metadata = self.joint.metadata
         self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
@@ -199,7 +200,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         **options: Unpack[Options],
     ) -> None:
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.joint = _Joint(scenario, **options)
+        self.joint = Environment(scenario, **options)
         self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

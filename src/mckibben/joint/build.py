@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from pathlib import Path
 from types import ModuleType
 
 from mckibben.component.calls import checked_call
 from mckibben.component.classes import classes_of, find_class
-from mckibben.component.schema import declared_fields
+from mckibben.component.schema import declared_fields, read_component
 from mckibben.errors import ParameterError, quoted, suggest
 from mckibben.joint.antagonistic import AntagonisticJoint
 from mckibben.joint.geometry import Geometry
@@ -16,7 +18,9 @@ from mckibben.muscle import Muscle
 
 
 @checked_call
-def joint(muscle: Muscle, kind: str | Geometry | MusclePath = "pulley", **fields: object) -> AntagonisticJoint:
+def joint(
+    muscle: Muscle | str | os.PathLike[str], kind: str | Geometry | MusclePath = "pulley", **fields: object
+) -> AntagonisticJoint:
     """Return a joint between two equal muscles; `mckibben.joint` itself is this function, too.
 
     Muscles that differ, and series springs, are arguments of `AntagonisticJoint`.
@@ -24,7 +28,7 @@ def joint(muscle: Muscle, kind: str | Geometry | MusclePath = "pulley", **fields
     Parameters
     ----------
     muscle
-        Each of the muscles, such as ``fit.muscle()``.
+        Each of the muscles, such as ``fit.muscle()``, or its file, such as ``fit/muscle.yaml``.
     kind
         Path of each muscle or geometry of both: its class by name, as in a file, or an object.
     fields
@@ -43,6 +47,8 @@ def joint(muscle: Muscle, kind: str | Geometry | MusclePath = "pulley", **fields
     >>> joint(muscle, "pulley", radius="35 mm")
     <AntagonisticJoint: PairedPaths(path1=Pulley(radius=0.035, rest_length=0.21875), path2=...), two of Muscle(...)>
     """
+    if isinstance(muscle, str | os.PathLike):
+        muscle = read_component(Muscle, Path(muscle))
     if isinstance(kind, str):
         path, geometry = find_class(MusclePath, kind), find_class(Geometry, kind)
         if path is None and geometry is None:
