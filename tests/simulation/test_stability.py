@@ -165,6 +165,12 @@ def test_the_verdict_says_where_the_loop_is_open(found):
     assert "at 1 of the points the loop is open" in both.to_text(width=200)
 
 
+def test_a_loop_that_is_open_to_rounding_has_an_infinite_gain_margin():
+    a, b, c = np.array([[0.9, 0.1], [0.0, 0.9]]), np.diag([0.0, 1e-13]), np.array([[0.0, 0.0], [-1.0, 0.0]])
+    assert margins_of(LinearLoop(a, b, c)).gain == np.inf
+    assert margins_of(LinearLoop(a, 1e13 * b, c)).gain < 10
+
+
 def test_an_unstable_loop_has_no_margins():
     found = margins_of(LinearLoop(1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2)))
     assert found.radius == pytest.approx(1.1)

@@ -137,9 +137,7 @@ def test_a_muscle_file_is_written_from_what_is_known(tmp_path):
     bounds = {"presliding_length": 1.2 * mm}
     assert write_muscle(path, law, specimen="mine", initial_length=0.3, undetermined=bounds, **known)
     assert float(built("muscle.yaml", tmp_path).friction.presliding_length) == 0.5 * mm
-    assert any(
-        line.startswith("#") and "presliding_length (at most 1.2 mm)" in line for line in path.read_text().splitlines()
-    )
+    assert any(line.startswith("#") and "presliding_length" in line for line in path.read_text().splitlines())
     assert write_muscle(path, law, specimen="DMSP-10-250", initial_length=None, **known)
     assert "specimen: DMSP-10-250" in path.read_text()
     path.unlink()

@@ -124,7 +124,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     fitted = points.force - residuals
     good = float(np.sqrt(np.mean(residuals**2))) < _GOOD * float(fitted.max())
     doubt = Remark.note if good else Remark.warning  # a law that describes the points may be misspecified
-    notes = [Remark.note("law", f"the law is Eq. 2 alone: {simpler}")] if simpler else []
+    notes = [Remark.warning("law", f"Eq. 2 is fitted in place of SmoothLaw: {simpler}")] if simpler else []
     notes += _bound_remarks(law_type, solution, at_bound, doubt)
     if off := off_levels(points):
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"

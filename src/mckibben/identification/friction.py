@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -79,7 +80,8 @@ class HysteresisFit(Result):
     outliers
         Points left out because they are off the smooth surface through the others.
     undetermined
-        Upper bounds (95 %), in SI, of parameters of the friction that a simulation needs and the data do not determine.
+        Upper bounds (95 %), in SI, of parameters of the friction that a simulation needs and the data do not determine;
+        infinite without one.
     notes
         Reasons not to rely on the results.
     """
@@ -107,7 +109,8 @@ class HysteresisFit(Result):
         """Return half width and presliding length."""
         friction, names = self.friction, f"{type(self.law).__name__} with friction of the form {self.form.value!r}"
         most = self.undetermined.get("presliding_length")
-        length = show(friction.presliding_length, "mm", 3) if most is None else f"of at most {show(most, 'mm', 2)}"
+        bound = f"of at most {show(most or 0.0, 'mm', 2)}" if most != math.inf else "not determined"
+        length = show(friction.presliding_length, "mm", 3) if most is None else bound
         return f"{names}: half width {friction.half_width:.3g} N, presliding length {length}, RMSE {self.rmse:.3g} N"
 
     def remarks(self) -> Iterable[Remark]:
@@ -408,9 +411,11 @@ def _presliding(
     if inside_interval[0] == lengths[0]:
         least = min(least, usual * float(model.means.table.attrs["initial_length"]))
     held = model.solve({**solution.values, name: float(np.log(least))}, others)
+    bound = f"at most {show(most, 'mm', 2)}, and " if inside_interval[-1] < lengths[-1] else ""
+    most = most if bound else math.inf
     text = (
-        f"the presliding length is not determined (steps of {show(model.paths.step, 'mm', 3)}): at most "
-        f"{show(most, 'mm', 2)}, and {show(least, 'mm', 2)} in the muscle"
+        f"the presliding length is not determined (steps of {show(model.paths.step, 'mm', 3)}): "
+        f"{bound}{show(least, 'mm', 2)} in the muscle"
     )
     remark = Remark.warning("presliding_length", text, "record a short stroke with a reversal: long ones are averaged")
     return held, {"presliding_length": float(most)}, [remark]

@@ -147,8 +147,8 @@ def identify_with_friction(
     if hysteresis and gap and hysteresis.rmse > gap:
         note = (
             f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, "
-            "such as SmoothLaw (command line: --law smooth)"
+            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; see how other laws fit "
+            "(mk.rank, or --law all)"
         )
         hysteresis = None
     if not hysteresis:

@@ -29,8 +29,8 @@ _HEAD = """\
 # specimen. The stiffness beyond the points is then a guess, and results say so.
 """
 _UNDETERMINED = """\
-# The data do not determine {} (at most {:.2g} mm): it has the least value that they
-# allow. Stiffness for small motion and the width of small loops depend on it; record a short stroke with a reversal.
+# The data do not determine {}: it has the least value that they allow. Stiffness for small
+# motion and the width of small loops depend on it; record a short stroke with a reversal.
 """
 _VOLUME = """\
 # The volume is assumed: from that at contraction 0 and the law's work per pressure, mckibben.muscle.air.volume_terms.
@@ -84,7 +84,7 @@ def write_muscle(
     if known is None or initial_length not in (None, float(known.initial_length)):
         length = write(Specimen(name, initial_length or 0.0))["initial_length"]
         section = {"name" if known is None else "from": name, "initial_length": length}
-    head = _HEAD + "".join(_UNDETERMINED.format(key, 1e3 * bound) for key, bound in (undetermined or {}).items())
+    head = _HEAD + "".join(map(_UNDETERMINED.format, undetermined or ()))
     if initial_length and volume is not None:
         terms = volume_terms(identified, initial_length, volume)
         section |= {"volume_terms": write(Specimen(name, initial_length, volume_terms=terms))["volume_terms"]}
