@@ -46,7 +46,6 @@ _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _MOST_NUMBERS = 2**19  # of the responses of several loops at once
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
-_NONE = 1e-9  # gain of an open loop, to rounding
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
 LEAST_DISK_MARGIN = 0.2
@@ -559,6 +558,6 @@ def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period
     lag = np.mod(turned[:, :-1] + part * np.diff(turned, axis=1) + np.pi, 2 * np.pi)
     delay = lag / (angles[:-1] + part.swapaxes(1, 2) * np.diff(angles)).swapaxes(1, 2) * period
     at = (size[:, :-1] + size[:, 1:]) / 2
-    turns = (np.diff(np.floor((turned - np.pi) / (2 * np.pi)), axis=1) != 0) & (at < 1) & (at > _NONE)
+    turns = (np.diff(np.floor((turned - np.pi) / (2 * np.pi)), axis=1) != 0) & (at < 1) & (at > 1e-9)
     found = (turns, 1 / np.where(turns, at, 1)), (crosses, np.minimum(lag, 2 * np.pi - lag)), (crosses, delay)
     return [np.min(values, axis=(1, 2), where=valid, initial=np.inf) for valid, values in found]
