@@ -98,7 +98,7 @@ class KernelWriter(Writer):
         return f"({place}) * lanes + b" if argument or self._arrays[id(array)].startswith("out") else place
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
-        name = self._arrays[id(array)] = self._new("a")
+        name = self._arrays[id(array)] = self.new_name("a")
         language = self._wide_language if array.uniform else self.language
         return [f"{indent}{language.array(name, array.kind, array.size, texts, array.constant)}"]
 

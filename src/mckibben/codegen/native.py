@@ -38,7 +38,7 @@ from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
-from mckibben.codegen.vectors import VectorWriter, prelude
+from mckibben.codegen.vectors import VectorWriter, interleaved, prelude
 from mckibben.codegen.writer import Writer, inputs_of
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
@@ -427,11 +427,14 @@ def write_native(
     if threads:
         writer = KernelWriter([graph.scope], values, single=single)
     elif varying:
-        writer, before, step = VectorWriter([graph.scope], values, single=single), prelude(single), "W"
+        writer, step = VectorWriter([graph.scope], values, single=single), "width"
     else:
         writer, before = Writer([graph.scope], native_language(), values), definitions()
     leaves = [(leaf.shape, leaf.dtype.str) for leaf in jax.tree.leaves(shape)]
     places, body = _places(common, varying, leaves), _body(graph, writer, inputs, results)
+    if isinstance(writer, VectorWriter):
+        count = 2 if sum(map(len, body)) < _SHORT else 1  # a longer program would take seconds more to compile
+        before, body = prelude(single, count), interleaved(body, count)
     if isinstance(writer, KernelWriter):
         preparing = KernelWriter([graph.scope], writer.constants, single=single)
         prepared = _body(graph, preparing, inputs, ())
@@ -521,7 +524,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
         if value.data == _PERIODS:
             writer.name(value, _PERIODS)
         elif writer.is_needed(value):
-            name = f"p{value.data}"
+            name = writer.new_name("p", value.uniform)
             writer.name(value, name)
             lines.append(f"{indent}{writer.constant(value)} {name} = {writer.loaded(value)};")
     lines += writer.scope(graph.scope, indent)

@@ -1,10 +1,12 @@
 """Writer of batched programs: C with the vector extensions of gcc and clang.
 
-Values equal in all lanes are 64-bit scalars; the others are vectors of `W` numbers, or of masks if boolean.
+Values equal in all lanes are 64-bit scalars; the others are vectors of `W` numbers, or of masks if boolean. Their names
+end with a mark, so that `interleaved` can write each statement for several vectors.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
@@ -31,6 +33,7 @@ _PATTERNS = {
     ("bits", Kind.REAL): "((I){0})",
 }
 """Operations on vectors by their name and the kind of their first argument; the others are operators or functions."""
+_MARK, _ANY = "@", re.compile(r"any\(\{(.+?)\}\)")
 _OF_64_BITS = {("from_bits", Kind.INTEGER): "((V){0})"}
 _OF_32_BITS = {
     ("from_bits_32", Kind.INTEGER): "((V){0})",
@@ -38,9 +41,21 @@ _OF_32_BITS = {
 }
 
 
-def prelude(single: bool) -> str:
-    """Definitions of the vectors, of 32 or 64 bits, and of functions of them."""
-    return filled("vectors.h", {"single": single})
+def interleaved(lines: Sequence[str], count: int) -> list[str]:
+    """Statements of several vectors in turns: a processor computes one while it waits for a result of another.
+
+    >>> interleaved(["if (any({m@})) {", "t1@ = x1@ * 2.0;"], 2)[2:]
+    ['if (any(m_0 | m_1)) {', 't1_0 = x1_0 * 2.0;', 't1_1 = x1_1 * 2.0;']
+    """
+    suffixes = [f"_{number}" for number in range(count)]
+    lines = [*(f"const int64_t b_{number} = b + {number} * W;" for number in range(count)), *lines]
+    joined = [_ANY.sub(lambda m: f"any({' | '.join(m[1].replace(_MARK, end) for end in suffixes)})", x) for x in lines]
+    return [line.replace(_MARK, end) for line in joined for end in (suffixes if _MARK in line else suffixes[:1])]
+
+
+def prelude(single: bool, count: int) -> str:
+    """Definitions of the vectors, of 32 or 64 bits, and of functions of them, for programs of several vectors."""
+    return filled("vectors.h", {"single": single, "count": count})
 
 
 class VectorWriter(Writer):
@@ -56,6 +71,9 @@ class VectorWriter(Writer):
         super().__init__(scopes, c_language(), results)
         self._single = single
         self._patterns = _PATTERNS | (_OF_32_BITS if single else _OF_64_BITS)
+
+    def new_name(self, letter: str, uniform: bool = True) -> str:
+        return super().new_name(letter) + ("" if uniform else _MARK)
 
     def constant(self, value: Value) -> str:
         return f"const {self.variable(value.kind, value.uniform)}"
@@ -83,27 +101,27 @@ class VectorWriter(Writer):
         return text if strength >= ATOM else f"({text})"
 
     def loaded(self, value: Value) -> str:
-        return super().loaded(value) if value.uniform else f"load{_SUFFIX[value.kind]}(&{value.data}[b])"
+        return super().loaded(value) if value.uniform else f"load{_SUFFIX[value.kind]}(&{value.data}[b{_MARK}])"
 
     def store(self, array: StoredArray, place: str, value: Value) -> str:
         """Text of an assignment; results of runs lie next to each other in memory."""
         name = self._arrays[id(array)]
         if name.startswith("out"):
-            return f"store{_SUFFIX[value.kind]}(&{name}[({place}) * lanes + b], {self._vector(value)})"
+            return f"store{_SUFFIX[value.kind]}(&{name}[({place}) * lanes + b{_MARK}], {self._vector(value)})"
         return f"{name}[{place}] = {self._vector(value)}"
 
     def element(self, array: StoredArray, place: str) -> str:
         """Text of an element of an array; arguments and results of runs are loaded as vectors."""
         name = self._arrays[id(array)]
         if not array.uniform and (array.name or name.startswith("out")):
-            return f"load{_SUFFIX[array.kind]}(&{name}[({place}) * lanes + b])"
+            return f"load{_SUFFIX[array.kind]}(&{name}[({place}) * lanes + b{_MARK}])"
         return f"{name}[{place}]"
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
         """Declaration of an array of vectors, with its elements."""
         if array.uniform:
             return super()._array(array, texts, indent)
-        name = self._arrays[id(array)] = self._new("a")
+        name = self._arrays[id(array)] = self.new_name("a", array.uniform)
         elements = array.elements if array.loop is None else ()
         return [
             f"{indent}{_VECTORS[array.kind]} {name}[{array.size}];",
@@ -112,7 +130,7 @@ class VectorWriter(Writer):
 
     def _operation(self, value: Value) -> Text:
         if value.operation == "any":
-            return f"any({self._vector(value.arguments[0])})", ATOM
+            return f"any({{{self._vector(value.arguments[0])}}})", ATOM
         text = None if value.uniform else self._of_vectors(value)
         return super()._operation(value) if text is None else (text, ATOM)
 

@@ -203,7 +203,7 @@ class Writer:
         if self._uses[id(value)] < 2 and len(text[0]) <= _LONGEST:
             self._texts[id(value)] = text
             return []
-        name = self._new("t")
+        name = self.new_name("t", value.uniform)
         self.name(value, name)
         return [f"{indent}{self.declared(self.constant(value), name, text[0])}"]
 
@@ -218,11 +218,11 @@ class Writer:
             if id(array) not in self._arrays:
                 lines += self._array(array, None, indent)
         for variable in variables:
-            name = self._carried[id(variable)] = self._new("x")
+            name = self._carried[id(variable)] = self.new_name("x", variable.uniform)
             initial = self.converted(variable.initial, variable.uniform)
             kind = self.variable(variable.initial.kind, variable.uniform)
             lines.append(f"{indent}{self.declared(kind, name, initial)}")
-        index, inside = self._new("i"), indent + "    "
+        index, inside = self.new_name("i"), indent + "    "
         self.name(loop.index, index)
         going = None if loop.going is None else self._carried[id(loop.going)]
         lines += [f"{indent}{line}" for line in self.loop_head(index, loop.length, going)]
@@ -240,7 +240,7 @@ class Writer:
         for variable in variables:
             target, following = self._carried[id(variable)], variable.following
             if following.operation == "carried" and self.text(following) != target:
-                copies[target] = self._new("t")
+                copies[target] = self.new_name("t", variable.uniform)
                 kind = self.variable(following.kind, variable.uniform)
                 lines.append(self.declared(kind, copies[target], self.converted(following, variable.uniform)))
         for variable in variables:
@@ -257,7 +257,7 @@ class Writer:
             return []
         lines = []
         for value in chosen:
-            self.name(value, self._new("y"))
+            self.name(value, self.new_name("y", value.uniform))
             lines.append(f"{indent}{self.declared(self.variable(value.kind, value.uniform), self.text(value))}")
         for head, scope, values in zip(self.branch_heads, branch.scopes, branch.values, strict=True):
             lines.append(indent + head.format(self.text(branch.condition)))
@@ -314,7 +314,7 @@ class Writer:
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
         """Line that declares an array."""
-        name = self._arrays[id(array)] = self._new("a")
+        name = self._arrays[id(array)] = self.new_name("a")
         return [f"{indent}{self.language.array(name, array.kind, array.size, texts, array.constant)}"]
 
     def _place(self, row: Value | None, stride: int, offset: int) -> str:
@@ -383,8 +383,8 @@ class Writer:
             return self.language.conversion(_bound(text, ATOM), Kind.REAL, Kind.REAL), PREFIX
         return text
 
-    def _new(self, letter: str) -> str:
-        """A new name."""
+    def new_name(self, letter: str, uniform: bool = True) -> str:
+        """A new name, of a value that may be uniform over lanes."""
         self._names[letter] += 1
         return f"{letter}{self._names[letter]}"
 
