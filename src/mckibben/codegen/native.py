@@ -38,7 +38,8 @@ from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
-from mckibben.codegen.vectors import VectorWriter, interleaved, prelude
+from mckibben.codegen.templates import filled
+from mckibben.codegen.vectors import VectorWriter, interleaved
 from mckibben.codegen.writer import Writer, inputs_of
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
@@ -49,8 +50,8 @@ E = TypeVar("E", bound=ExportError)
 _FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frename-registers -w".split())
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
-_SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
-_FOR_LONG = ("-fira-region=one",)  # gcc only: registers of a long program in half the time; batches would be slower
+_SHORT = 100_000  # characters
+_FOR_LONG = '#ifndef __clang__\n#pragma GCC optimize("ira-region=one")\n#endif\n'  # registers in half the time
 _LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
 _COMPILING = 360.0, 5000.0  # s for the compiler, which may share its processor, plus a second per so many characters
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
@@ -69,23 +70,16 @@ def compiler_words() -> list[str]:
 
 def compiler() -> str | None:
     """Path of the C compiler; None, with a warning if CC names it, if it is not found."""
-    return _path_of(compiler_words()[0])
+    return _compiler_path(os.environ.get("CC", ""))
 
 
 @functools.cache
-def _path_of(name: str) -> str | None:
-    """Path of a compiler by name."""
+def _compiler_path(words: str) -> str | None:
+    """Path of the compiler of some words."""
+    name, *_ = shlex.split(words) or ["cc"]
     if (path := shutil.which(name)) is None and name != "cc":
         warn_of_fallback(CompilerError(f"the compiler of the environment variable CC, {quoted(name)}, is not found"))
     return path
-
-
-def _is_gcc() -> bool:
-    """Whether the C compiler is GCC: whether it takes one of its options."""
-    try:
-        return bool(build_library({"empty.c": ""}, [*_FOR_LONG, "empty.c"]))
-    except CompilerError:
-        return False
 
 
 def own_flags() -> list[str]:
@@ -201,14 +195,10 @@ class NativeFunction:
 
     def _built(self, source: str, many: bool) -> bytes:
         """Library of a source, with the options for its length and for `many` runs."""
-        options = _FOR_LANES if many else _ALONE
-        if many and len(source) < _SHORT:
-            options += _FOR_SHORT
-        elif len(source) >= _LONGEST // 6:  # as a controller of 24 muscles: in a third of the time
-            options += ("-O1",)
-        elif not many and len(source) >= _SHORT and _is_gcc():
-            options += _FOR_LONG
-        return compile_library(source, (*options, *self._flags))
+        if not many and len(source) >= _SHORT:
+            source = _FOR_LONG + source
+        huge = ("-O1",) * (len(source) >= _LONGEST // 6)  # as a controller of 24 muscles: in a third of the time
+        return compile_library(source, (*(_FOR_LANES if many else _ALONE), *huge, *self._flags))
 
     def _loaded(self, program: bytes, leaves: list[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         """The program of a library, with shapes, types and tree of its results."""
@@ -423,18 +413,19 @@ def write_native(
     values: list[Any] = []
     for result in results:
         values += filter(None, [result.array]) if isinstance(result, Stored) else result.flat
-    before, step = "", "1"
+    before = ""
     if threads:
         writer = KernelWriter([graph.scope], values, single=single)
     elif varying:
-        writer, step = VectorWriter([graph.scope], values, single=single), "width"
+        writer = VectorWriter([graph.scope], values, single=single)
     else:
         writer, before = Writer([graph.scope], native_language(), values), definitions()
     leaves = [(leaf.shape, leaf.dtype.str) for leaf in jax.tree.leaves(shape)]
     places, body = _places(common, varying, leaves), _body(graph, writer, inputs, results)
     if isinstance(writer, VectorWriter):
         count = 2 if sum(map(len, body)) < _SHORT else 1  # a longer program would take seconds more to compile
-        before, body = prelude(single, count), interleaved(body, count)
+        before = filled("vectors.h", {"single": single, "count": count})
+        body = interleaved(body, count)
     if isinstance(writer, KernelWriter):
         preparing = KernelWriter([graph.scope], writer.constants, single=single)
         prepared = _body(graph, preparing, inputs, ())
@@ -443,13 +434,12 @@ def write_native(
         lines = [kernels.kernels(sum(not x.ndim for x in common), places, prepared, constants, body, real)]
         writer.helpers |= preparing.helpers
     else:
-        lines = [_HEAD, "{", *places, f"    for (int64_t b = 0; b < lanes; b += {step}) {{", *body, "    }", "}"]
+        lines = [_HEAD, "{", *places, "    for (int64_t b = 0; b < lanes; b += width) {", *body, "    }", "}"]
     source = "\n".join([before, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
-    return Written(
-        source, [(_shape(leaf), leaf.dtype.str) for leaf in jax.tree.leaves(shape)], jax.tree.structure(shape)
-    )
+    leaves = [(_shape(leaf), leaf.dtype.str) for leaf in jax.tree.leaves(shape)]
+    return Written(source, leaves, jax.tree.structure(shape))
 
 
 def _example(x: NDArray) -> Any:
@@ -476,8 +466,7 @@ def _places(
     common: Sequence[NDArray], varying: Sequence[NDArray], leaves: Sequence[tuple[tuple[int, ...], str]]
 ) -> list[str]:
     """Declarations of the location of each argument and result: 64-bit words, as packed by `Compiled`."""
-    lines = []
-    scalars, shared, lanes = 0, 0, 0
+    lines, scalars, shared, lanes, at = list[str](), 0, 0, 0, 0
     if any(not isinstance(n, int) for x in (*common, *varying) for n in x.shape):
         lines.append(f"    const int64_t {_PERIODS} = *(const int64_t *)scalars;")
         scalars = 1
@@ -490,7 +479,6 @@ def _places(
         else:
             place, scalars = f"(const double *)scalars + {scalars}", scalars + 1
         lines.append(f"    const {kind} *in{n} = (const {kind} *)({place});")
-    at = 0
     for n, (shape, dtype) in enumerate(leaves):
         kind = _TYPES[kind_of(np.dtype(dtype))]
         lines.append(f"    {kind} *out{n} = ({kind} *)(results + ({at}) * lanes);")
@@ -642,7 +630,7 @@ def _compiler_state() -> str:
         status = Path(name).resolve().stat()
     except OSError:  # removed since it was found
         return ""
-    options = compiler_words(), _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _FOR_LONG, own_flags()
+    options = compiler_words(), _FLAGS, _ALONE, _FOR_LANES, own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 

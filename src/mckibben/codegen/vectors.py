@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
-from mckibben.codegen.templates import filled
 from mckibben.codegen.writer import ATOM, PREFIX, Text, Writer
 
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
@@ -51,11 +50,6 @@ def interleaved(lines: Sequence[str], count: int) -> list[str]:
     lines = [*(f"const int64_t b_{number} = b + {number} * W;" for number in range(count)), *lines]
     joined = [_ANY.sub(lambda m: f"any({' | '.join(m[1].replace(_MARK, end) for end in suffixes)})", x) for x in lines]
     return [line.replace(_MARK, end) for line in joined for end in (suffixes if _MARK in line else suffixes[:1])]
-
-
-def prelude(single: bool, count: int) -> str:
-    """Definitions of the vectors, of 32 or 64 bits, and of functions of them, for programs of several vectors."""
-    return filled("vectors.h", {"single": single, "count": count})
 
 
 class VectorWriter(Writer):
