@@ -131,7 +131,9 @@ def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
 
 
 def test_bandwidths_count_as_gains():
-    assert "controller.feedback.bandwidth" in gain_ranges(controlled(DECOUPLING))
+    decoupling = controlled(DECOUPLING)
+    nyquist = np.pi / decoupling.control_period  # rad/s
+    assert gain_ranges(decoupling, 3.0)["controller.feedback.bandwidth"].high == pytest.approx(nyquist)
     sliding = "  class: decoupling\n  feedback: {class: sliding, slope: 30 1/s, reach: 50 rad/s^2}\n"
     assert "controller.feedback.reach" in gain_ranges(controlled(sliding))
 

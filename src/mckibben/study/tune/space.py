@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -98,13 +99,15 @@ def is_gain(name: str) -> bool:
 def gain_ranges(scenario: StudiedScenario, decades: float = 2.0) -> dict[str, LogUniform]:
     """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
 
+    A bandwidth [rad/s] is at most the Nyquist frequency.
+
     >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> gain_ranges(scenario, 1.0)["controller.position.kp"]
     LogUniform(low=20000.0, high=2000000.0, points=None)
     """
     gains = (swept for swept in list_parameters(scenario) if is_gain(swept.name) and swept.nominal)
-    return {swept.name: _range_around(swept, decades) for swept in gains}
+    return {swept.name: _range_around(swept, decades, scenario) for swept in gains}
 
 
 def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[SweptParameter, ...]:
@@ -135,11 +138,12 @@ def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[Swept
             what = "a whole number" if parameter.is_integer else "zero, or not given"
             remedy = f"write {parameter.name}=LOW..HIGH"
             raise ParameterError(f"{parameter.name} is {what}: there is no range around it", value=text, remedy=remedy)
-        return SweptParameter(parameter, _range_around(parameter, 2.0))
+        return SweptParameter(parameter, _range_around(parameter, 2.0, scenario))
 
     return distinct(map(parse, texts))
 
 
-def _range_around(parameter: ScenarioParameter, decades: float) -> LogUniform:
+def _range_around(parameter: ScenarioParameter, decades: float, scenario: StudiedScenario) -> LogUniform:
     nominal, factor = float(parameter.nominal or 0.0), 10.0**decades
-    return LogUniform(*sorted((nominal / factor, nominal * factor)))
+    low, high = sorted((nominal / factor, nominal * factor))
+    return LogUniform(low, min(high, math.pi / scenario.control_period) if parameter.unit == "rad/s" else high)
