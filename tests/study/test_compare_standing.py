@@ -153,10 +153,12 @@ def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_
     assert both[0] == alone[0] and both[-1] == "2 + 0"
 
 
-def test_a_controller_with_a_low_margin_is_a_severe_remark(contest):
-    low, high = (loop(disk) for disk in (0.12, 0.5))
-    (remark, _) = replace(contest, margins={FIRST: low, SECOND: high}).remarks()
-    assert (remark.severity, remark.field) == (Severity.SEVERE, "disk_margin") and FIRST in remark.text
+def test_a_low_margin_is_a_severe_remark_on_the_best_controller_and_a_warning_on_others(contest):
+    low, high, (best, *others) = loop(0.12), loop(0.5), contest.order
+    for name, severity in ((best, Severity.SEVERE), (others[0], Severity.WARNING)):
+        margins = dict.fromkeys(contest.order, high) | {name: low}
+        (remark, _) = replace(contest, margins=margins).remarks()
+        assert (remark.severity, remark.field) == (severity, "disk_margin") and name in remark.text
 
 
 def test_a_front_has_the_trials_with_the_least_error_for_their_air():

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.schema import write_netcdf
-from mckibben.result import Listing, Remark, Result
+from mckibben.result import Listing, Remark, Result, Severity
 from mckibben.scenario import StudiedScenario, find_parameters
 from mckibben.simulation import Batch, Margins, margin_remarks
 from mckibben.simulation.metrics import METRICS
@@ -102,9 +102,10 @@ class CompareResult(Result):
         return f"{runs}: {best} is best, with {ratio:.3g} x the angle RMSE of {first}"
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield remarks on low margins, runs that cannot start, narrow ranges, and gains that take too much air."""
+        """Yield remarks on low margins, severe for the best controller, runs that cannot start, narrow ranges, and gains that take too much air."""
         for name, margins in self.margins.items():
-            yield from margin_remarks(float(margins.disk.min()), f", of {name} {margins.limit()}")
+            for remark in margin_remarks(float(margins.disk.min()), f", of {name} {margins.limit()}"):
+                yield remark if name == self.order[0] else replace(remark, severity=Severity.WARNING)
         if len(self.batches) == 1:
             text = (
                 "one controller is compared with itself alone: PID and decoupling need a pair of muscles at each joint"
