@@ -102,7 +102,7 @@ class CompareResult(Result):
         return f"{runs}: {best} is best, with {ratio:.3g} x the angle RMSE of {first}"
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield remarks on low margins, severe for the best controller, runs that cannot start, narrow ranges, and gains that take too much air."""
+        """Yield remarks on margins, severe for the best controller, missing starts, narrow ranges, and too much air."""
         for name, margins in self.margins.items():
             for remark in margin_remarks(float(margins.disk.min()), f", of {name} {margins.limit()}"):
                 yield remark if name == self.order[0] else replace(remark, severity=Severity.WARNING)
