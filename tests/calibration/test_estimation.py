@@ -15,7 +15,7 @@ from mckibben.calibration.fitting import LocalMinimum
 from mckibben.errors import IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
 from mckibben.muscle import ForceCorrection, adjusted_law
-from mckibben.numerics.compiled import jit, numeric
+from mckibben.numerics.compiled import jit
 from mckibben.units import deg
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -124,7 +124,7 @@ def test_derivatives_are_difference_quotients(recorded):
     step = 1e-6
 
     def errors(z):
-        return derivatives("auto", numeric((problem, z[:, 0], halves[0])), directions)[0]
+        return derivatives((problem, z[:, 0], halves[0]), directions)
 
     _, slope = errors(z)
     quotient = (errors(z + step * directions)[0] - errors(z - step * directions)[0]) / (2 * step)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -13,16 +14,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.errors import IdentificationError
-from mckibben.joint import AntagonisticJoint, Load, ScaledArms
+from mckibben.joint import AntagonisticJoint, Geometry, Load, ScaledArms
+from mckibben.joint.geometry import Pair
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, adjusted_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.numerics.compiled import jit, numeric
+from mckibben.numerics.compiled import numeric
 from mckibben.simulation.engine import BatchFunction
 from mckibben.units import Quantity, Strength, deg, kPa, mm
 
@@ -214,9 +217,12 @@ def local_cubic(values: Floats, period: float, derivative: int = 0) -> Floats:
 
     A. Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964.
     """
-    from scipy.signal import savgol_filter  # 1 s
-
-    return np.asarray(savgol_filter(values, cubic_width(period), 3, derivative, period))
+    width, polynomials = cubic_width(period), np.eye(4)  # with one coefficient of 1
+    half, places = width // 2, np.arange(width) - width // 2
+    slopes = polyval(places, polyder(polynomials, derivative)).T / period**derivative
+    rows = slopes @ np.linalg.pinv(polyval(places, polynomials).T)  # of samples, for the derivative at each place
+    between = np.correlate(values, rows[half])
+    return np.concatenate([rows[:half] @ values[:width], between, rows[half + 1 :] @ values[-width:]])
 
 
 def halves_of(recording: JointRecording) -> Halves:
@@ -280,7 +286,7 @@ def problem_of(
     for muscle, spring, path in zip(
         (joint.muscle1, joint.muscle2), joint.springs, path_lengths(joint, angle), strict=True
     ):
-        low, high, force, slope = map(float, _sweep(muscle, path.max(), path.min()))
+        low, high, force, slope = map(float, _sweep((muscle, path.max(), path.min())))
         if high - low < 1e-3:
             raise IdentificationError("the joint is at rest in the recordings", remedy="record sweeps of its range")
         middle, most = (low + high) / 2, float(muscle.domain.pressure_max)
@@ -300,13 +306,26 @@ def problem_of(
 
 
 def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
-    """Path lengths [m] of both muscles at angles [rad], from the program that also gives the moment arms."""
-    return list(map(np.asarray, joint.geometry.paths_and_arms(angle)[0]))
+    """Path lengths [m] of both muscles at angles [rad]."""
+    return list(paths_and_arms(joint.geometry, np.asarray(angle))[0])
 
 
-@jit
-def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Array, Array, Array, Array]:
+def compiled(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    """`BatchFunction` by any engine, whose shared tree may have numbers."""
+    program = BatchFunction(function)
+    return functools.wraps(function)(lambda shared, lanes=None: program("auto", numeric(shared), lanes)[0])
+
+
+@compiled
+def paths_and_arms(geometry: Geometry, angle: Array) -> tuple[Pair, Pair]:
+    """Path lengths and moment arms [m] at angles [rad], by one program for any number of them."""
+    return geometry.paths_and_arms(angle)
+
+
+@compiled
+def _sweep(shared: tuple[Muscle, Array, Array], _: None) -> tuple[Array, Array, Array, Array]:
     """Ends of the contraction between two lengths [m]; midway, at the highest pressure, tension and its slope [N]."""
+    muscle, longest, shortest = shared
     low, high = muscle.specimen.contraction_at(longest), muscle.specimen.contraction_at(shortest)
     at = (low + high) / 2, muscle.domain.pressure_max
     return low, high, muscle.tension(*at), muscle.slope(*at)
@@ -399,18 +418,16 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
     return lax.scan(step, start, samples[:5])[1]
 
 
-def _derivative(shared: tuple[CalibrationProblem, Array, JointSamples], direction: Array) -> tuple[Array, Array]:
+@compiled
+def derivatives(shared: tuple[CalibrationProblem, Array, JointSamples], direction: Array) -> tuple[Array, Array]:
     """Errors and their derivative in a direction of the parameters."""
     problem, z, samples = shared
     return jax.jvp(lambda z: _errors(problem, z, samples), (z,), (direction,))
 
 
-derivatives = BatchFunction(_derivative)
-
-
 def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) -> tuple[Floats, Floats]:
     """Errors and their derivatives with respect to the parameters."""
-    (errors, slopes), _ = derivatives("auto", numeric((problem, z, samples)), np.eye(z.size))
+    errors, slopes = derivatives((problem, z, samples), np.eye(z.size))
     return errors[..., 0], slopes
 
 

@@ -6,13 +6,15 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import field
-from typing import Any
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, ArrayLike
-from scipy.ndimage import gaussian_filter1d
+from scipy import sparse
 from scipy.special import chdtri
 
 from mckibben.calibration.equations import (
@@ -26,15 +28,17 @@ from mckibben.calibration.equations import (
     Halves,
     JointPrior,
     JointRecording,
-    Samples,
+    compiled,
     corrected,
     creep_stiffness,
     halves_of,
     linearised,
+    paths_and_arms,
     problem_of,
     sliding_from,
 )
 from mckibben.calibration.fitting import (
+    NEVER,
     Calibration,
     JointEstimate,
     LocalMinimum,
@@ -44,12 +48,11 @@ from mckibben.calibration.fitting import (
     probabilities,
     root_mean_square,
 )
+from mckibben.codegen.native import over_periods
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.estimator import remembered
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
-from mckibben.numerics.compiled import jit
 from mckibben.result import Column, Listing, Remark, column
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
@@ -60,6 +63,14 @@ _LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm i
 STRENGTHS = range(-4, 3)
 """Prior standard deviations of the muscles' strength at the starts of a search: slack muscles cause local minima."""
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
+
+
+class _Fit(NamedTuple):
+    """Place, value and second derivatives of a minimum of an objective."""
+
+    z: Floats
+    value: float
+    curvature: Floats
 
 
 class JointCalibration(Calibration):
@@ -115,8 +126,7 @@ class JointCalibration(Calibration):
     def _stiffness(
         self, minima: Sequence[LocalMinimum], angle: ArrayLike, pressures: Pressures
     ) -> tuple[Floats, Floats]:
-        at = jnp.asarray(angle, float)
-        return _spread([_stiffness(self._problem, jnp.asarray(minimum.z), at, pressures) for minimum in minima], minima)
+        return _spread([_stiffness(self._problem, minimum.z, angle, pressures) for minimum in minima], minima)
 
     def stiffness_deviations(self) -> tuple[float, float]:
         """Return the root mean square deviation of the stiffness [N*m/rad] along the recordings, before and after."""
@@ -133,7 +143,7 @@ class JointCalibration(Calibration):
 
         The first plant has the estimates, the others are drawn from their distribution, always the same ones.
         """
-        models = _models(self._problem, draws(self._minima, count))
+        models = _models(self._problem, draws(self._minima, count).T)
         return {"joint": models.joint, "load": models.load}
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
@@ -159,7 +169,7 @@ class JointCalibration(Calibration):
         trade its quantities for each other. Quantities count in units of their deviations before, of their logarithms
         for friction and presliding. Quantities with less than a `share` are not named.
         """
-        evaluations = [_quantities(self._problem, jnp.asarray(minimum.z)) for minimum in self._minima]
+        evaluations = [_quantities(self._problem, minimum.z) for minimum in self._minima]
         names = [name for name, estimate in self.quantities.items() if not estimate.determined]
         names = [name for name in names if name in evaluations[0][0] and name != "friction"]
         wide = {name: np.linalg.norm(evaluations[0][1][name]) for name in names}
@@ -270,9 +280,10 @@ def calibrate_joint(
     problem = problem_of(joint, load, halves, prior)
     problem, minima, residual, noise, kept = _solve(problem, halves, scatter=prior.strength is None)
     highest = float(
-        max(scales.force for scales in problem.scales) * np.max(np.abs(joint.geometry.moment_arms(halves[0][0].angle)))
+        max(scales.force for scales in problem.scales)
+        * np.max(np.abs(paths_and_arms(joint.geometry, halves[0][0].angle)[1]))
     )
-    model = jax.tree.map(number, _model(problem, jnp.asarray(minima[0].z)))
+    model = jax.tree.map(np.ndarray.item, _models(problem, minima[0].z[:, None]))
     try:
         recheck(model)
     except RangeError as error:
@@ -307,26 +318,42 @@ def _spread(evaluations: Sequence[tuple[Any, Any]], minima: Sequence[LocalMinimu
     return best, np.sqrt(total)
 
 
-def number(leaf: Any) -> Any:
-    """A scalar array as a number, anything else unchanged."""
-    return leaf.item() if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
+_models = compiled(corrected)
 
 
-_model = jit(corrected)
-_models = jit(jax.vmap(corrected, (None, 0)))
+def _stiffness(problem: CalibrationProblem, z: Floats, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
+    """Stiffness [N*m/rad] at angles and pressures, and its derivatives with respect to the parameters."""
+    points = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, *pressures)))
+    flat = over_periods(tuple(map(np.ravel, points)))
+    values, slopes = _stiffnesses((problem, z, flat), np.eye(z.size))
+    return values[:, 0].reshape(points[0].shape), slopes.reshape(*points[0].shape, z.size)
 
 
-@jit
-def _stiffness(problem: CalibrationProblem, z: Samples, angle: Samples, pressures: Pressures) -> tuple[Array, Array]:
-    def stiffness(z: Array) -> Array:
-        return corrected(problem, z).joint.evaluate(angle, pressures)[1]
+@compiled
+def _stiffnesses(shared: tuple[CalibrationProblem, Array, Any], direction: Array) -> tuple[Array, Array]:
+    """Stiffness at each point, and its derivative in a direction of the parameters."""
+    problem, z, points = shared
 
-    return stiffness(jnp.asarray(z)), jax.jacfwd(stiffness)(jnp.asarray(z))
+    def at(_: Any, point: Any) -> Any:
+        angle, *pressures = point
+        stiffness = lambda z: corrected(problem, z).joint.evaluate(angle, tuple(pressures))[1]  # noqa: E731
+        return (), jax.jvp(stiffness, (z,), (direction,))
+
+    return lax.scan(at, (), points)[1]
 
 
-@jit
-def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
-    """Quantities by name and their derivatives; other dictionaries would come back sorted."""
+def _quantities(problem: CalibrationProblem, z: Floats) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Quantities by name, and their derivatives with respect to the parameters."""
+    values, slopes = _directional((problem, z), np.eye(z.size))
+    return {name: value[0] for name, value in values.items()}, slopes
+
+
+@compiled
+def _directional(
+    shared: tuple[CalibrationProblem, Array], direction: Array
+) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
+    """Quantities and their derivatives in a direction; other dictionaries would come back sorted."""
+    problem, z = shared
 
     def values(z: Array) -> OrderedDict[str, Array]:
         joint, load, added, zero, _, inertia = corrected(problem, z)
@@ -350,7 +377,7 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
             quantities["load.mass"] = getattr(load, load.estimated_mass)
         return quantities | {"added_mass": added, "zero": zero, "arm_scale": geometry.scale, "inertia": inertia}
 
-    return values(z), jax.jacfwd(values)(z)
+    return jax.jvp(values, (z,), (direction,))
 
 
 def _solve(
@@ -371,16 +398,17 @@ def _solve(
     highest = max(scales.force for scales in problem.scales)
     variances = variance * np.array([1.0, highest**2, highest**2])[: 1 + len(recordings[0][0].tensions)]
 
-    def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
-        """Errors, shape (samples, groups), and their Jacobians, of both halves of each recording."""
-        pairs = [[linearised(problem, z, half) for half in recording] for recording in recordings]
-        return [[(_filtered(r, n), _filtered(j, n)) for r, j in pair] for pair, n in zip(pairs, begins, strict=True)]
+    def raw(z: Floats, half: int) -> list[tuple[Floats, Floats]]:
+        """Errors, shape (samples, groups), and their Jacobians, of the even or odd samples of each recording."""
+        parts = [linearised(problem, z, halves[half]) for halves in recordings]
+        return [(_filtered(r, n), _filtered(j, n)) for (r, j), n in zip(parts, begins, strict=True)]
 
-    def terms(z: Floats) -> tuple[float, Floats, Floats]:
+    def terms(z: Floats, instruments: int = 1) -> tuple[float, Floats, Floats]:
         """Objective with the prior, its gradient, and its Gauss-Newton Hessian."""
         scale = 1 / np.sqrt(variances)
         objective, gradient, curvature = float(z @ z) / 2, z.copy(), np.eye(PARAMETERS)
-        for pair in raw(z):
+        even = raw(z, 0)
+        for pair in zip(even, raw(z, 1) if instruments else even, strict=True):
             r0, r1 = ((r * scale).ravel() for r, _ in pair)
             J0, J1 = ((J * scale[:, None]).reshape(-1, PARAMETERS) for _, J in pair)
             cross = J0.T @ J1
@@ -390,36 +418,36 @@ def _solve(
 
     def errors(z: Floats) -> tuple[list[Floats], list[Floats]]:
         """Means of the halves of each recording, and half of their difference, which is noise."""
-        pairs = [(r0, r1) for (r0, _), (r1, _) in raw(z)]
+        pairs = [(r0, r1) for (r0, _), (r1, _) in zip(raw(z, 0), raw(z, 1), strict=True)]
         return [(r0 + r1) / 2 for r0, r1 in pairs], [(r0 - r1) / 2 for r0, r1 in pairs]
 
     search = [start(strength) for strength in STRENGTHS] + [start(exchange=sign * 0.35) for sign in (1, -1)]
-    minima = sorted((_minimised(terms, z, iterations=8) for z in search), key=lambda fit: fit[1])
-    z, places = minima[0][0], np.array([z for z, _ in minima])
+    coarse: Any = {"iterations": 8, "tolerance": 1.0}  # of the least squares of the even samples, at half the cost
+    fits = sorted((_minimised(partial(terms, instruments=0), z, **coarse) for z in search), key=lambda fit: fit.value)
+    z, places = fits[0].z, np.array([fit.z for fit in fits])
     for _ in range(stages):
-        z, _ = _minimised(terms, z)
-        informed = 1 - np.diag(np.linalg.inv(terms(z)[2]))  # 0 of a parameter of which the recordings tell nothing
+        z, _, curvature = _minimised(terms, z)
+        informed = 1 - np.diag(np.linalg.inv(curvature))  # 0 of a parameter of which the recordings tell nothing
         variances = np.maximum(_variances(*errors(z), float(informed.sum())), 1e-8)
         if scatter:
             factor = math.sqrt(z[FORCES] @ z[FORCES] / informed[FORCES].sum())
             problem = problem._replace(prior={**problem.prior, "scatter": problem.prior["scatter"] * factor})
             z[FORCES], places[:, FORCES] = z[FORCES] / factor, places[:, FORCES] / factor
-    minima = sorted((_minimised(terms, z) for z in _distinct([z, *places])), key=lambda fit: fit[1])
-    weights = probabilities([objective for _, objective in minima])
+    first, *others = _distinct([z, *places])
+    fits = [_minimised(terms, first)]
+    fits += [_minimised(terms, z, ceiling=fits[0].value - math.log(NEVER)) for z in others]
+    fits.sort(key=lambda fit: fit.value)
+    weights = probabilities([fit.value for fit in fits]).tolist()
     best = [
-        LocalMinimum(z, np.asarray(np.linalg.inv(terms(z)[2]), float), weight)
-        for (z, _), weight in zip(minima, weights.tolist(), strict=True)
+        LocalMinimum(fit.z, np.asarray(np.linalg.inv(fit.curvature), float), weight)
+        for fit, weight in zip(fits, weights, strict=True)
         if weight > 0
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
     columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
     angle, first, second = (np.concatenate(column) for column in columns)
 
-    def stiffness(z: Floats) -> tuple[Floats, Floats]:
-        values, slopes = _stiffness(problem, z, angle, (first, second))
-        return np.asarray(values), np.asarray(slopes)
-
-    best, kept = supported(best, stiffness)
+    best, kept = supported(best, lambda z: _stiffness(problem, z, angle, (first, second)))
     return problem, tuple(best), residual, noise, kept
 
 
@@ -458,7 +486,17 @@ def supported(
 
 def _filtered(column: Floats, begin: int) -> Floats:
     """Low-pass filtered rows of samples from the first one of interest on, without the edge of the filter."""
-    return gaussian_filter1d(column, _FILTER * RATE, axis=0)[begin : -int(4 * _FILTER * RATE) : int(_FILTER * RATE / 2)]
+    return (_filter(len(column), begin) @ column.reshape(len(column), -1)).reshape(-1, *column.shape[1:])
+
+
+@cache
+def _filter(samples: int, begin: int) -> Any:
+    """Gaussian filter as a sparse matrix, shape (filtered samples, samples)."""
+    width = _FILTER * RATE
+    places = np.arange(2 * int(4 * width) + 1)
+    weights = np.exp(-(((places - places.size // 2) / width) ** 2) / 2)
+    rows = sparse.diags_array(weights / weights.sum(), offsets=places, shape=(samples - places.size + 1, samples))
+    return rows.tocsr()[begin - places.size // 2 :: int(width / 2)]
 
 
 def _distinct(points: Sequence[Floats]) -> list[Floats]:
@@ -494,17 +532,45 @@ def _minimised(
     z: Floats,
     *,
     iterations: int = 25,
-    tolerance: float = 1e-2,
+    tolerance: float = 1e-3,
+    ceiling: float = math.inf,
     farthest: float = 2.0,
-) -> tuple[Floats, float]:
-    """Minimum, and its value, of an objective with its gradient and second derivatives (trust region).
+) -> _Fit:
+    """Minimum of an objective, of which its gradient and second derivatives are known, by a trust region.
 
-    The tolerance is that of the gradient, and `farthest` the longest step, in prior standard deviations.
+    The search ends where a step would lower the objective by less than the tolerance, or where even the minimum of its
+    quadratic model is above the ceiling. Steps have at most a length of 1, later of `farthest`, in prior standard
+    deviations (J. Nocedal and S. Wright, Numerical Optimization, 2nd ed., Springer 2006, ch. 4).
     """
-    from scipy.optimize import minimize  # 0.2 s
+    (value, gradient, curvature), radius = terms(z), 1.0
+    for _ in range(iterations):
+        sizes, directions = np.linalg.eigh(curvature)
+        sizes = np.maximum(sizes, 1.0)  # that of the prior: information is not negative
+        along = directions.T @ gradient
+        if value - np.sum(along**2 / sizes) / 2 > ceiling:
+            break
+        step = _bounded_step(along, sizes, radius)
+        expected = -float(along @ step + step @ (sizes * step) / 2)
+        if expected < tolerance:
+            break
+        there = terms(z + directions @ step)
+        gain = (value - there[0]) / expected
+        if gain > 0.75 and np.linalg.norm(step) > 0.99 * radius:
+            radius = min(2 * radius, farthest)
+        elif not gain > 0.25:
+            radius = float(np.linalg.norm(step)) / 4
+        if gain > 0.15:
+            z, (value, gradient, curvature) = z + directions @ step, there
+    return _Fit(z, value, curvature)
 
-    at = remembered(terms)
-    options = {"maxiter": iterations, "max_trust_radius": farthest, "gtol": tolerance}
-    derivatives = {"jac": lambda z: at(z)[1], "hess": lambda z: at(z)[2]}
-    fit = minimize(lambda z: at(z)[0], z, method="trust-exact", options=options, **derivatives)
-    return fit.x, float(fit.fun)
+
+def _bounded_step(gradient: Floats, sizes: Floats, radius: float) -> Floats:
+    """Step of at most a length to the minimum of a quadratic, whose second derivatives are a positive diagonal."""
+    damping = 0.0
+    for _ in range(30):  # Newton steps for the reciprocal of the length, which is nearly linear in the damping
+        step = -gradient / (sizes + damping)
+        length = np.linalg.norm(step)
+        if length <= 1.001 * radius:
+            break
+        damping += (length / radius - 1) * length**2 / float(step @ (step / (sizes + damping)))
+    return step

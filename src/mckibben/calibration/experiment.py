@@ -16,17 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, Samples, sliding_from
+from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, compiled, sliding_from
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
+from mckibben.codegen.native import over_periods
 from mckibben.component.schema import independent, replaced, write_text
 from mckibben.control import Multisine, Reference, Sine
 from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, Measurement, ScaledArms
 from mckibben.joint.attainable import stiffness_range
+from mckibben.joint.geometry import Pair
 from mckibben.muscle import MaxwellCreep
 from mckibben.muscle.adjusted import AdjustedLaw
-from mckibben.numerics.compiled import jit
 from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
 from mckibben.rig import JointRig, JointRunResult, prepare
 from mckibben.rig.simulated.joint import Sensing
@@ -144,12 +145,12 @@ class Sweeps:
 
     def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
         """Return a load with the weight."""
-        return jax.tree.map(float, _loaded(load, added_mass, self.distance))
+        return jax.tree.map(float, _loaded((load, added_mass, self.distance)))
 
     def _check_weight(self, joint: AntagonisticJoint, load: Load) -> None:
         """Warn if the weight turns the joint by less than friction holds it, in the middle at the highest pressures."""
-        ends = np.array([self.lowest, self.highest])
-        friction, most = map(float, _holding(joint, load, self._weighted(load, self.added_mass), ends))
+        ends = self.lowest, self.highest
+        friction, most = map(float, _holding((joint, load, self._weighted(load, self.added_mass), ends)))
         if most < friction:
             text = f"the torque of the weight, at most {most:.2g} N*m, is below the friction, {friction:.2g} N*m: "
             text += "it hardly determines the forces; use a heavier weight, or wider angles"
@@ -159,7 +160,8 @@ class Sweeps:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; `ParameterError` if there is none."""
         joint, load = first_model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, 41)
-        bands = np.asarray(_bands(joint, [self._weighted(load, mass) for mass in self.weights.values()], angles))
+        loads = [self._weighted(load, mass) for mass in self.weights.values()]
+        bands = np.asarray(_bands((joint, loads, (self.lowest + self.highest) / 2), angles))
         low, high = float(bands[:, 0].max()), float(bands[:, 1].min())
         if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
             low = high = float(bands.mean())
@@ -169,30 +171,33 @@ class Sweeps:
         return low, high
 
 
-_loaded = jit(Load.with_weight)
+@compiled
+def _loaded(shared: tuple[Load, Array, Array], _: None) -> GeneralLoad:
+    return shared[0].with_weight(*shared[1:])
 
 
-@jit
-def _holding(joint: AntagonisticJoint, load: Load, loaded: Load, ends: Samples) -> tuple[Array, Array]:
+@compiled
+def _holding(shared: tuple[AntagonisticJoint, Load, Load, Pair], _: None) -> tuple[Array, Array]:
     """Friction torque [N*m] midway between the ends at the highest pressures, and the most that the weight adds."""
-    pressures = joint.muscle1.domain.pressure_max, joint.muscle2.domain.pressure_max
-    states = joint.update_state(joint.init_state(ends[0], pressures), ends.mean(), pressures)
-    friction = jnp.abs(joint.friction_torque(ends.mean(), None, pressures, states))
-    return friction, jnp.abs(loaded.gravity_torque(ends) - load.gravity_torque(ends)).max()
+    joint, load, loaded, (low, high) = shared
+    middle, pressures = (low + high) / 2, (joint.muscle1.domain.pressure_max, joint.muscle2.domain.pressure_max)
+    states = joint.update_state(joint.init_state(low, pressures), middle, pressures)
+    added = [jnp.abs(loaded.gravity_torque(end) - load.gravity_torque(end)) for end in (low, high)]
+    return jnp.abs(joint.friction_torque(middle, None, pressures, states)), jnp.maximum(*added)
 
 
-@jit
-def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Array:
-    """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut.
+@compiled
+def _bands(shared: tuple[AntagonisticJoint, list[Load], Array], angle: Array) -> list[Pair]:
+    """Attainable stiffness [N*m/rad] with each load at an angle, of muscles that are well taut.
 
     Their tension is 8 % of the highest force at the middle contraction, as a muscle may be weaker than its model.
     """
-    middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
+    joint, loads, centre = shared
+    middle = joint.contractions(centre, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
     least: Any = 0.08 * jnp.stack(highest).min()
-    torques = [-load.gravity_torque(angles) for load in loads]
-    return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
+    return [stiffness_range(joint, angle, -load.gravity_torque(angle), None, least) for load in loads]
 
 
 def part_of(scenario: Scenario, title: str, angle: float, **changes: object) -> Scenario:
@@ -260,20 +265,24 @@ def simulated(part: Scenario) -> SimulationResult:
     if isinstance(sensors, PerfectSensors):
         sensors = SampledSensors(Sensing.angle_step, Sensing.pressure_noise)
     result = run_scenario(part.model_copy(update={"sensors": sensors}))
-    true = Measurement(*jax.tree.map(jnp.asarray, (result["angle"], (result["pressure1"], result["pressure2"]))))
-    if not jnp.isfinite(true.angle).all():
+    names = "angle", *_PRESSURES
+    if not np.isfinite(result["angle"]).all():
         raise StoppedError("the simulated joint diverges", remedy="mckibben simulate shows the run")
-    angle, pressures = _measured(sensors, true)
-    columns = {"angle": angle, "pressure1": pressures[0], "pressure2": pressures[1]}
-    return replace(result, columns={**result.columns, **jax.tree.map(np.asarray, columns)})
+    true = over_periods((np.arange(result.times.size), *(result[name] for name in names)))
+    columns = dict(zip(names, _measured((sensors, true, [column[0] for column in true[1:]])), strict=True))
+    return replace(result, columns={**result.columns, **columns})
 
 
-@jit
-def _measured(sensors: Sensors, true: Measurement) -> Measurement:
-    """Measurements of all periods, shape (periods,)."""
-    periods = jnp.arange(jnp.shape(true.angle)[0])
-    first = sensors.init(jax.tree.map(lambda column: column[0], true))
-    return jax.lax.scan(lambda state, sample: sensors.measure(state, *sample), first, (periods, true))[1]
+@compiled
+def _measured(shared: tuple[Sensors, Any, Any], _: None) -> Any:
+    """Measured angles and pressures of all periods, shape (periods,) each, from their numbers and the true ones."""
+
+    def step(state: Any, sample: Any) -> Any:
+        state, (angle, pressures) = sensors.measure(state, sample[0], Measurement(sample[1], sample[2:]))
+        return state, (angle, *pressures)
+
+    sensors, true, (angle, first, second) = shared
+    return jax.lax.scan(step, sensors.init(Measurement(angle, (first, second))), true)[1]
 
 
 def recording_of(result: SimulationResult, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:

@@ -6,18 +6,19 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import Minimum, least_squares, remembered
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.units import factor, show
+
+if TYPE_CHECKING:
+    from mckibben.identification.estimator import Minimum
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +26,8 @@ CONFLICT = 2.5
 """Prior standard deviations from the first model above which a quantity is named."""
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
 """Units of quantities in texts that differ from SI."""
+NEVER = 1e-3
+"""Probability of a minimum, relative to the best one, below which it is left out."""
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
 
 Simulated = Callable[[Floats], Sequence[tuple[Floats, Floats]]]
@@ -200,25 +203,25 @@ class LocalMinimum(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
 
-def probabilities(objectives: Sequence[float], *, never: float = 1e-3) -> Floats:
+def probabilities(objectives: Sequence[float]) -> Floats:
     """Return the weights of minima from their objectives, the least one first; they sum to 1.
 
-    Those below `never` times the first are 0:
+    Those below `NEVER` times the first are 0:
 
     >>> probabilities([3.0, 3.0, 12.0]).tolist()
     [0.5, 0.5, 0.0]
     """
     weights = np.exp(objectives[0] - np.asarray(objectives, float))
-    weights = np.where(weights > never, weights, 0.0)
+    weights = np.where(weights > NEVER, weights, 0.0)
     return weights / weights.sum()
 
 
-def draws(minima: Sequence[LocalMinimum], count: int) -> Array:
+def draws(minima: Sequence[LocalMinimum], count: int) -> Floats:
     """Return the parameters at the first minimum, then drawn ones, shape (count, parameters)."""
     random = np.random.default_rng(0)
     chosen = random.choice(len(minima), count - 1, p=[minimum.weight for minimum in minima])
     drawn = [random.multivariate_normal(minima[i].z, minima[i].covariance) for i in chosen]
-    return jnp.asarray([minima[0].z, *drawn])
+    return np.array([minima[0].z, *drawn])
 
 
 class OutputErrorFit(NamedTuple):
@@ -278,6 +281,8 @@ def fit_output_error(
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models).
     """
+    from mckibben.identification.estimator import least_squares, remembered  # 0.3 s
+
     prior = np.eye(start.size)
     bounds = np.where(positive, 0.0, -np.inf), np.full(len(prior), np.inf)
     samples, edges = np.concatenate(measured), np.cumsum([part.size for part in measured])[:-1]
