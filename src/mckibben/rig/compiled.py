@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from mckibben.codegen.native import compile_native, warn_of_fallback
 from mckibben.control.base import Controller, Measurement, Setpoint
@@ -25,6 +24,8 @@ from mckibben.plant import JointPlant, PlantState
 
 def vented_angle(plant: JointPlant) -> float:
     """Equilibrium angle [rad] of the vented joint without friction and creep, nearest to 0 within +-90 deg."""
+    from scipy.optimize import brentq  # 0.1 s
+
     angles = np.linspace(-np.pi / 2, np.pi / 2, 721)
     torque = np.asarray(_torque(plant, angles, 0.0, 0.0))
     stable = np.flatnonzero((torque[:-1] >= 0) & (torque[1:] <= 0))

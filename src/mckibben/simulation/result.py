@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
 
 import jax
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import over_periods
@@ -23,7 +23,7 @@ from mckibben.errors import FileError, Problem, SimulationError, no_attribute, s
 from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
-from mckibben.numerics.compiled import jit, numeric
+from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction
@@ -429,13 +429,17 @@ def _metrics(parts: Any, _: None) -> Metrics:
     return measure(*parts)
 
 
-_friction_torque = jit(AntagonisticJoint.friction_torque)
-_creep_torque = jit(AntagonisticJoint.creep_torque)
-
-
-@jit
-def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
-    return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
+@BatchFunction
+def _path_columns(joint: AntagonisticJoint, lane: tuple[Array, Array, Pressures, PyTree]) -> dict[str, Array]:
+    """Columns of the muscles' friction and creep at one control period, by name."""
+    angle, velocity, pressures, muscles = lane
+    columns: dict[str, Array] = {}
+    if joint.has_friction:
+        columns["friction_torque"] = joint.friction_torque(angle, velocity, pressures, muscles)
+        columns["small_motion_stiffness"] = joint.secant_stiffness(angle, pressures, SMALL_MOTION)
+    if joint.has_creep:
+        columns["creep_torque"] = joint.creep_torque(angle, pressures, muscles)
+    return columns
 
 
 def path_columns(
@@ -445,12 +449,8 @@ def path_columns(
 
     The stiffness of small motion is one of them unless the controller has a `stiffness_amplitude`.
     """
-    angle, velocity, pressures, muscles = state[:4]
-    columns: dict[str, Callable[[], Array]] = {}
-    if joint.has_friction:
-        columns["friction_torque"] = lambda: _friction_torque(joint, angle, velocity, pressures, muscles)
-    if joint.has_creep:
-        columns["creep_torque"] = lambda: _creep_torque(joint, angle, pressures, muscles)
-    if joint.has_friction and stiffness_amplitude is None:
-        columns["small_motion_stiffness"] = lambda: _small_motion_stiffness(joint, angle, pressures)
-    return columns
+    lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), state[:4])
+    computed = functools.cache(lambda: _path_columns("auto", numeric(joint), lanes)[0])
+    names = ["friction_torque"] * joint.has_friction + ["creep_torque"] * joint.has_creep
+    names += ["small_motion_stiffness"] * (joint.has_friction and stiffness_amplitude is None)
+    return {name: functools.partial(lambda name: computed()[name], name) for name in names}
