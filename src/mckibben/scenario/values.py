@@ -195,18 +195,18 @@ def followed_names(scenario: S, model_follows: ModelFollows, varied: Iterable[st
     >>> followed_names(scenario, "all", ["load.mass2", "joint.geometry.connector_length"])
     ('joint.geometry.connector_length',)
     """
-    followed = {parameter.name: _follows(scenario, parameter) for parameter in find_parameters(scenario, varied)}
+    known = {parameter.name: parameter for parameter in find_parameters(scenario, varied)}
     if model_follows == "all":
-        return tuple(name for name, follows in followed.items() if follows)
+        return tuple(name for name, parameter in known.items() if _follows(scenario, parameter))
     names = tuple(parameter.name for parameter in find_parameters(scenario, model_follows))
     for name in names:
-        if name not in followed:
+        if name not in known:
             raise ParameterError(
                 f"the model follows {name}, which is not varied",
                 value=name,
                 remedy="vary it, or leave it out of model_follows",
             )
-        if not followed[name]:
+        if not _follows(scenario, known[name]):
             message = f"the controller's model does not take {name} from the plant"
             raise ParameterError(message, value=name, remedy="leave it out of model_follows")
     return names
@@ -224,7 +224,22 @@ def valid_rows(scenario: S, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]
     >>> valid_rows(scenario, {"joint.geometry.connector_length": [0.2, 0.38]})
     array([ True, False])
     """
+    return _valid(scenario, _columns(scenario, table))
+
+
+def batched_where_valid(
+    scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = ()
+) -> tuple[NDArray[np.bool_], S]:
+    """`valid_rows`, and `batched` with the first of them in place of invalid ones; the scenario itself if none is."""
     columns = _columns(scenario, table)
+    valid = _valid(scenario, columns)
+    if not valid.any():
+        return valid, scenario
+    columns = {name: np.where(valid, column, column[np.argmax(valid)]) for name, column in columns.items()}
+    return valid, _with(_with_fixed_model(scenario, columns, model_follows), columns)
+
+
+def _valid(scenario: S, columns: Mapping[ScenarioParameter, NDArray]) -> NDArray[np.bool_]:
     mask = np.ones(len(next(iter(columns.values()))), dtype=bool)
     mask[list(violations(scenario, columns))] = False
     return mask

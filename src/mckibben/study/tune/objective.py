@@ -18,10 +18,9 @@ from mckibben.scenario import (
     ModelFollows,
     StudiedScenario,
     batched,
+    batched_where_valid,
     find_parameters,
     followed_names,
-    run_many,
-    valid_rows,
     with_values,
 )
 from mckibben.simulation import Batch
@@ -118,15 +117,15 @@ class TuningProblem:
         Raises `ParameterError` if a metric of the cost is not defined at the nominal values of a scenario.
         """
         nominal = self._with_margin(self.space.nominal[None])
-        tables = [self._table(scenario, nominal) for scenario in self.scenarios]
-        valid = [place for place, (good, _) in enumerate(tables) if good.any()]
+        batches = [self._batch(scenario, nominal, self.conditions) for scenario in self.scenarios]
+        valid = [place for place, (good, _) in enumerate(batches) if good.any()]
 
         def simulate(engine: str) -> list[Batch]:
-            return [self._run(self.scenarios[place], tables[place][1], engine=engine) for place in valid]
+            return [batches[place][1].run_many(metrics=self.cost.metrics, engine=engine) for place in valid]
 
-        engine, batches = first_runs(store, simulate, engine=engine)
+        engine, runs = first_runs(store, simulate, engine=engine)
         scenarios = list(self.scenarios)
-        for place, batch in zip(valid, batches, strict=True):
+        for place, batch in zip(valid, runs, strict=True):
             scenario = scenarios[place]
             for name, values in batch.metrics.items():
                 if batch.usable.any() and np.isnan(values[..., batch.usable]).all():
@@ -193,27 +192,22 @@ class TuningProblem:
         limits = np.array([(tuned.parameter.lower, tuned.parameter.upper) for tuned in self.space.swept]).T
         return np.concatenate([values, np.clip(values * factors, *limits)])
 
-    def _table(
-        self, scenario: StudiedScenario, values: Vector, conditions: Table | None = None
-    ) -> tuple[NDArray[np.bool_], Table]:
-        """Valid rows of all values under each condition in turn; and the table, with a valid row for invalid ones."""
-        conditions = self.conditions if conditions is None else conditions
+    def _batch(
+        self, scenario: StudiedScenario, values: Vector, conditions: Table
+    ) -> tuple[NDArray[np.bool_], StudiedScenario]:
+        """Valid rows of all values under each condition in turn, and their batch."""
         draws = len(next(iter(conditions.values()), "1"))
         table = {name: np.tile(values[:, i], draws) for i, name in enumerate(self.space.names)}
         table |= {name: np.repeat(column, len(values)) for name, column in conditions.items()}
-        good = valid_rows(scenario, table)
-        return good, with_valid(table, good)
-
-    def _run(self, scenario: StudiedScenario, table: Table, **options: object) -> Batch:
         follows = followed_names(scenario, self.model_follows, table)
-        return run_many(scenario, table, model_follows=follows, metrics=self.cost.metrics, **options)
+        return batched_where_valid(scenario, table, model_follows=follows)
 
     def _costs_of_runs(self, scenario: StudiedScenario, rows: Vector, workers: int) -> Vector:
         """Cost of each run, shape (draws, rows)."""
-        good, table = self._table(scenario, rows)
+        good, many = self._batch(scenario, rows, self.conditions)
         costs = np.full(good.size, FAILED_COST)
         if good.any():
-            batch = self._run(scenario, table, workers=workers, engine=self.engine)
+            batch = many.run_many(metrics=self.cost.metrics, workers=workers, engine=self.engine)
             values = self.cost(batch.metrics)
             good &= batch.usable & np.isfinite(values)
             costs[good] = np.minimum(values[good], FAILED_COST)
@@ -231,11 +225,9 @@ class TuningProblem:
 
         Draws that cannot start count as the best of the others, since no gains can mend them.
         """
-        scenario, draws = self.scenarios[place], self._margin_draws[place]
-        good, table = self._table(scenario, values, draws)
+        good, many = self._batch(self.scenarios[place], values, self._margin_draws[place])
         if not good.any():
             return np.zeros((1, len(values)))
-        many = batched(scenario, table, model_follows=followed_names(scenario, self.model_follows, table))
         margins = np.where(good, many.disk_margins(points), 0.0).reshape(-1, len(values))
         started = np.fmax.reduce(margins, axis=0)
         return np.where(np.isnan(margins), np.nan_to_num(started), margins)
