@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
@@ -310,7 +310,7 @@ def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
     return list(paths_and_arms(joint.geometry, np.asarray(angle))[0])
 
 
-def compiled(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+def compiled(function: Callable[[PyTree, PyTree], PyTree]) -> Callable[..., PyTree]:
     """`BatchFunction` by any engine, whose shared tree may have numbers."""
     program = BatchFunction(function)
     return functools.wraps(function)(lambda shared, lanes=None: program("auto", numeric(shared), lanes)[0])

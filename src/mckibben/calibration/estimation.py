@@ -7,13 +7,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import field
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from scipy import sparse
 from scipy.special import chdtri
 
@@ -63,14 +63,6 @@ _LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm i
 STRENGTHS = range(-4, 3)
 """Prior standard deviations of the muscles' strength at the starts of a search: slack muscles cause local minima."""
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
-
-
-class _Fit(NamedTuple):
-    """Place, value and second derivatives of a minimum of an objective."""
-
-    z: Floats
-    value: float
-    curvature: Floats
 
 
 class JointCalibration(Calibration):
@@ -330,14 +322,13 @@ def _stiffness(problem: CalibrationProblem, z: Floats, angle: ArrayLike, pressur
 
 
 @compiled
-def _stiffnesses(shared: tuple[CalibrationProblem, Array, Any], direction: Array) -> tuple[Array, Array]:
+def _stiffnesses(shared: tuple[CalibrationProblem, Array, PyTree], direction: Array) -> tuple[Array, Array]:
     """Stiffness at each point, and its derivative in a direction of the parameters."""
     problem, z, points = shared
 
-    def at(_: Any, point: Any) -> Any:
-        angle, *pressures = point
-        stiffness = lambda z: corrected(problem, z).joint.evaluate(angle, tuple(pressures))[1]  # noqa: E731
-        return (), jax.jvp(stiffness, (z,), (direction,))
+    def at(_: tuple[()], point: tuple[Array, Array, Array]) -> PyTree:
+        evaluate = lambda z: corrected(problem, z).joint.evaluate(point[0], point[1:])[1]  # noqa: E731
+        return (), jax.jvp(evaluate, (z,), (direction,))
 
     return lax.scan(at, (), points)[1]
 
@@ -422,9 +413,10 @@ def _solve(
         return [(r0 + r1) / 2 for r0, r1 in pairs], [(r0 - r1) / 2 for r0, r1 in pairs]
 
     search = [start(strength) for strength in STRENGTHS] + [start(exchange=sign * 0.35) for sign in (1, -1)]
-    coarse: Any = {"iterations": 8, "tolerance": 1.0}  # of the least squares of the even samples, at half the cost
-    fits = sorted((_minimised(partial(terms, instruments=0), z, **coarse) for z in search), key=lambda fit: fit.value)
-    z, places = fits[0].z, np.array([fit.z for fit in fits])
+    coarse = partial(terms, instruments=0)  # least squares of the even samples, at half the cost
+    fits = [_minimised(coarse, z, iterations=8, tolerance=1.0) for z in search]
+    fits.sort(key=lambda fit: fit[1])
+    z, places = fits[0][0], np.array([z for z, *_ in fits])
     for _ in range(stages):
         z, _, curvature = _minimised(terms, z)
         informed = 1 - np.diag(np.linalg.inv(curvature))  # 0 of a parameter of which the recordings tell nothing
@@ -435,18 +427,17 @@ def _solve(
             z[FORCES], places[:, FORCES] = z[FORCES] / factor, places[:, FORCES] / factor
     first, *others = _distinct([z, *places])
     fits = [_minimised(terms, first)]
-    fits += [_minimised(terms, z, ceiling=fits[0].value - math.log(NEVER)) for z in others]
-    fits.sort(key=lambda fit: fit.value)
-    weights = probabilities([fit.value for fit in fits]).tolist()
+    fits += [_minimised(terms, z, ceiling=fits[0][1] - math.log(NEVER)) for z in others]
+    fits.sort(key=lambda fit: fit[1])
+    weights = probabilities([value for _, value, _ in fits]).tolist()
     best = [
-        LocalMinimum(fit.z, np.asarray(np.linalg.inv(fit.curvature), float), weight)
-        for fit, weight in zip(fits, weights, strict=True)
+        LocalMinimum(z, np.asarray(np.linalg.inv(curvature), float), weight)
+        for (z, _, curvature), weight in zip(fits, weights, strict=True)
         if weight > 0
     ]
     residual, noise = (root_mean_square([column[:, 0] for column in parts]) for parts in errors(best[0].z))
     columns = zip(*((half.angle, *half.pressures) for half, _ in recordings), strict=True)
     angle, first, second = (np.concatenate(column) for column in columns)
-
     best, kept = supported(best, lambda z: _stiffness(problem, z, angle, (first, second)))
     return problem, tuple(best), residual, noise, kept
 
@@ -490,7 +481,7 @@ def _filtered(column: Floats, begin: int) -> Floats:
 
 
 @cache
-def _filter(samples: int, begin: int) -> Any:
+def _filter(samples: int, begin: int) -> PyTree:
     """Gaussian filter as a sparse matrix, shape (filtered samples, samples)."""
     width = _FILTER * RATE
     places = np.arange(2 * int(4 * width) + 1)
@@ -535,8 +526,8 @@ def _minimised(
     tolerance: float = 1e-3,
     ceiling: float = math.inf,
     farthest: float = 2.0,
-) -> _Fit:
-    """Minimum of an objective, of which its gradient and second derivatives are known, by a trust region.
+) -> tuple[Floats, float, Floats]:
+    """Minimum of an objective with its gradient and second derivatives, its value and these there, by a trust region.
 
     The search ends where a step would lower the objective by less than the tolerance, or where even the minimum of its
     quadratic model is above the ceiling. Steps have at most a length of 1, later of `farthest`, in prior standard
@@ -561,7 +552,7 @@ def _minimised(
             radius = float(np.linalg.norm(step)) / 4
         if gain > 0.15:
             z, (value, gradient, curvature) = z + directions @ step, there
-    return _Fit(z, value, curvature)
+    return z, value, curvature
 
 
 def _bounded_step(gradient: Floats, sizes: Floats, radius: float) -> Floats:

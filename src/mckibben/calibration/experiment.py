@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, compiled, sliding_from
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
@@ -274,10 +274,10 @@ def simulated(part: Scenario) -> SimulationResult:
 
 
 @compiled
-def _measured(shared: tuple[Sensors, Any, Any], _: None) -> Any:
+def _measured(shared: tuple[Sensors, PyTree, PyTree], _: None) -> PyTree:
     """Measured angles and pressures of all periods, shape (periods,) each, from their numbers and the true ones."""
 
-    def step(state: Any, sample: Any) -> Any:
+    def step(state: PyTree, sample: PyTree) -> PyTree:
         state, (angle, pressures) = sensors.measure(state, sample[0], Measurement(sample[1], sample[2:]))
         return state, (angle, *pressures)
 

@@ -15,7 +15,6 @@ from mckibben.scenario.start import UNKNOWN, starting_scenario, starting_stiffne
 from mckibben.scenario.values import (
     ModelFollows,
     batched,
-    batched_where_valid,
     edit_scenario,
     followed_names,
     run_many,
@@ -33,7 +32,6 @@ __all__ = [
     "StudiedScenario",
     "air_volume",
     "batched",
-    "batched_where_valid",
     "edit_scenario",
     "find_parameter",
     "find_parameters",

@@ -155,14 +155,17 @@ def with_values(scenario: S, values: Mapping[str, float | int], *, model_follows
     return _with(_with_fixed_model(scenario, numbers, model_follows), numbers)
 
 
-def batched(scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = ()) -> S:
+def batched(
+    scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = (), known_valid: bool = False
+) -> S:
     """A batch of scenarios, with arrays of shape (n,) for the varied parameters.
 
     The objects built from it (`plant`, `control`, `reference`) have these arrays among their leaves. Such a scenario
     can be neither written nor compared. A controller's model that is taken from the plant stays nominal, except
     for the `model_follows` plant parameters ("all": all of them).
 
-    Raises `ParameterError` if a name is unknown or repeated, or a row is invalid; it names the first such row.
+    Raises `ParameterError` if a name is unknown or repeated, or a row is invalid; it names the first such row. If all
+    are `known_valid`, by `valid_rows`, they are not checked again.
 
     Examples
     --------
@@ -179,7 +182,8 @@ def batched(scenario: S, table: Mapping[str, ArrayLike], *, model_follows: Model
     mckibben.errors.ParameterError: row 1: with joint.geometry.connector_length 380 mm: ...
     """
     columns = _columns(scenario, table)
-    _check_rules(scenario, columns)
+    if not known_valid:
+        _check_rules(scenario, columns)
     return _with(_with_fixed_model(scenario, columns, model_follows), columns)
 
 
@@ -224,22 +228,7 @@ def valid_rows(scenario: S, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]
     >>> valid_rows(scenario, {"joint.geometry.connector_length": [0.2, 0.38]})
     array([ True, False])
     """
-    return _valid(scenario, _columns(scenario, table))
-
-
-def batched_where_valid(
-    scenario: S, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = ()
-) -> tuple[NDArray[np.bool_], S]:
-    """`valid_rows`, and `batched` with the first of them in place of invalid ones; the scenario itself if none is."""
     columns = _columns(scenario, table)
-    valid = _valid(scenario, columns)
-    if not valid.any():
-        return valid, scenario
-    columns = {name: np.where(valid, column, column[np.argmax(valid)]) for name, column in columns.items()}
-    return valid, _with(_with_fixed_model(scenario, columns, model_follows), columns)
-
-
-def _valid(scenario: S, columns: Mapping[ScenarioParameter, NDArray]) -> NDArray[np.bool_]:
     mask = np.ones(len(next(iter(columns.values()))), dtype=bool)
     mask[list(violations(scenario, columns))] = False
     return mask

@@ -433,13 +433,11 @@ def _metrics(parts: Any, _: None) -> Metrics:
 def _path_columns(joint: AntagonisticJoint, lane: tuple[Array, Array, Pressures, PyTree]) -> dict[str, Array]:
     """Columns of the muscles' friction and creep at one control period, by name."""
     angle, velocity, pressures, muscles = lane
-    columns: dict[str, Array] = {}
-    if joint.has_friction:
-        columns["friction_torque"] = joint.friction_torque(angle, velocity, pressures, muscles)
-        columns["small_motion_stiffness"] = joint.secant_stiffness(angle, pressures, SMALL_MOTION)
-    if joint.has_creep:
-        columns["creep_torque"] = joint.creep_torque(angle, pressures, muscles)
-    return columns
+    return {
+        "friction_torque": joint.friction_torque(angle, velocity, pressures, muscles),
+        "creep_torque": joint.creep_torque(angle, pressures, muscles),
+        "small_motion_stiffness": joint.secant_stiffness(angle, pressures, SMALL_MOTION),
+    }
 
 
 def path_columns(

@@ -139,7 +139,7 @@ def draw(suite: ControllerSuite, count: int, seed: int) -> Runs:
     return Runs(suite, joints, names, conditions, values, tuple(groups))
 
 
-def _with_columns(scenario: PyTree, columns: Table, **options: str) -> PyTree:
+def _with_columns(scenario: PyTree, columns: Table, **options: PyTree) -> PyTree:
     """A batch of scenarios, or the scenario itself without any columns."""
     return batched(scenario, columns, **options) if columns else scenario
 

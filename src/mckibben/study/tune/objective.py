@@ -18,9 +18,9 @@ from mckibben.scenario import (
     ModelFollows,
     StudiedScenario,
     batched,
-    batched_where_valid,
     find_parameters,
     followed_names,
+    valid_rows,
     with_values,
 )
 from mckibben.simulation import Batch
@@ -195,12 +195,14 @@ class TuningProblem:
     def _batch(
         self, scenario: StudiedScenario, values: Vector, conditions: Table
     ) -> tuple[NDArray[np.bool_], StudiedScenario]:
-        """Valid rows of all values under each condition in turn, and their batch."""
+        """Valid rows of all values under each condition in turn, and their batch, with a valid row for invalid ones."""
         draws = len(next(iter(conditions.values()), "1"))
         table = {name: np.tile(values[:, i], draws) for i, name in enumerate(self.space.names)}
         table |= {name: np.repeat(column, len(values)) for name, column in conditions.items()}
-        follows = followed_names(scenario, self.model_follows, table)
-        return batched_where_valid(scenario, table, model_follows=follows)
+        follows, good = followed_names(scenario, self.model_follows, table), valid_rows(scenario, table)
+        if not good.any():
+            return good, scenario
+        return good, batched(scenario, with_valid(table, good), model_follows=follows, known_valid=True)
 
     def _costs_of_runs(self, scenario: StudiedScenario, rows: Vector, workers: int) -> Vector:
         """Cost of each run, shape (draws, rows)."""
