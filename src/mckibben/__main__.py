@@ -6,7 +6,7 @@ import signal
 
 def run() -> None:
     """Run the command line."""
-    gc.set_threshold(500_000, 10, 10)  # most commands create fewer objects, nearly all of them permanent
+    gc.set_threshold(1_000_000, 10, 10)  # most commands create fewer objects, nearly all of them permanent
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # during imports Ctrl-C ends the process, without a traceback
     from mckibben.cli import main

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection
@@ -27,7 +27,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Text
-from matplotlib.ticker import FixedFormatter
+from matplotlib.ticker import FixedFormatter, FixedLocator
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import printable
@@ -116,6 +116,8 @@ def _limit_texts(figure: Figure) -> None:
     for axis in (artist for artist in artists if isinstance(artist, Axis)):
         if isinstance(formatter := axis.get_major_formatter(), FixedFormatter):
             formatter.seq = [limited(text) for text in formatter.seq]
+        if isinstance(axis, YAxis):  # a power of ten is above the numbers: titles keep their place
+            axis.get_offset_text().set_horizontalalignment("right")
     for text in (artist for artist in artists if isinstance(artist, Text)):
         if text.get_text() != (short := limited(text.get_text())):
             text.set_text(short)
@@ -239,9 +241,11 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: 
     if engine is not None:
         engine.execute(figure)  # one layout instead of one per draw
         figure.set_layout_engine("none")
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        axis.set_major_locator(FixedLocator(axis.get_majorticklocs().tolist()))  # found once instead of some ten times
     # `Figure.savefig` would draw everything twice
     with atomic_write(png, overwrite=True) as part:
-        FigureCanvasAgg(figure).print_png(part, metadata={"Software": None})
+        FigureCanvasAgg(figure).print_png(part, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
     if not preview:
         with atomic_write(svg, overwrite=True) as part:
             FigureCanvasSVG(figure).print_svg(part, metadata={"Date": None, "Creator": None})
