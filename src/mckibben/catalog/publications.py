@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
@@ -20,7 +21,7 @@ def names(kind: str) -> list[str]:
     """
     if kind not in KINDS:
         raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
-    return [name for publication in _publications() for name in publication.get(kind, {})]
+    return [name for publication in _publications(f"{kind}:") for name in publication.get(kind, {})]
 
 
 def cite(name: str) -> str:
@@ -33,7 +34,7 @@ def cite(name: str) -> str:
     """
     entries = [
         (publication, publication[kind][name])
-        for publication in _publications()
+        for publication in _publications(name)
         for kind in KINDS
         if name in publication.get(kind, {})
     ]
@@ -49,7 +50,7 @@ def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
 
     Raises `NotInCatalogError`, with a suggestion, for an unknown name.
     """
-    for publication in _publications():
+    for publication in _publications(name):
         if name in publication.get(kind, {}):
             return publication[kind][name], publication["source"]
     raise _unknown(_SINGULAR[kind], name, names(kind))
@@ -60,13 +61,17 @@ _SINGULAR: dict[str, str] = dict(
 )
 
 
+def _publications(part: str) -> Iterator[dict[str, Any]]:
+    """Publications whose text contains a part; to parse all of them takes 0.1 s."""
+    files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
+    return (_parsed(text) for file in files if part in (text := file.read_text(encoding="utf-8")))
+
+
 @functools.cache
-def _publications() -> tuple[dict[str, Any], ...]:
+def _parsed(text: str) -> dict[str, Any]:
     from ruamel.yaml import YAML
 
-    reader = YAML(typ="safe")
-    files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
-    return tuple(reader.load(file.read_text(encoding="utf-8")) for file in files)
+    return YAML(typ="safe").load(text)
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:

@@ -12,7 +12,6 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 import mckibben
-from mckibben.codegen.templates import filled
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
@@ -80,6 +79,8 @@ class InverseTable(Result):
 
     def write(self, folder: Path) -> None:
         """Write the table as CSV, and as a C header with its interpolation."""
+        from mckibben.codegen.templates import filled  # 25 ms
+
         names = {"load": "load_N", "contraction": "contraction_ratio", "pressure": "pressure_Pa"}
         columns = {name: getattr(self, name) for name in ("load", "direction", "contraction", "pressure")}
         loads, row = np.unique(self.load, return_inverse=True)

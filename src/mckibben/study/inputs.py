@@ -50,8 +50,7 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
 
     recipe = recipe or Recipe()
     names = [names] if isinstance(names, str) else names
-    known = catalog.names("datasets")
-    entry = next((name for name in names if name in known and not Path(name).is_file()), None)
+    entry = next((name for name in names if not Path(name).is_file() and name in catalog.names("datasets")), None)
     if entry and len(names) > 1:
         message = f"{entry} is a dataset of the catalog, which cannot be joined with others"
         raise NotInCatalogError(message, value=entry, remedy="give one dataset of the catalog, or files only")
@@ -64,7 +63,7 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
     for name in names:
         if not Path(name).exists() and not re.search(r"[./\\]", name):
             message = f"there is no file {name!r}, and no dataset of that name"
-            raise NotInCatalogError(message, value=name, remedy=suggest(name, known))
+            raise NotInCatalogError(message, value=name, remedy=suggest(name, catalog.names("datasets")))
     dataset = read_dataset(names, recipe, geometry=geometry_named(recipe.joint))
     kind = dataset.table.attrs["specimen"]
     if kind in catalog.names("specimens") or Path(kind).suffix in (".yaml", ".yml"):
