@@ -137,7 +137,8 @@ class VectorWriter(Writer):
                 return f"({self.text(condition)} ? {self._vector(yes)} : {self._vector(no)})"
             pick = "pick" if value.kind is Kind.REAL else "pick_integer"
             return f"{pick}({self.text(condition)}, {self._vector(yes)}, {self._vector(no)})"
-        vectors = [self._vector(argument) for argument in arguments]
+        # the second argument is tested for NaN: once, if all lanes share it
+        vectors = [self._vector(x) for x in sorted(arguments, key=lambda x: x.uniform and name in ("max", "min"))]
         if name in ("real", "integer", "boolean"):
             return self._conversion(vectors[0], arguments[0].kind, value.kind)
         if (pattern := self._patterns.get((name, arguments[0].kind))) is not None:

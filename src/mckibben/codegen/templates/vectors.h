@@ -47,8 +47,8 @@ INLINE void store(double *to, V x) { D r = __builtin_convertvector(x, D); memcpy
 INLINE void store_integer(int64_t *to, I x) { L r = __builtin_convertvector(x, L); memcpy(to, &r, sizeof r); }
 INLINE void store_mask(int64_t *to, I x) { store_integer(to, x & 1); }
 INLINE bool any(I c) { WHOLE r = 0; for (int i = 0; i < W; ++i) r |= c[i]; return r != 0; }
-INLINE V v_maximum(V x, V y) { return pick((x > y) | (x != x), x, y); }
-INLINE V v_minimum(V x, V y) { return pick((x < y) | (x != x), x, y); }
+INLINE V v_maximum(V x, V y) { return pick(~(x <= y) & (y == y), x, y); }
+INLINE V v_minimum(V x, V y) { return pick(~(x >= y) & (y == y), x, y); }
 INLINE V v_absolute(V x) { return (V)((I)x & (WHOLE)(UINT64_MAX >> (65 - 8 * sizeof(REAL)))); }
 INLINE V v_sign(V x) { return pick(x > 0, real(1), pick(x < 0, real(-1), real(0))); }
 INLINE I v_isfinite(V x) { return x - x == 0; }
