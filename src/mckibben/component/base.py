@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from inspect import get_annotations
 from numbers import Integral, Real
-from types import NoneType, SimpleNamespace, UnionType
+from types import MethodType, NoneType, SimpleNamespace, UnionType
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -140,6 +140,13 @@ class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  #
 
     def __check_init__(self) -> None:
         check_fields(self)
+
+    if not TYPE_CHECKING:
+
+        def __getattribute__(self, name: str) -> Any:
+            """Return an attribute: methods by `equinox.Module`, all others without its tests, which take longer."""
+            value = object.__getattribute__(self, name)
+            return super().__getattribute__(name) if type(value) is MethodType else value
 
     def _repr_html_(self) -> str:
         tables: dict[str, list[tuple[str, str]]] = {"": []}  # of own fields, and of those of each part, to be opened
