@@ -307,3 +307,9 @@ def test_loads_without_a_sensor_are_one_for_each_file(put):
     assert any("--read 'loads=" in problem for problem in problems_of(paths[0]))
     (problem,) = problems_of(paths[0], loads=["2 kg", "30 N"])
     assert problem.startswith("loads: 2 loads are given for 1 files")
+
+
+@pytest.mark.parametrize("header", ["eps [%];F 1 bar [N];F 2 bar [N];F 3 bar [N]", ";2 bar;;3 bar;;4 bar"])
+def test_a_table_with_a_column_per_pressure_is_a_matrix(put, header):
+    (problem,) = problems_of(put(f"{header}\n" + table("", C, F, F, F).lstrip()))
+    assert "one row per point" in problem

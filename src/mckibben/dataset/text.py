@@ -288,13 +288,16 @@ def _no_header(lines: Sequence[str]) -> Problem:
         return Problem("is empty", remedy="give a file with a header and rows")
     text = f"has no header that is understood; it begins with {shown[:80]!r}"
     cells = max((_split(shown, separator) for separator in _SEPARATORS[:-1]), key=len)
-    if len(cells) > 2 and all(_BEGINS.match(cell) for cell in cells[1:]) and not _BEGINS.match(cells[0]):
+    levels = [cell for cell in cells[1:] if cell]
+    if len(levels) > 1 and all(re.search(r"\d", cell) for cell in levels) and not _BEGINS.match(cells[0]):
         remedy = "make a table with one row per point: a column each for pressure, contraction or length, and force"
         return Problem(f"{text}: a matrix?", remedy=remedy)
     remedy = (
         "name its columns by header or, without one, by position: columns={'HEADER': 'force_N', '2': 'pressure_bar'} "
         "(command line: --column 'HEADER=force_N' --column '2=pressure_bar')"
     )
+    if not shown.isascii():
+        remedy += "; save a text in another encoding than UTF-8 or Windows-1252 as UTF-8"
     if re.search(r"\b(m?V|volts?|counts?)\b", shown, re.IGNORECASE):
         remedy += ", of sensors with their line: --column 'HEADER=2.5*(x-0.4) pressure_bar'"
     return Problem(text, remedy=remedy)

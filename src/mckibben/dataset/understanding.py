@@ -73,6 +73,10 @@ _LONGEST = 20.0  # m
 _MASS = re.compile(r"weight|mass|gewicht|last\b|poids|重量|质量|質量|砝码|おもり", re.IGNORECASE)
 _OF_JOINTS = ("angle", "torque", "pressure1", "pressure2")
 _NEEDLESS_UNITS = ("time", "angle", "torque")
+_KINDS = {
+    "length": ", where KIND is length, shortening or lengthening",
+    "contraction": ", where KIND is contraction or lengthening",
+}
 _WITH_UNIT = re.compile(r"(.+?)\s*[\[(]([^\[\]()]+)[\])]\s*")
 _UNNAMED = re.compile(r"column \d+")
 
@@ -180,14 +184,14 @@ class _Reader:
     def _meant(self, quantity: str) -> str:
         """Option that names a column of a quantity: the one whose header has its unit, or its name, if any."""
         for column in self.raw.columns:
+            if column.name not in self.table.ignored:
+                continue
             label = column.label or column.name
-            if (
-                column.name in self.table.ignored
-                and dimension_of(unit := parse_header(label, column.unit).unit) == quantity
-            ):
+            unit = parse_header(label, column.unit).unit
+            if dimension_of(unit) == quantity and quantity not in _KINDS:
                 return f"--column '{column.name}={quantity}_{unit}'"
             match = _WITH_UNIT.fullmatch(label)
-            if match and column.name in self.table.ignored and parse_header(match[1]).quantity == quantity:
+            if match and parse_header(match[1]).quantity == quantity:
                 unit = closest(match[2], QUANTITIES[quantity])
                 line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
                 return f"--column '{column.name}={line}{quantity}_{unit or QUANTITIES[quantity][0]}'"
@@ -269,8 +273,9 @@ class _Reader:
             return
         remedy = _NEEDLESS.format(column.name)
         if dimension not in ("", *_NEEDLESS_UNITS):
-            meant = f"{dimension}_{parse_header(label, column.unit).unit}"
-            remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}; {remedy}"
+            kinds = _KINDS.get(dimension, "")
+            meant = f"{'KIND' if kinds else dimension}_{parse_header(label, column.unit).unit}"
+            remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}{kinds}; {remedy}"
         self.ask("is not understood", "columns", field=column.name, remedy=remedy)
 
     def _choose(self, understood: Sequence[_Entry]) -> list[_Entry]:

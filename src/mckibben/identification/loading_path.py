@@ -337,6 +337,9 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
         )
     if middle < 0:
         message = f"loading is {-middle:.2g} N below unloading, which friction cannot be"
-        remedy = "exchange the directions: loading is being stretched, unloading is shortening"
+        remedy = (
+            "loading is being stretched, unloading is shortening; if they are exchanged: columns={'loading': "
+            "'unloading', 'unloading': 'loading'} (command line: --column loading=unloading --column unloading=loading)"
+        )
         raise IdentificationError(message, value=middle, unit="N", remedy=remedy)
     return middle / 2, error / 2 * float(stdtrit(freedom, 0.975) / stdtrit(np.inf, 0.975))
