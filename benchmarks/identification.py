@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from rows import Candidate, Table
 from timing import Bench
 
-from mckibben import ExponentialLaw, IsobaricDataset, catalog, read_dataset
+from mckibben import ExponentialLaw, IsobaricDataset, catalog
 from mckibben.identification import fit_law
 from mckibben.muscle import ForceLaw, forces
 from mckibben.units import bar, kPa, percent
@@ -23,9 +22,21 @@ DIRECTIONS, REPEATS, SAMPLES = 2, 5, 1000
 FORCE_NOISE, PRESSURE_NOISE = 0.5, 0.5 * kPa  # those of the simulated rig
 AGREED = 0.05  # N
 OURS = "ours, mk.identify"
-READ = "xarray, reading the file alone"
 PARAMETERS = ("a1", "a2", "b1", "b2", "c1", "c2", "decay")
 UNITS = np.array([1, 1 / bar, 1 / percent, 1 / percent / bar, 1, 1 / bar, 1 / percent])  # as the paper prints them
+
+
+class Sampled(NamedTuple):
+    """A test with its raw samples, shape (plateaus, samples): force [N] and pressure [Pa]."""
+
+    dataset: IsobaricDataset
+    force: NDArray[np.float32]
+    pressure: NDArray[np.float32]
+
+    def averaged(self) -> IsobaricDataset:
+        """The dataset with the means of the samples."""
+        means = {name: ("point", getattr(self, name).mean(axis=1, dtype=float)) for name in ("force", "pressure")}
+        return IsobaricDataset(self.dataset.table.assign(means))
 
 
 class Points(NamedTuple):
@@ -40,9 +51,8 @@ def identification(folder: Path, *, quick: bool) -> Table:
     """The table of fits."""
     bench = Bench(rounds=5 if quick else 9, budget=2.0 if quick else 6.0)
     truth = catalog.law("lei-mas-10-180n")
-    dataset = synthetic(truth)
-    path = folder / "samples.nc"
-    dataset.to_netcdf(path)
+    sampled = synthetic(truth)
+    dataset = sampled.averaged()
     law = fit_law(ExponentialLaw, dataset).law
     used = 100 if quick else SAMPLES
     guess = 1.2 * np.array([getattr(truth, name) for name in PARAMETERS]) / UNITS
@@ -65,7 +75,7 @@ def identification(folder: Path, *, quick: bool) -> Table:
             fitted(
                 f"{name}, on all samples",
                 fit,
-                raw(dataset, used),
+                raw(sampled, used),
                 work=used / SAMPLES,
                 note="one timing" + (f", of {used} samples a plateau, scaled" if quick else ""),
                 warm=False,
@@ -95,21 +105,16 @@ def identification(folder: Path, *, quick: bool) -> Table:
 
         return comparators("lmfit", fit)
 
-    plateaus = dataset.plateau_means()
     note = "plateau means, fit, errors at unseen pressures; starts without a guess"
     bench.entries += [
-        Candidate(OURS, lambda: fit_law(ExponentialLaw, dataset), 1.0, off(truth), 1.0, note, OURS),
+        Candidate(OURS, lambda: fit_law(ExponentialLaw, sampled.averaged()), 1.0, off(truth), 1.0, note, OURS),
         Candidate(
             f"{OURS}, on plateau means",
-            lambda: fit_law(ExponentialLaw, plateaus),
+            lambda: fit_law(ExponentialLaw, dataset),
             note="computed beforehand",
             base=OURS,
         ),
-        Candidate("NumPy, plateau means alone", lambda: _averaged(dataset), note="float64 sums", base=OURS),
-        Candidate(
-            f"{OURS}, from its file", lambda: fit_law(ExponentialLaw, read_dataset(path)), note="NetCDF", base=READ
-        ),
-        Candidate(READ, lambda: xr.load_dataset(path, engine="h5netcdf"), base=OURS),
+        Candidate("NumPy, plateau means alone", sampled.averaged, note="float64 sums", base=OURS),
     ]
     bench.add("SciPy curve_fit", by_scipy)
     bench.add("lmfit", by_lmfit, install="lmfit")
@@ -131,7 +136,7 @@ def identification(folder: Path, *, quick: bool) -> Table:
     )
 
 
-def synthetic(law: ForceLaw) -> IsobaricDataset:
+def synthetic(law: ForceLaw) -> Sampled:
     """Plateaus with raw samples, as the simulated rig gives them, without its hysteresis."""
     pressure, contraction, turn = (
         axis.ravel() for axis in np.meshgrid(PRESSURES, CONTRACTIONS, np.arange(DIRECTIONS * REPEATS), indexing="ij")
@@ -143,34 +148,27 @@ def synthetic(law: ForceLaw) -> IsobaricDataset:
         return samples * np.float32(noise) + true[:, None].astype(np.float32)
 
     force, gauge = sampled(forces(law, contraction, pressure), FORCE_NOISE), sampled(pressure, PRESSURE_NOISE)
-    return IsobaricDataset.of(
+    dataset = IsobaricDataset.of(
         pressure=gauge.mean(axis=1, dtype=float),
         contraction=contraction,
         force=force.mean(axis=1, dtype=float),
         direction=np.where(turn % 2, "unloading", "loading"),
         repeat=turn // 2,
         set_pressure=pressure,
-        force_samples=force,
-        pressure_samples=gauge,
     )
+    return Sampled(dataset, force, gauge)
 
 
 def means(dataset: IsobaricDataset) -> Points:
     """The plateau means."""
-    plateaus = dataset.plateau_means()
-    return Points(plateaus.pressure / bar, plateaus.contraction / percent, plateaus.force)
+    return Points(dataset.pressure / bar, dataset.contraction / percent, dataset.force)
 
 
-def raw(dataset: IsobaricDataset, used: int) -> Points:
+def raw(sampled: Sampled, used: int) -> Points:
     """So many raw samples of each plateau, flat, in float64."""
-    pressure, force = (dataset.table[f"{name}_samples"].to_numpy()[:, :used] for name in ("pressure", "force"))
-    contraction = np.repeat(dataset.contraction / percent, used)
+    pressure, force = sampled.pressure[:, :used], sampled.force[:, :used]
+    contraction = np.repeat(sampled.dataset.contraction / percent, used)
     return Points(pressure.ravel().astype(float) / bar, contraction, force.ravel().astype(float))
-
-
-def _averaged(dataset: IsobaricDataset) -> tuple[NDArray[np.float64], ...]:
-    names = ("force_samples", "pressure_samples")
-    return tuple(dataset.table[name].to_numpy().mean(axis=1, dtype=float) for name in names)
 
 
 def _formula(at: tuple, a1: float, a2: float, b1: float, b2: float, c1: float, c2: float, decay: float) -> NDArray:

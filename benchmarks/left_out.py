@@ -75,8 +75,7 @@ def predicted(law: str, points: mk.IsobaricDataset, new: mk.IsobaricDataset) -> 
 
 def left_out(data: mk.IsobaricDataset, laws: list[str]) -> dict[str, dict[str, np.ndarray]]:
     """`predicted` at all left-out points, by group of blocks and by law."""
-    means = data.plateau_means()
-    points = without_outliers(means, find_outliers(means)).taut
+    points = without_outliers(data, find_outliers(data)).taut
     levels = pressure_blocks(points)[0]
     kinds = {"contractions": contraction_blocks(points)}
     if levels is not None:

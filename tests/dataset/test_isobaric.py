@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import DatasetError, RangeError
@@ -92,7 +90,7 @@ def test_a_mask_is_one_boolean_per_point(mask):
         ({"pressure": [-2e5] + 11 * [0]}, "pressure: -200000 at point 0 is below"),
         ({"direction": [*(11 * ["loading"]), "sideways"]}, "direction: 'sideways' at point 11"),
         ({"repeat": [*range(11), 0.5]}, "repeat: 0.5 at point 11"),
-        ({"force_samples": np.zeros((12, 2)), "pressure_samples": np.zeros((12, 3))}, "number of samples"),
+        ({"force_spread": np.zeros((12, 2))}, "2 dimensions instead of 1"),
         ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),
         ({"slack_force": True}, "slack_force: True is not a finite number"),
     ],
@@ -115,37 +113,6 @@ def test_a_table_in_other_units_is_refused():
         IsobaricDataset(table)
     with pytest.raises(DatasetError, match="force: is missing"):
         IsobaricDataset(grid().table.drop_vars("force"))
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@given(points=st.integers(1, 70), samples=st.sampled_from([1, 2, 999, 40_000]), seed=st.integers(0, 9))
-def test_plateau_means_are_those_of_numpy(dtype, points, samples, seed):
-    points = min(points, 3) if samples > 999 else points
-    rng = np.random.default_rng(seed)
-    force = rng.normal(500, 0.1, (points, samples)).astype(dtype)
-    pressure = rng.normal(6e5, 100, (points, samples)).astype(dtype)
-    data = IsobaricDataset.of(
-        pressure=np.zeros(points),
-        contraction=np.zeros(points),
-        force=np.zeros(points),
-        repeat=np.arange(points),
-        force_samples=force,
-        pressure_samples=pressure,
-    )
-    means = data.plateau_means()
-    wide = force.astype(np.float64)
-    np.testing.assert_allclose(means.force, wide.mean(axis=1), rtol=1e-13)
-    np.testing.assert_allclose(means.table["force_spread"], wide.std(axis=1), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(means.pressure, pressure.astype(np.float64).mean(axis=1), rtol=1e-13)
-    assert set(means.table) == {"pressure", "contraction", "force", "repeat", "force_spread"}
-    assert means.repeats.tolist() == list(range(points))
-    assert means.plateau_means() is means
-
-
-def test_force_samples_alone_leave_the_pressure():
-    means = grid(force_samples=np.full((12, 4), 7.0)).plateau_means()
-    assert means.force.tolist() == 12 * [7.0]
-    assert means.pressure.tolist() == grid().pressure.tolist()
 
 
 def test_a_test_at_0_bar_alone_is_no_mistake_of_the_unit():

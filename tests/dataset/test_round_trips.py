@@ -12,10 +12,9 @@ def assert_same(a: IsobaricDataset, b: IsobaricDataset) -> None:
     assert {name: a.table[name].dtype for name in a.table} == {name: b.table[name].dtype for name in b.table}
 
 
-def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):
-    data = IsobaricDataset.of(pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[1.0, 2.0]])
-    means = data.plateau_means()
-    warm = IsobaricDataset(means.table.assign(temperature=("point", [295.0])))
+def test_what_is_not_ours_and_the_spread_of_samples_survive_netcdf(tmp_path):
+    data = IsobaricDataset.of(pressure=[2e5], contraction=[0.1], force=[0], force_spread=[0.5])
+    warm = IsobaricDataset(data.table.assign(temperature=("point", [295.0])))
     warm.to_netcdf(tmp_path / "data.nc")
     again = IsobaricDataset.from_netcdf(tmp_path / "data.nc")
     assert_same(again, warm)

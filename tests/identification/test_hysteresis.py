@@ -34,7 +34,7 @@ def off(law):
 def drifting():
     """Hysteresis, which grows with pressure, and a sensor that drifts."""
     friction = MaxwellSlip(10.0, 1.5 * mm, growth=1 / bar, reference_pressure=3.5 * bar)
-    data = SimulatedIsobaricTest(Muscle(SPECIMEN, LAW, friction), force_drift=0.5).run(PROTOCOL, seed=1).plateau_means()
+    data = SimulatedIsobaricTest(Muscle(SPECIMEN, LAW, friction), force_drift=0.5).run(PROTOCOL, seed=1)
     return data, identify_hysteresis(ExponentialLaw, data)
 
 
@@ -113,9 +113,7 @@ def test_data_that_cannot_tell_are_refused(drifting):
     refused("paths at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
     by_length = np.lexsort([data.contraction, data.levels])
     refused("the direction changes .* times in .* moves", IsobaricDataset(timeless.isel(point=by_length)))
-    refused(
-        "the data show no hysteresis", SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1).plateau_means()
-    )
+    refused("the data show no hysteresis", SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1))
 
 
 @pytest.mark.slow
@@ -206,7 +204,7 @@ def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
     rig = SimulatedIsobaricTest(MUSCLE, presliding_length=0.8 * mm, regulator_offset=0.0)
     scores = []
     for seed in range(8):
-        data = rig.run(protocol, seed=seed).plateau_means()
+        data = rig.run(protocol, seed=seed)
         noise = np.random.default_rng(seed).normal(0, 20e-6 / SPECIMEN.initial_length, len(data))
         noisy = IsobaricDataset(data.table.assign(contraction=data.table["contraction"] + noise))
         found = identify_hysteresis(ExponentialLaw, noisy, drift=False, form=FrictionForm.CONSTANT)

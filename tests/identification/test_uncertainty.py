@@ -122,7 +122,7 @@ def test_intervals_contain_the_misfit_of_a_wrong_law():
 def test_left_out_lowest_and_highest_pressures_are_covered_at_no_more_than_some_three_times_the_error():
     inside, ratios = [], []
     for name in catalog.names("datasets"):
-        points = catalog.dataset(name).plateau_means().taut
+        points = catalog.dataset(name).taut
         for level in (points.levels.min(), points.levels.max()):
             out = points.levels == level
             rest, new = fit_law(ExponentialLaw, points.select(~out), robust=False), points.select(out)

@@ -34,13 +34,12 @@ def test_a_panel_for_each_of_up_to_six_pressures(drawn):
 
 def test_points_are_the_measured_ones_without_law_and_drift(drawn):
     data, found, figure = drawn
-    means = data.plateau_means()
     axes = figure.axes[6]
-    here = np.isclose(means.levels, 5.25 * bar) & (found.tension > 0)
-    loading = here & (means.table["direction"].to_numpy() == "loading")
+    here = np.isclose(data.levels, 5.25 * bar) & (found.tension > 0)
+    loading = here & (data.table["direction"].to_numpy() == "loading")
     points = axes.lines[0]
-    np.testing.assert_allclose(points.get_xdata(), means.contraction[loading] / percent)
-    np.testing.assert_allclose(points.get_ydata(), (means.force - found.tension - found.offset)[loading], atol=1e-9)
+    np.testing.assert_allclose(points.get_xdata(), data.contraction[loading] / percent)
+    np.testing.assert_allclose(points.get_ydata(), (data.force - found.tension - found.offset)[loading], atol=1e-9)
     model = next(line for line in axes.lines[2:] if len(line.get_xdata()) == here.sum())
     np.testing.assert_allclose(np.sort(model.get_ydata()), np.sort(found.friction_force[here]))
     low, high = axes.get_ylim()

@@ -56,17 +56,16 @@ def test_each_point_gets_its_own_samples(tmp_path, size):
     write(tmp_path, size)
     data = assemble(tmp_path, BENCH, source="ours")
     rows = np.array([5 + 3 * np.arange(10), 70 + 3 * np.arange(10)])
-    np.testing.assert_allclose(data.table["force_samples"], rows / 100, rtol=1e-6)
-    np.testing.assert_allclose(data.table["pressure_samples"], rows * 1e3, rtol=1e-6)
     np.testing.assert_allclose(data.force, (rows / 100).mean(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(data.table["force_spread"], (rows / 100).std(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(data.pressure, 1e3 * rows.mean(axis=1), rtol=1e-6)
     assert data.table["time"].to_numpy().tolist() == [0.5, 2.5]
     assert data.repeats.tolist() == [0, 1] and data.table.attrs["source"] == "ours"
 
 
-def test_points_of_different_lengths_have_means_and_no_samples(tmp_path):
+def test_points_of_different_lengths_have_means(tmp_path):
     write(tmp_path, 9, [POINT_0, replace(POINT_0, number=1, first=40, rows=5, every=1, samples=5)])
     data = assemble(tmp_path, BENCH)
-    assert "force_samples" not in data.table
     assert data.force == pytest.approx([0.185, 0.42])
 
 

@@ -45,8 +45,8 @@ class IsobaricDataset(MeasuredTable):
         Along ``point``: ``pressure`` [Pa, gauge], ``contraction`` [-, positive = shorter], ``force`` [N];
         where known ``direction`` ("loading": being stretched; "unloading": shortening; empty: unknown), ``phase``
         ("filling" or "venting" at a fixed length, else empty), ``repeat``, ``time`` [s], ``set_pressure`` [Pa, NaN
-        where unknown], ``set_force`` [N] and ``force_spread`` [N]. Along ``point`` and ``sample`` the raw
-        ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes: ``specimen``, ``source``,
+        where unknown], ``set_force`` [N] and ``force_spread`` [N], the standard deviation over the samples of a
+        point. Attributes: ``specimen``, ``source``,
         ``slack_force`` [N] and, where known, ``initial_length`` [m]; ``columns_read`` (a table of what each column of
         the source file was read as), ``ignored_columns`` and ``repairs``, if any.
 
@@ -76,8 +76,7 @@ class IsobaricDataset(MeasuredTable):
         time: ArrayLike | None = None,
         set_pressure: ArrayLike | None = None,
         set_force: ArrayLike | None = None,
-        force_samples: ArrayLike | None = None,
-        pressure_samples: ArrayLike | None = None,
+        force_spread: ArrayLike | None = None,
         specimen: str = "",
         initial_length: float | None = None,
         source: str = "",
@@ -99,8 +98,8 @@ class IsobaricDataset(MeasuredTable):
             Shape (points,): nominal pressure [Pa], NaN where unknown.
         set_force
             Shape (points,): nominal load [N], held while the pressure changes, as by hanging weights.
-        force_samples, pressure_samples
-            Shape (points, samples): raw samples [N], [Pa], not copied.
+        force_spread
+            Shape (points,): standard deviation of the force over the samples of each point [N].
         specimen, source
             Type of the muscle, and source of the data.
         initial_length
@@ -175,8 +174,6 @@ class IsobaricDataset(MeasuredTable):
         parts += [" and ".join(words) for words in (self.directions, self.phases) if len(words)]
         if len(self.repeats):
             parts.append(f"repeats {format_list(self.repeats)}")
-        if samples := self.table.sizes.get("sample"):
-            parts.append(f"{samples} samples per point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
     def plot(self) -> Figure:
@@ -204,29 +201,12 @@ class IsobaricDataset(MeasuredTable):
             raise RangeError(text, field="pressures", remedy=there)
         return self.select(close.any(axis=1))
 
-    def plateau_means(self) -> Self:
-        """Dataset with the mean pressure and force of the raw samples, without the samples.
-
-        ``force_spread`` is their standard deviation [N]. A dataset without samples is returned unchanged.
-        """
-        columns: dict[str, NDArray[np.float64]] = {}
-        if "force_samples" in self.table:
-            samples = self.table["force_samples"].to_numpy()
-            columns["force"] = samples.mean(axis=1, dtype=np.float64)
-            columns["force_spread"] = samples.std(axis=1, dtype=np.float64)
-        if "pressure_samples" in self.table:
-            columns["pressure"] = self.table["pressure_samples"].to_numpy().mean(axis=1, dtype=np.float64)
-        if not columns:
-            return self
-        table = self.table.drop_vars(["force_samples", "pressure_samples"], errors="ignore")
-        return type(self)(table.assign({name: ("point", values) for name, values in columns.items()}))
-
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the plateau means as CSV in SI units atomically; `read_dataset` reads the same numbers back.
+        """Write the points as CSV in SI units atomically; `read_dataset` reads the same numbers back.
 
-        The attributes are comment lines at the top; samples and other variables are left out: `to_netcdf` keeps them.
+        The attributes are comment lines at the top; other variables are left out: `to_netcdf` keeps them.
         """
-        write_csv(self.plateau_means().table, Path(path))
+        write_csv(self.table, Path(path))
 
     def _distinct(self, name: str) -> Any:
         """Distinct values of a column but empty words, ascending; none without the column."""

@@ -301,7 +301,7 @@ def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
 
 def _samples_as_points(table: xr.Dataset) -> xr.Dataset:
     """Table of a recording as that of points, marked by an attribute; any other table as it is."""
-    is_recording = "sample" in table.dims and "point" not in table.dims
+    is_recording = "sample" in table.dims
     return table.rename(sample="point").assign_attrs(samples="yes") if is_recording else table
 
 
@@ -311,7 +311,7 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     if len(parts) == 1:
         return parts[0], names[0]
     source, tables = f"{names[0]} and {len(names) - 1} more", [part.table for part in parts]
-    columns = [name for name, variable in parts[0].schema.items() if len(variable.dims) == 1]
+    columns = [*parts[0].schema]
     common = [name for name in columns if all(name in table for table in tables)]
     if problems := _differences(tables, columns, common):
         raise DatasetError(source, problems)

@@ -49,9 +49,7 @@ VARIABLES: Mapping[str, Variable] = {
     "time": Variable("s", "time since the start of the test"),
     "set_pressure": Variable("Pa", "nominal gauge pressure"),
     "set_force": Variable("N", "nominal load, held while the pressure changes"),
-    "force_samples": Variable("N", "axial pull, raw samples", dims=("point", "sample")),
-    "pressure_samples": Variable("Pa", "gauge pressure, raw samples", dims=("point", "sample")),
-    "force_spread": Variable("N", "standard deviation of the force over the samples"),
+    "force_spread": Variable("N", "standard deviation of the force over the samples of a point"),
 }
 """Variables of a dataset; the first gives the number of points."""
 
@@ -134,8 +132,6 @@ def assemble(variables: Mapping[str, ArrayLike | None], schema: Mapping[str, Var
     first = next(iter(schema))
     count = arrays[first].size if first in arrays else 0
     problems += [_shape_problem(name, array.shape, count, schema[name].dims) for name, array in arrays.items()]
-    if not any(problems) and len({array.shape[1] for array in arrays.values() if array.ndim == 2}) > 1:
-        problems.append(Problem("differs from force_samples in the number of samples", field="pressure_samples"))
     if wrong := [problem for problem in problems if problem]:
         raise DatasetError(word, wrong)
     return xr.Dataset({name: (schema[name].dims, array) for name, array in arrays.items()})
@@ -168,8 +164,7 @@ def _structure(table: xr.Dataset, schema: Mapping[str, Variable]) -> Iterator[Pr
 
 def _settled(name: str, values: np.ndarray, dims: tuple[str, ...]) -> np.ndarray:
     if "sample" in dims:
-        single = len(dims) > 1 and values.dtype == np.float32
-        as_column = values.view() if single else np.asarray(values, np.float64).view()
+        as_column = np.asarray(values, np.float64).view()
     elif name in WORDS:
         as_column = np.array(values, "<U9")
     elif name == "repeat" and np.all(np.isfinite(values) & (values == np.round(values))):
@@ -348,7 +343,7 @@ class MeasuredTable(Suggesting):
         return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write everything, samples included, to a NetCDF-4 file atomically; `from_netcdf` reads it back."""
+        """Write everything to a NetCDF-4 file atomically; `from_netcdf` reads it back."""
         write_netcdf(self.table, Path(path))
 
     @classmethod
@@ -362,7 +357,7 @@ CSV_COLUMNS = dict(zip(VARIABLES, _CSV_HEADERS.split(), strict=False))
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:
-    """Write plateau means as CSV: comments, header, and a row per point at full precision.
+    """Write points as CSV: comments, header, and a row per point at full precision.
 
     Raises an `OSError` if the file cannot be written; an earlier one then stays.
     """

@@ -60,7 +60,7 @@ class PriorData:
             raise ParameterError("a plan needs the kind of law", field="law_type", remedy=remedy)
         else:
             fit = fit_law(law_type, data)
-        measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
+        measured = data if isinstance(data, IsobaricDataset) else data.require_regression().points
         points, law = measured.taut, fit.law
         if any(p.penalised for p in type(law).parameters()):
             message = f"{type(law).__name__} has deviations with a prior: points cannot be planned for them"

@@ -24,7 +24,7 @@ def check_design(points: IsobaricDataset) -> None:
     Parameters
     ----------
     points
-        Taut points, without samples.
+        Taut points.
 
     Raises
     ------

@@ -56,7 +56,7 @@ def fit_law(
 ) -> Fit:
     """Fit a force law to measured points by least squares.
 
-    The fit is to the plateau means of the taut points, without outliers: single points that contradict the smooth
+    The fit is to the taut points, without outliers: single points that contradict the smooth
     surface through all others (docs/uncertainty.md). A warning names each by its row.
 
     Parameters
@@ -80,8 +80,7 @@ def fit_law(
     (40.0, 1.07, 1.34)
     """
     check_law_type(law_type)
-    means = dataset.plateau_means()
-    return fit_means(law_type, means, find_outliers(means) if robust else ())
+    return fit_means(law_type, dataset, find_outliers(dataset) if robust else ())
 
 
 def check_law_type(kind: object) -> None:
@@ -92,7 +91,7 @@ def check_law_type(kind: object) -> None:
 
 
 def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[Outlier, ...]) -> Fit:
-    """Fit a law to plateau means without the outliers.
+    """Fit a law to points without the outliers.
 
     A law with smooth deviations may be replaced by a simpler one, as a note then explains.
 

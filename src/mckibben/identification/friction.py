@@ -156,11 +156,11 @@ class HysteresisFit(Result):
         return draw("loops", data, self)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Used and slack plateau means of the identified dataset without friction and drift, to fit a static law.
+        """Used and slack points of the identified dataset without friction and drift, to fit a static law.
 
         Points that are slack, as measured or by the law, remain slack.
         """
-        means = with_loads(dataset.plateau_means())
+        means = with_loads(dataset)
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
             raise IdentificationError(
                 f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
@@ -230,7 +230,7 @@ def identify_hysteresis(
     (12.0, 0.5)
     """
     check_law_type(law)
-    means = with_last_motion(with_loads(dataset.plateau_means()))
+    means = with_last_motion(with_loads(dataset))
     paths = LoadingPaths.of(means)
     taut = ~means.slack
     half_gap, gap_error = loop_half_width(means, taut)

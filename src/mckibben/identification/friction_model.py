@@ -72,7 +72,7 @@ class PathDependentModel:
     template
         Law whose parameters, unless they are estimated, are those of the model.
     paths, means
-        Loading paths, and the plateau means of their rows.
+        Loading paths, and the points of their rows.
     drift
         Basis of the drift of the sensor.
     used, weights

@@ -125,15 +125,14 @@ def inverse_table(dataset: IsobaricDataset, *, folds: int = 5) -> InverseTable:
     >>> table.pressure_for([0.06, 0.1], 100.0, "unloading")
     array([150000., 200000.])
     """
-    means = dataset.plateau_means()
-    loads = held_loads(means.table)
+    loads = held_loads(dataset.table)
     if loads is None:
         remedy = "give the loads (set_force_N), or rows in the order of the test"
         raise IdentificationError("the loads that were held are not known", remedy=remedy)
-    points = pd.DataFrame({"load": loads, "contraction": means.contraction, "pressure": means.pressure})
-    points["part"] = means.table["repeat"].to_numpy() if len(means.repeats) > 1 else np.arange(len(points)) % folds
-    if known := "direction" in means.table:
-        points["direction"] = means.table["direction"].to_numpy()
+    points = pd.DataFrame({"load": loads, "contraction": dataset.contraction, "pressure": dataset.pressure})
+    points["part"] = dataset.table["repeat"].to_numpy() if len(dataset.repeats) > 1 else np.arange(len(points)) % folds
+    if known := "direction" in dataset.table:
+        points["direction"] = dataset.table["direction"].to_numpy()
     else:
         points = pd.concat([points.assign(direction=word) for word in ("unloading", "loading")], ignore_index=True)
     inner = points["load"].where((points["load"] > loads.min()) & (points["load"] < loads.max())).to_numpy()

@@ -132,7 +132,7 @@ class LoadingPaths:
 
     @classmethod
     def of(cls, means: IsobaricDataset, *, fewest: int = 4) -> LoadingPaths:
-        """Loading paths of a dataset of plateau means; raises `IdentificationError` if it has none.
+        """Loading paths of a dataset; raises `IdentificationError` if it has none.
 
         Paths of fewer than `fewest` points show no friction.
         """

@@ -37,12 +37,12 @@ def find_outliers(
     ahead: int = 2,
     fewest: int = 12,
 ) -> tuple[Outlier, ...]:
-    """Outliers among the taut plateau means of a dataset, in the order of its rows.
+    """Outliers among the taut points of a dataset, in the order of its rows.
 
     Parameters
     ----------
     means
-        Plateau means; directions and phases, if any, each have an offset from the surface.
+        Points; directions and phases, if any, each have an offset from the surface.
     significance
         Probability of any outlier among good points (Bonferroni).
     smallest

@@ -83,7 +83,7 @@ class Ranking(Result):
     Attributes
     ----------
     points, slack
-        Taut plateau means of all fits, and number of slack points left out.
+        Taut points of all fits, and number of slack points left out.
     missing
         Reason why a kind of block is not available, by its name.
     outliers
@@ -204,9 +204,8 @@ def rank(
     kinds = list(laws)
     for kind in kinds:
         check_law_type(kind)
-    means = dataset.plateau_means()
-    outliers = find_outliers(means) if robust else ()
-    means = without_outliers(means, outliers)
+    outliers = find_outliers(dataset) if robust else ()
+    means = without_outliers(dataset, outliers)
     points = means.taut
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")

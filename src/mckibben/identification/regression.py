@@ -168,7 +168,7 @@ class Regression:
     Attributes
     ----------
     points
-        Taut plateau means of the fit.
+        Taut points of the fit.
     problem, solution
         Least-squares problem of these points, and its solution.
     at_bound

@@ -90,7 +90,7 @@ class Outlier:
     Attributes
     ----------
     row
-        Number of the point in the dataset, from 1; of the plateaus, if it has samples.
+        Number of the point in the dataset, from 1.
     pressure, contraction, force
         Measured pressure [Pa], contraction [-] and force [N].
     expected

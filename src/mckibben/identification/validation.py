@@ -94,7 +94,7 @@ _COLUMNS = {
 def validate(
     laws: Fit | ForceLaw | Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset
 ) -> Validation:
-    """Compare laws with the plateau means of the taut points, inside and outside each law's domain.
+    """Compare laws with the taut points, inside and outside each law's domain.
 
     Several laws are given by name, or named by their class (numbered if a class occurs twice).
 
@@ -119,11 +119,10 @@ def validate(
     if isinstance(laws, ForceLaw):
         laws = [laws]
     named = dict(laws) if isinstance(laws, Mapping) else _named(laws)
-    means = dataset.plateau_means()
-    points = means.taut
+    points = dataset.taut
     if not named or not len(points):
         raise IdentificationError(
-            f"{len(named)} laws and {len(points)} taut points ({len(means) - len(points)} slack) cannot be compared",
+            f"{len(named)} laws and {len(points)} taut points ({len(dataset) - len(points)} slack) cannot be compared",
             remedy="give at least one of each",
         )
     groups = list(_groups(points))
@@ -135,7 +134,7 @@ def validate(
             part = difference[mask]
             sizes = float(np.sqrt(np.mean(part**2))), float(np.abs(part).max()), float(part.mean())
             errors.append(ErrorStatistics(name, pressure, direction, len(part), *sizes, int(outside[mask].sum())))
-    return Validation(tuple(errors), len(means) - len(points), printable(str(means.table.attrs["specimen"])))
+    return Validation(tuple(errors), len(dataset) - len(points), printable(str(dataset.table.attrs["specimen"])))
 
 
 def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:

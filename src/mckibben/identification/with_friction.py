@@ -164,7 +164,7 @@ def identify_with_friction(
         rmse = float(np.hypot(lopo.rmse, hysteresis.standard_errors["half_width"]))
         fit = replace(fit, leave_one_pressure_out=replace(lopo, rmse=rmse))
     if gap:
-        taut = dataset.plateau_means().select(hysteresis.used).taut
+        taut = dataset.select(hysteresis.used).taut
         rest = taut.force - forces(law_of(law, taut), taut.contraction, taut.pressure)
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
@@ -185,7 +185,7 @@ def _half_gap(dataset: IsobaricDataset) -> float:
     """Half the difference between the directions [N], 0 if not significant; raises `loop_half_width`'s others."""
     if len(dataset.directions) < 2:
         return 0.0
-    means = with_last_motion(dataset.plateau_means())
+    means = with_last_motion(dataset)
     try:
         return loop_half_width(means, ~means.slack)[0]
     except NoHysteresisError:

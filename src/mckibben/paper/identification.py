@@ -134,10 +134,9 @@ def _test(repeats: int) -> SimulatedRigTest:
     law: ForceLaw = catalog.law("lei-mas-10-180n")
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
     rig, protocol = SimulatedIsobaricTest(muscle), IsobaricProtocol(repeats=repeats)
-    raw = rig.run(protocol, seed=1)
-    test = raw.plateau_means()
-    retest = rig.run(IsobaricProtocol(pressures=TEST_PRESSURES, repeats=1), seed=2).plateau_means()
-    samples = raw.table["force_samples"].size
+    test = rig.run(protocol, seed=1)
+    retest = rig.run(IsobaricProtocol(pressures=TEST_PRESSURES, repeats=1), seed=2)
+    samples = len(test) * protocol.samples
     return SimulatedRigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
 
 

@@ -156,7 +156,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95) -> F
     level
         Coverage of the bands [-].
     """
-    taut = dataset.plateau_means().taut
+    taut = dataset.taut
     levels = _spread(taut.pressures)
     figure = blank(DOUBLE if len(levels) > 2 else 5.4, 4.2)
     grid = figure.subplots(
@@ -213,7 +213,7 @@ def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
     RangeError
         If the dataset is not the identified one.
     """
-    means = with_last_motion(dataset.plateau_means())
+    means = with_last_motion(dataset)
     if len(means) != len(fit.residuals):
         raise RangeError(
             f"the hysteresis was identified from {len(fit.residuals)} points, the dataset has {len(means)}",

@@ -127,7 +127,7 @@ def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
     RangeError
         If the first argument is not a dataset.
     """
-    if not hasattr(dataset, "plateau_means"):
+    if not hasattr(dataset, "levels"):
         remedy = "write isobaric(dataset, fit), or fit.plot()"
         raise RangeError(f"isobaric draws a dataset, not a {type(dataset).__name__}", remedy=remedy)
     return measured_muscles({dataset.table.attrs["specimen"] or "measured points": (dataset, fit)})
@@ -183,7 +183,6 @@ def measured_muscles(muscles: Mapping[str, tuple[IsobaricDataset, Fit | None]]) 
     high = max(float(data.levels.max()) for data, _ in muscles.values()) / bar
     scale = Normalize(low, max(high, low + 0.1))
     for i, (name, (data, fit)) in enumerate(muscles.items()):
-        data = data.plateau_means()
         axes = grid[0, i]
         taut = data.taut
         _coloured(axes, taut, taut.force, scale)

@@ -249,7 +249,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     Returns
     -------
     IsobaricDataset
-        With the samples of each point, float32 of shape (points, samples), if all have equally many.
+        With the means of the samples of each point, and the spread of its forces.
 
     Raises
     ------
@@ -263,8 +263,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     names = ("contraction", "repeat", "time", "set_pressure", "set_force", "direction", "phase")
     columns: dict[str, Any] = {name: [getattr(point, name) for point in kept] for name in names}
     columns = {name: values for name, values in columns.items() if None not in values and {*values} != {""}}
-    if len({point.samples for point in kept}) == 1:
-        columns |= {f"{name}_samples": np.stack(arrays).astype(np.float32) for name, arrays in samples.items()}
+    columns["force_spread"] = [array.std(dtype=np.float64) for array in samples["force"]]
     columns.update(means | _origin_of(bench, source))
     return IsobaricDataset.of(**columns)
 

@@ -73,7 +73,7 @@ class SimulatedIsobaricTest(Checked):
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     >>> SimulatedIsobaricTest(muscle).run(IsobaricProtocol(pressures=[2 * bar, 6 * bar], repeats=1), seed=1)
     <IsobaricDataset 'MAS-10-180N-AA-MC-O': 126 points (11 slack), 2 pressures 2..6 bar, contraction
-    -3..24.78 %, loading and unloading, repeats 0, 1000 samples per point>
+    -3..24.78 %, loading and unloading, repeats 0>
     """
 
     muscle: Muscle
@@ -98,9 +98,9 @@ class SimulatedIsobaricTest(Checked):
     def run(self, protocol: IsobaricProtocol, *, seed: int) -> IsobaricDataset:
         """Run the test within the `boundaries`; return the dataset of the sensors' readings.
 
-        Samples are float32; those of a sensor without noise are float64, so that the data are exactly those of the
-        law. `slack_force` is five standard errors of a plateau mean, and the highest drift. The draws (regulator,
-        force sensor, pressure sensor, wander) are independent streams of the seed.
+        The means of a sensor without noise are those of the law. `slack_force` is five standard errors of a plateau
+        mean, and the highest drift. The draws (regulator, force sensor, pressure sensor, wander) are independent
+        streams of the seed.
 
         Raises
         ------
@@ -132,8 +132,7 @@ class SimulatedIsobaricTest(Checked):
             repeat=rows.repeat,
             time=rows.time,
             set_pressure=set_pressure,
-            force_samples=force_samples,
-            pressure_samples=pressure_samples,
+            force_spread=force_samples.std(axis=1, dtype=np.float64),
             specimen=self.muscle.specimen.name,
             initial_length=float(self.muscle.specimen.initial_length),
             source=f"simulated rig: {type(self.muscle.law).__name__}, {self._description()}, seed {seed}",
