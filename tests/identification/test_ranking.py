@@ -32,6 +32,10 @@ def made_by(law, noise=0.0, seed=0, repeats=1, pressures=PRESSURES, contractions
     )
 
 
+def entry_of(ranking, law):
+    return next(entry for entry in ranking.entries if entry.law == law)
+
+
 @pytest.fixture(scope="module")
 def rankings():
     kinds = [ReynoldsLaw, mk.ExponentialLaw, HuntLaw, OURS, TonduLopezLaw]
@@ -48,12 +52,12 @@ def small():
     ("name", "exponential", "ratio"), [(MAP, 1.34, 0.9), (CHART, 3.42, 0.3)], ids=["measured map", "maker's chart"]
 )
 def test_ours_beats_the_exponential_law_at_unseen_pressures_of_both_muscles(rankings, name, exponential, ratio):
-    theirs, ours = (rankings[name].of(law).cross_validation for law in ("ExponentialLaw", OURS.__name__))
+    theirs, ours = (entry_of(rankings[name], law).cross_validation for law in ("ExponentialLaw", OURS.__name__))
     assert theirs["pressure"].rmse == pytest.approx(exponential, abs=0.01)
     assert ours["pressure"].rmse < ratio * exponential
     for kind, found in theirs.items():
         assert ours[kind].rmse < 1.06 * found.rmse
-    assert not rankings[name].of(OURS.__name__).flags
+    assert not entry_of(rankings[name], OURS.__name__).flags
 
 
 @pytest.mark.slow
@@ -63,23 +67,23 @@ def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
     last = rankings[CHART].entries[-1]
     assert last.law == "HuntLaw"
     assert "25 of the 119 taut points: it is made for contraction from 0 %" in last.refused
-    assert rankings[MAP].of("HuntLaw").cross_validation["pressure"].rmse == pytest.approx(4.04, abs=0.01)
+    assert entry_of(rankings[MAP], "HuntLaw").cross_validation["pressure"].rmse == pytest.approx(4.04, abs=0.01)
 
 
 @pytest.mark.slow
 def test_a_shape_at_its_bound_is_flagged(rankings):
-    flags = rankings[MAP].of("TonduLopezLaw").flags
+    flags = entry_of(rankings[MAP], "TonduLopezLaw").flags
     assert len(flags) == 1 and flags[0].startswith("braid_angle at a bound")
 
 
 def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data():
     made = made_by(mk.catalog.law("sarosi-dmsp-10"), noise=1.0, seed=3)
     found = mk.rank(made, [mk.ExponentialLaw, SarosiLaw, ReynoldsLaw])
-    entry = found.of("SarosiLaw")
+    entry = entry_of(found, "SarosiLaw")
     count, numbers = entry.fit.points_used, 7
     wanted = count * np.log(entry.fit.rmse**2) + 2 * numbers + 2 * numbers * (numbers + 1) / (count - numbers - 1)
     assert entry.aicc == pytest.approx(wanted)
-    assert entry.aicc < found.of("ExponentialLaw").aicc < found.of("ReynoldsLaw").aicc
+    assert entry.aicc < entry_of(found, "ExponentialLaw").aicc < entry_of(found, "ReynoldsLaw").aicc
 
 
 def test_what_is_left_has_to_determine_the_law():
@@ -96,9 +100,9 @@ def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_
     """Three of the map's four contractions do not determine an exponential, but the map determines Eq. 2."""
     ranking = mk.rank(mk.catalog.dataset(MAP), [ReynoldsLaw, mk.ExponentialLaw, HuntLaw])
     assert [entry.law for entry in ranking.entries] == ["HuntLaw", "ExponentialLaw", "ReynoldsLaw"]
-    errors = ranking.of("ExponentialLaw").cross_validation["contraction"].by_block
+    errors = entry_of(ranking, "ExponentialLaw").cross_validation["contraction"].by_block
     assert errors["12.4 %"] > 30  # three contractions say little about the fourth
-    regression = ranking.of("ExponentialLaw").fit.regression
+    regression = entry_of(ranking, "ExponentialLaw").fit.regression
     kept = contraction_blocks(regression.points) != "12.4 %"
     costs = []
     for start in (0.1, 0.5, 0.9):  # whatever the start
@@ -165,7 +169,7 @@ def test_a_contraction_beyond_the_validity_of_a_law_by_noise_counts_as_its_limit
     ],
 )
 def test_a_flag_sets_a_law_aside_only_for_one_that_is_nearly_as_good(small, entries, best):
-    example = small.of("ExponentialLaw")
+    example = entry_of(small, "ExponentialLaw")
 
     def entry(law, error, flagged):
         cross = dataclasses.replace(example.cross_validation["pressure"], residuals=np.full(3, error))

@@ -30,7 +30,7 @@ QUADRATIC = AFFINE * PRESSURE / (3 * bar)
 def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
     fit = fit_law(SmoothLaw, measured(deviation, 0.3))
     assert type(fit.law) is kind
-    assert any("Eq. 2 alone" in note.text for note in fit.notes) == (kind is ExponentialLaw)
+    assert any("Eq. 2 is fitted" in note.text for note in fit.notes) == (kind is ExponentialLaw)
     assert fit.rmse == pytest.approx(0.3, rel=0.35)
     regression = fit.require_regression()  # cross-validation fits the chosen law anew
     assert (regression.refit is None) == (kind is ExponentialLaw)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.parsers import expat
+from xml.etree.ElementTree import iterparse
 
 from mckibben.dataset.raw import Budget, RawTable, not_installed, readable, several
 from mckibben.dataset.table import question
@@ -70,21 +70,13 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
 def _check_nesting(path: Path, xml: bytes) -> None:
     """Raise a `DatasetError` if the elements of a part of a workbook are nested deeply."""
     depth = 0
-
-    def begin(*_: object) -> None:
-        nonlocal depth
-        depth += 1
+    for event, element in iterparse(io.BytesIO(xml), ("start", "end")):
+        depth += 1 if event == "start" else -1
         if depth > _MOST_NESTED:
             problem = Problem(f"has more than {_MOST_NESTED} nested elements of XML", remedy="save the sheet as CSV")
             raise DatasetError(str(path), [problem])
-
-    def end(_: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.Parse(xml, True)
+        if event == "end":
+            element.clear()
 
 
 def _lines(sheet: Worksheet, budget: Budget) -> list[str]:

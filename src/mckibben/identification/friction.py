@@ -15,7 +15,6 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
-from mckibben.identification.fit import warning_texts
 from mckibben.identification.fitting import check_law_type, fit_law
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
 from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights, with_loads
@@ -140,11 +139,6 @@ class HysteresisFit(Result):
                 "rmse": (Column("N", "error at held-out loops", digits=3), [rmse for _, rmse in errors]),
             }
             yield Listing("forms of friction", forms, detail=True)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Texts of the notes that are not mere details."""
-        return tuple(warning_texts(self.notes))
 
     @property
     def force(self) -> Floats:

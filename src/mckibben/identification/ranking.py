@@ -116,13 +116,6 @@ class Ranking(Result):
         first = fitted[0]
         return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
-    def of(self, law: str) -> RankedLaw:
-        """Entry of a law by the name of its class; an `IdentificationError` if it was not ranked."""
-        if entry := next((entry for entry in self.entries if entry.law == law), None):
-            return entry
-        ranked = ", ".join(entry.law for entry in self.entries)
-        raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
-
     def verdict(self) -> str:
         """Return the best law and its errors."""
         fitted = [entry for entry in self.entries if entry.fit]

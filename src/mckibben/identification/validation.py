@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from mckibben.errors import IdentificationError, RangeError, printable
 from mckibben.identification.estimator import Bools
 from mckibben.identification.fit import Fit
 from mckibben.muscle import ForceLaw, forces
-from mckibben.result import Column, Listing, Result, column
+from mckibben.result import Listing, Result, column
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class ErrorStatistics:
         Number of points outside the law's domain.
     """
 
-    law: str
-    pressure: float | None
-    direction: str | None
-    points: int
-    rmse: float
-    max_error: float
-    bias: float
-    outside: int
+    law: str = column()
+    pressure: float | None = column("Pa", "pressure", "bar")
+    direction: str | None = column()
+    points: int = column()
+    rmse: float = column("N", "RMSE")
+    max_error: float = column("N", "largest")
+    bias: float = column("N", "bias")
+    outside: int = column("", "outside the domain")
 
 
 class Validation(Result):
@@ -74,20 +74,9 @@ class Validation(Result):
     def listings(self) -> Iterable[Listing]:
         """Return the errors, a row per law, pressure and direction; without a pressure or direction: over all."""
         yield from super().listings()
-        columns = {name: (mark, [getattr(row, name) for row in self.errors]) for name, mark in _COLUMNS.items()}
+        marks = {field.name: field.metadata["column"] for field in fields(ErrorStatistics)}
+        columns = {name: (mark, [getattr(row, name) for row in self.errors]) for name, mark in marks.items()}
         yield Listing("errors", columns)
-
-
-_COLUMNS = {
-    "law": Column(),
-    "pressure": Column("Pa", "pressure", "bar"),
-    "direction": Column(),
-    "points": Column(),
-    "rmse": Column("N", "RMSE"),
-    "max_error": Column("N", "largest"),
-    "bias": Column("N", "bias"),
-    "outside": Column("", "outside the domain"),
-}
 
 
 @checked_call
