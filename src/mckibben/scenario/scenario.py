@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 from jaxtyping import PyTree
@@ -26,9 +26,10 @@ from mckibben.config.document import read_document
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation, read_text
 from mckibben.control import Controller, Reference
-from mckibben.control.base import DiscreteTimeSystem
+from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import (
     Disturbance,
     JointFriction,
@@ -53,6 +54,7 @@ from mckibben.simulation import (
     simulate,
     simulate_many,
 )
+from mckibben.simulation.problem import SimulationProblem, starts_of
 from mckibben.simulation.result import RunResult
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
@@ -411,7 +413,10 @@ class Scenario(StudiedScenario):
 
     def initial(self, plant: JointPlant) -> PlantState:
         """Return the initial equilibrium of a plant; raises UnreachableError if there is none."""
-        return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
+        unused, first = cast(Any, None), cast(Any, np.zeros(1))
+        problem = numeric(SimulationProblem(plant, unused, unused, initial_state(self)))
+        state, exists = starts_of(None, problem, Setpoint(first, first))
+        return state if exists else plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
 
     def needed_substeps(self) -> int:
         """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""

@@ -22,7 +22,6 @@ from mckibben.control.base import Controller, Reference, Setpoint, extended
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
@@ -42,7 +41,7 @@ from mckibben.units import deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
-_LANES = 8  # runs of one call
+_LANES = 16  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _MOST_NUMBERS = 2**19  # of the responses of several loops at once
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
@@ -205,7 +204,7 @@ def margins(
     chosen = evenly_spaced(times.size, int(points))
     problem = _problem(plant, controller, reference, initial, control_period)
     problem, setpoints = single_run(problem, control_period, "disk_margins"), sampled_reference(reference, times)
-    start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start(setpoints)[0]))
+    start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], starts_of(None, problem, setpoints)[0])
     found = margins_along(problem, start, setpoints, times[chosen], chosen, control_period, substeps)
     return dataclasses.replace(found, friction=plant.friction is not None or plant.joint.has_friction)
 
@@ -428,13 +427,13 @@ class _Triangular(NamedTuple):
 
     @classmethod
     def of(cls, loops: LinearLoop) -> _Triangular:
-        from scipy.linalg import get_lapack_funcs, schur
+        from scipy.linalg import get_lapack_funcs
 
-        balance = get_lapack_funcs("gebal", (loops.a,))
+        (balance,), (decompose,) = get_lapack_funcs(("gebal",), (loops.a,)), get_lapack_funcs(("gees",), dtype=complex)
         triangular: list[Any] = []
         for a, b, c in zip(*loops, strict=True):
             scale = np.clip(balance(a, scale=1)[3], 1 / _RANGE, _RANGE)
-            upper, basis = map(np.asarray, schur(a * scale / scale[:, None], output="complex")[:2])
+            upper, _, _, basis, _, _ = decompose(lambda _: None, a * scale / scale[:, None])
             triangular.append((upper, basis.conj().T @ (b / scale[:, None]), (c * scale) @ basis))
         return cls(*map(np.array, zip(*triangular, strict=True)))
 

@@ -83,7 +83,7 @@ def tune(
     iterations
         Generations, or steps of the simplex.
     population
-        Points per generation (default: 32).
+        Points per generation (default: 16).
     seed
         Seed of the search (default: 0).
     out, resume
@@ -111,7 +111,7 @@ def tune(
         is using it; or if the disk is full.
     """
     begun = begun_settings(out, FORMAT, resume=resume)
-    method, population = method or begun.get("method", "cma"), population or begun.get("population", 32)
+    method, population = method or begun.get("method", "cma"), population or begun.get("population", 16)
     seed = begun.get("seed", 0) if seed is None else seed
     if not callable(method) and method not in SEARCHES:
         remedy = suggest(str(method), list(SEARCHES))
