@@ -349,7 +349,7 @@ class Scenario(StudiedScenario):
         return self.model_copy(update={"controller": independent(control) if fixed else control})
 
     def check_start(self) -> None:
-        self.initial(self.plant())
+        _start_of(self, self.plant())
 
     def run_once(self, *, source: str = "") -> SimulationResult:
         return run_scenario(self, source=source)
@@ -413,10 +413,7 @@ class Scenario(StudiedScenario):
 
     def initial(self, plant: JointPlant) -> PlantState:
         """Return the initial equilibrium of a plant; raises UnreachableError if there is none."""
-        unused, first = cast(Any, None), cast(Any, np.zeros(1))
-        problem = numeric(SimulationProblem(plant, unused, unused, initial_state(self)))
-        state, exists = starts_of(None, problem, Setpoint(first, first))
-        return state if exists else plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
+        return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
 
     def needed_substeps(self) -> int:
         """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
@@ -428,8 +425,16 @@ class Scenario(StudiedScenario):
 def _with_run(scenario: Scenario, function: Callable[..., T], **settings: Any) -> T:
     """Call a function of plant, controller, reference and start, with those of a scenario and the times of its run."""
     plant = scenario.plant()
-    parts = plant, scenario.control(), scenario.reference(), scenario.initial(plant)
+    parts = plant, scenario.control(), scenario.reference(), _start_of(scenario, plant)
     return function(*parts, duration=scenario.duration, control_period=scenario.control_period, **settings)
+
+
+def _start_of(scenario: Scenario, plant: JointPlant) -> PlantState:
+    """`Scenario.initial` by the program of a run."""
+    unused, first = cast(Any, None), cast(Any, np.zeros(1))
+    problem = numeric(SimulationProblem(plant, unused, unused, initial_state(scenario)))
+    state, exists = starts_of(None, problem, Setpoint(first, first))
+    return state if exists else scenario.initial(plant)  # which raises
 
 
 def _above(name: str) -> Any:
