@@ -332,6 +332,9 @@ def test_a_chunk_of_another_size_gives_the_same_to_rounding(masses, most, alone)
     assert few.table.sizes == {"run": 7, "time": PERIODS}
     error = few.table["angle"].to_numpy() - alone(0).columns["desired_angle"]
     np.testing.assert_allclose(np.sqrt(np.mean(error**2, axis=1)), few.metrics["angle_rmse"], rtol=1e-12)
+    thin = masses(7, chunk=2, workers=2, keep=("angle",), every=10)
+    np.testing.assert_allclose(thin.table["angle"], few.table["angle"][:, ::10], rtol=1e-12)
+    np.testing.assert_allclose(thin.metrics["angle_rmse"], few.metrics["angle_rmse"], rtol=1e-12)
 
 
 @pytest.mark.parametrize("chunk", [0, -1, 2.5, True])
@@ -359,6 +362,8 @@ def test_arrays_in_place_of_numbers_are_the_same_as_values_by_name(parts, masses
         ({"metrics": "angle_rmse"}, "angle_rmse"),
         ({"keep": ["speed"]}, "speed"),
         ({"precision": 16}, 16),
+        ({"every": 0}, 0),
+        ({"every": 7}, 7),
         ({"duration": 0.1005}, 0.1005),
     ],
 )

@@ -22,12 +22,10 @@ from .problem import sampled as sampled
 from .problem import without_last_change as without_last_change
 from .result import RunResult as RunResult
 from .result import SimulationResult as SimulationResult
-from .result import compute_metrics as compute_metrics
 from .result import compute_trajectory as compute_trajectory
 from .simulate import needed_substeps as needed_substeps
 from .simulate import run_episode as run_episode
 from .simulate import simulate as simulate
-from .simulate import unknown_air as unknown_air
 from .stability import LEAST_DISK_MARGIN as LEAST_DISK_MARGIN
 from .stability import Margins as Margins
 from .stability import disk_margins as disk_margins

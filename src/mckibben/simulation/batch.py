@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import attributes, labels_of
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import McKibbenWarning
+from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.plant import JointPlant, PlantState
@@ -35,7 +35,7 @@ from mckibben.simulation.accuracy import (
     refine_blocks,
     spacing,
 )
-from mckibben.simulation.engine import BatchFunction, chunk_size, compute_groups, dynamic_steps
+from mckibben.simulation.engine import BatchFunction, check_count, chunk_size, compute_groups, dynamic_steps
 from mckibben.simulation.loop import of_any_length, positions_over_time, streaming_episode
 from mckibben.simulation.metrics import USUAL_METRICS, Metrics, last_change
 from mckibben.simulation.outcome import OUTCOMES, SWUNG_OVER_AT, Outcome, outcomes
@@ -214,6 +214,7 @@ def simulate_many(
     initial: PlantState | AtRest | None = None,
     metrics: Sequence[str] = USUAL_METRICS,
     keep: Sequence[str] = (),
+    every: int = 1,
     precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
@@ -241,8 +242,9 @@ def simulate_many(
         Metrics to compute. Default: all but ``coupling``, which needs a second run from the stiffness step on.
     precision
         Bits of the floats: 64 or 32.
-    keep
-        Names of `Trajectory` to keep over time, at each control period.
+    keep, every
+        Names of `Trajectory` to keep over time, and control periods between two of their values. Metrics are of all
+        control periods, so that one run of hours, with an array of one value, takes little memory.
     chunk
         Runs computed together. Default: 1024, 256 by XLA, up to 65,536 by CUDA, fewer where that would leave cores
         idle. Results with different chunk sizes agree to 1e-12; they do not depend on the number of workers.
@@ -286,12 +288,15 @@ def simulate_many(
     times = sampling_times(duration, control_period)
     check_names("metric", metrics, Metrics._fields)
     check_names("column of a trajectory", keep, Trajectory._fields)
-    asked = _Asked(tuple(metrics), tuple(keep), kind.name)
+    if times.size % check_count("control periods from one kept value to the next", every):
+        remedy = f"give a divisor of {times.size}, the number of control periods"
+        raise SimulationError(f"every is {every}", field="every", value=every, remedy=remedy)
+    asked = _Asked(tuple(metrics), tuple(keep), kind.name, every)
 
     problem = SimulationProblem.of(plant, controller, reference, initial)
     lanes, shared, count = split_runs(problem, over or {}, control_period, alone="simulate")
     varied = times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference))
-    numbers = len(asked.keep) * times.size + varied
+    numbers = len(asked.keep) * times.size // every + varied
     size = chunk_size(chunk, count, workers, engine, numbers)
     runs = _Runs(lanes, shared, times, control_period, asked, engine)
     if substeps is None:
@@ -303,7 +308,7 @@ def simulate_many(
     columns, used = compute_groups(
         runs.compute, lanes, steps.substeps, chunk=size, workers=workers, engine=engine, progress=progress
     )
-    table = _table(columns, over or {}, times, asked, steps)
+    table = _table(columns, over or {}, times[::every], asked, steps)
     return Batch(table.assign_attrs(engine=used))
 
 
@@ -313,6 +318,7 @@ class _Asked(NamedTuple):
     metrics: tuple[str, ...]
     keep: tuple[str, ...]
     precision: str
+    every: int
 
 
 class _Runs(NamedTuple):
@@ -337,7 +343,7 @@ class _Runs(NamedTuple):
 
     def compute(self, lanes: SimulationProblem, substeps: int) -> tuple[dict[str, Array], str]:
         """Columns of a chunk of runs."""
-        shared, varying, setpoints = self.begun(lanes)
+        shared, varying, setpoints = self.begun(lanes, self.asked.every)
         constant = *shared, np.asarray(self.period, float), self.asked, dynamic_steps(substeps)
         columns, used = _run(self.engine, constant, varying, self.asked.precision)
         return columns | {"_span": np.broadcast_to(np.ptp(setpoints.angle, axis=0), varying[-1].shape)}, used
@@ -405,8 +411,9 @@ def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     own, varying, start, exists = lane
     run, precision = eqx.combine(own, problem), jnp.dtype(asked.precision)
     setpoints, change = cast(known or varying, precision)
-    parts = *cast((run.plant, run.controller), precision), setpoints, *cast((start, period), precision)
-    streamed = streaming_episode(*parts, substeps, change=change, coupling="coupling" in asked.metrics, keep=asked.keep)
+    parts = *cast((run.plant, run.controller), precision), setpoints, *cast((start, period), precision), substeps
+    coupling = "coupling" in asked.metrics
+    streamed = streaming_episode(*parts, change=change, coupling=coupling, keep=asked.keep, every=asked.every)
     metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
     deciding = {f"_{name}": metrics[name] for name in _DECIDING}
     deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end}

@@ -62,10 +62,8 @@ def check_engine(engine: str, *, many: bool = False) -> str:
         _check_cuda(many)
     if engine in ("xla", "cuda"):
         return engine
-    missing = ""
-    if compiler() is None:
-        missing = "there is no C compiler"
-    elif jax.default_backend() != "cpu":
+    missing = "" if compiler() else "there is no C compiler"
+    if not missing and jax.default_backend() != "cpu":
         missing = "runs are computed on an accelerator"
     if missing and engine == "native":
         raise ParameterError(

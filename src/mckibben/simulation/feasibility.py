@@ -117,26 +117,17 @@ def feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tu
     )
 
 
-def attainable_band(
-    plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None, minimum_tension: Any = 0.0
-) -> tuple[Array, Array]:
-    """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds angles [rad] against gravity."""
-    torque = -plant.load.gravity_torque(angle)
-    return plant.supplied_joint.attainable_stiffness(
-        angle, torque, amplitude=amplitude, minimum_tension=minimum_tension
-    )
-
-
 @BatchFunction
-def static_bands(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Array) -> tuple[Array, Array]:
-    """`attainable_band` at one angle."""
+def static_bands(shared: tuple[JointPlant, ArrayLike | None, Any], angle: Array) -> tuple[Array, Array]:
+    """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds an angle [rad] against gravity."""
     plant, amplitude, tension = shared
-    return attainable_band(plant, angle, amplitude, tension)
+    torque = -plant.load.gravity_torque(angle)
+    return plant.supplied_joint.attainable_stiffness(angle, torque, amplitude=amplitude, minimum_tension=tension)
 
 
 def static_band(
     plant: JointPlant, angles: ArrayLike, amplitude: ArrayLike | None, tension: ArrayLike = 0.0, *, engine: str = "auto"
 ) -> tuple[Array, Array]:
-    """`attainable_band` at angles of shape (periods,), and at the last one repeated: each length needs a program."""
+    """`static_bands` at angles of shape (periods,), and at the last one repeated: each length needs a program."""
     padded = np.pad(angles, (0, -np.size(angles) % _BLOCK), mode="edge")
     return static_bands(engine, numeric((plant, amplitude, tension)), padded)[0]

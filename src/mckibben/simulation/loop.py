@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -108,17 +109,23 @@ def positions_over_time(
     (periods / n,); n has to divide the number of periods.
     """
 
-    def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, None]:
-        return control_period(plant, controller, state, setpoint, period, substeps)[0], None
+    def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, tuple[Array, ...]]:
+        following, _ = control_period(plant, controller, state, setpoint, period, substeps)
+        return following, tuple(jax.tree.leaves(state[0][0]))
 
-    def next_kept(state: LoopState, setpoints: PyTree) -> tuple[LoopState, tuple[Array, ...]]:
-        following = next_period(state, setpoints) if every == 1 else lax.scan(next_period, state, setpoints)
-        return following[0], tuple(jax.tree.leaves(state[0][0]))
+    return _scan_every(next_period, *begun(plant, controller, setpoints, initial, period, period / substeps), every)[1]
 
-    loop, setpoints = begun(plant, controller, setpoints, initial, period, period / substeps)
-    if every > 1:
-        setpoints = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
-    return lax.scan(next_kept, loop, setpoints)[1]
+
+def _scan_every(step: Callable[..., PyTree], start: PyTree, values: PyTree, every: int) -> tuple[PyTree, PyTree]:
+    """`lax.scan` that keeps the result of every n-th step; n has to divide their number."""
+    if every == 1:
+        return lax.scan(step, start, values)
+
+    def block(state: PyTree, values: PyTree) -> tuple[PyTree, PyTree]:
+        state, results = lax.scan(step, state, values)
+        return state, jax.tree.map(lambda x: x[0], results)
+
+    return lax.scan(block, start, jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), values))
 
 
 class Streamed(NamedTuple):
@@ -146,6 +153,7 @@ def streaming_episode(
     change: Change | None = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
     coupling: bool = False,  # whether the run without that change is computed alongside
     keep: tuple[str, ...] = (),  # names of `Trajectory`
+    every: int = 1,
 ) -> Streamed:
     """Run an `episode` and accumulate its metrics: memory does not grow with the duration, except for what is kept.
 
@@ -161,8 +169,8 @@ def streaming_episode(
         Last change of the desired stiffness, for the settling time and the coupling.
     coupling
         Whether the same run without this change is computed as well, from the change on; else there is no coupling.
-    keep
-        Names of `Trajectory` to keep over time.
+    keep, every
+        Names of `Trajectory` to keep over time, at every n-th control period; n has to divide their number.
     """
     periods = jnp.asarray(setpoints.angle.shape[0])
     change = last_change(setpoints.stiffness) if change is None else change
@@ -189,7 +197,7 @@ def streaming_episode(
 
     loop, seen = begun(plant, controller, setpoints, initial, period, period / substeps)
     start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
-    carry, columns = lax.scan(next_period, start, (lax.iota(int, setpoints.angle.shape[0]), setpoints, seen))
+    carry, columns = _scan_every(next_period, start, (lax.iota(int, setpoints.angle.shape[0]), setpoints, seen), every)
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
     metrics = values_of(Metrics, totals, run)
     if not coupling:

@@ -254,7 +254,9 @@ class SimulationResult(RunResult):
 
     def _measure(self) -> Metrics:
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        return compute_metrics(moved, self.control_period, self.angle_resolution)
+        change = last_change(moved.desired_stiffness, np)
+        rest = jax.tree.map(np.asarray, (self.control_period, self.angle_resolution, change))
+        return _metrics("auto", (over_periods(moved), *rest))[0]
 
     @property
     def ok(self) -> bool:
@@ -415,13 +417,6 @@ def compute_trajectory(
     lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), (setpoints, record, angle_without_step))
     moved, _ = _trajectories(engine, shared, lanes)
     return jax.tree.map(np.asarray, moved)
-
-
-def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
-    """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
-    change = last_change(moved.desired_stiffness, np)
-    rest = jax.tree.map(np.asarray, (period, angle_resolution, change))
-    return _metrics("auto", (over_periods(moved), *rest))[0]
 
 
 @BatchFunction

@@ -119,7 +119,7 @@ def simulate(
         raise SimulationError("a plant, a controller and a reference are needed", remedy=remedy)
     times = sampling_times(duration, control_period)
     if (size := times.size * _BYTES) > 1e9:
-        text = f"the run takes some {size / 1e9:.1f} GB of memory; `simulate_many` keeps the metrics alone"
+        text = f"the run takes some {size / 1e9:.1f} GB of memory; `simulate_many` with `keep` and `every` takes less"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     check_accuracy(accuracy, substeps)
     check_engine(engine)
