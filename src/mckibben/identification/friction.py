@@ -246,10 +246,7 @@ def identify_hysteresis(
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
     model, start = _started(model, half_gap)
     notes = [*left_out(outliers)]
-    for name in _shapes_at_bound(model.template) & set(of_law):
-        of_law = tuple(other for other in of_law if other != name)
-        text = f"{name} is held at the bound of its range"
-        notes.append(Remark.warning(name, text, "the law is probably misspecified: see how others fit"))
+    of_law = tuple(name for name in of_law if name not in _shapes_at_bound(model.template))
     comparison: Mapping[FrictionForm, float] = {}
     free = set(FRICTION)
     if at_fixed_lengths(means):  # a law would fit its misfit over the lengths by friction: the regression knows it
