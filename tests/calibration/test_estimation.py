@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointEstimate, JointPrior, JointRecording, calibrate_joint
 from mckibben.calibration.equations import COEFFICIENTS, OF_MUSCLE, PARAMETERS, derivatives, halves_of, problem_of
-from mckibben.calibration.estimation import quantities_of, supported
+from mckibben.calibration.estimation import minimised, quantities_of, supported
 from mckibben.calibration.fitting import LocalMinimum
 from mckibben.errors import IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
@@ -300,3 +301,18 @@ def test_moment_arms_that_contradict_their_prior_are_named(scale, named):
     problem = SimpleNamespace(prior={"scatter": 1.0})
     found = JointCalibration(quantities, knee(), LOAD, (), problem, minima, 0.0, 0.0, 0.0)
     assert ("arm_scale" in {remark.field for remark in found.remarks()}) == named
+
+
+def test_the_search_finds_the_minimum_that_scipy_finds_and_stops_above_a_ceiling():
+    def terms(z):
+        """A curved valley, Rosenbrock's, with a prior."""
+        x, y = z
+        value = 50 * (y - x**2) ** 2 + (1 - x) ** 2 + z @ z / 2
+        gradient = np.array([-200 * x * (y - x**2) - 2 * (1 - x), 100 * (y - x**2)]) + z
+        curvature = np.array([[600 * x**2 - 200 * y + 2, -200 * x], [-200 * x, 100.0]]) + np.eye(2)
+        return value, gradient, curvature
+
+    start = np.array([-1.2, 1.0])
+    found, value, _ = minimised(terms, start, iterations=100, tolerance=1e-12)
+    np.testing.assert_allclose(found, minimize(lambda z: terms(z)[0], start, tol=1e-10).x, atol=1e-5)
+    assert minimised(terms, start, ceiling=value - 1)[1] > value

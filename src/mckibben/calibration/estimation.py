@@ -414,11 +414,11 @@ def _solve(
 
     search = [start(strength) for strength in STRENGTHS] + [start(exchange=sign * 0.35) for sign in (1, -1)]
     coarse = partial(terms, instruments=0)  # least squares of the even samples, at half the cost
-    fits = [_minimised(coarse, z, iterations=8, tolerance=1.0) for z in search]
+    fits = [minimised(coarse, z, iterations=8, tolerance=1.0) for z in search]
     fits.sort(key=lambda fit: fit[1])
     z, places = fits[0][0], np.array([z for z, *_ in fits])
     for _ in range(stages):
-        z, _, curvature = _minimised(terms, z)
+        z, _, curvature = minimised(terms, z)
         informed = 1 - np.diag(np.linalg.inv(curvature))  # 0 of a parameter of which the recordings tell nothing
         variances = np.maximum(_variances(*errors(z), float(informed.sum())), 1e-8)
         if scatter:
@@ -426,8 +426,8 @@ def _solve(
             problem = problem._replace(prior={**problem.prior, "scatter": problem.prior["scatter"] * factor})
             z[FORCES], places[:, FORCES] = z[FORCES] / factor, places[:, FORCES] / factor
     first, *others = _distinct([z, *places])
-    fits = [_minimised(terms, first)]
-    fits += [_minimised(terms, z, ceiling=fits[0][1] - math.log(NEVER)) for z in others]
+    fits = [minimised(terms, first)]
+    fits += [minimised(terms, z, ceiling=fits[0][1] - math.log(NEVER)) for z in others]
     fits.sort(key=lambda fit: fit[1])
     weights = probabilities([value for _, value, _ in fits]).tolist()
     best = [
@@ -518,7 +518,7 @@ def start(strength: float = 0.0, exchange: float = 0.0) -> Floats:
     return z
 
 
-def _minimised(
+def minimised(
     terms: Callable[[Floats], tuple[float, Floats, Floats]],
     z: Floats,
     *,
