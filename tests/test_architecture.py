@@ -104,7 +104,7 @@ BUDGET = {
     "experiment_design": 710,
     "export": 2250,
     "firmware": 150,
-    "identification": 3540,
+    "identification": 3490,
     "joint": 1190,
     "robot": 4600,
     "muscle": 1560,
