@@ -179,7 +179,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95) -> F
         draw_points(grid[1, i], points, points.force - there.confidence.value, **look)
         inside = np.mean(there.prediction.contains(points.force))
         half = np.median(there.prediction.upper - there.prediction.value)
-        grid[1, i].set_title(f"{100 * inside:.0f} % within ±{half:.2g} N", fontsize=7, loc="left")
+        grid[1, i].set_title(f"{100 * inside:.0f} % in ±{half:.2g} N", fontsize=7, loc="left")
         letter(grid[0, i], i, f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")
     grid[0, 0].set(ylabel="force [N]", ylim=(min(0.0, float(taut.force.min())), 1.06 * float(taut.force.max())))
