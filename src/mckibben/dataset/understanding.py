@@ -419,7 +419,10 @@ class _Reader:
         if shortest <= 0 or longest > 2 * initial:
             span = f"{show(shortest, 'mm', 4)} to {show(longest, 'mm', 4)}"
             text = f"lengths of {span} do not fit the initial length, {show(initial, 'mm', 5)}"
-            remedy = "check its unit and initial_length (command line: --initial-length)"
+            unit = (
+                f"the angle: --column '{column.header}=angle_UNIT', the geometry" if "angle" in table.columns else "it"
+            )
+            remedy = f"check the unit of {unit} and initial_length (command line: --initial-length)"
             self.ask(text, field=column.quantity, remedy=remedy)
         table.columns["contraction"] = replace(column, values=1 - length / initial)
 
