@@ -249,10 +249,8 @@ class _Reader:
             return
         column, named = entry.column, entry.header
         said = parse_header(column.label or column.name, column.unit)
-        units = [header.unit or "".join(QUANTITIES.get(header.quantity, ())[:1]) for header in (said, named)]
-        first, second = map(dimension_of, units)
-        unlike = said.unit not in ("", named.unit) if first == second else first and second
-        if unlike or (said.absolute and not named.absolute and second == "pressure"):
+        unlike = said.unit != named.unit and dimension_of(said.unit) and dimension_of(named.unit)
+        if unlike or (said.absolute and not named.absolute and "pressure" in named.quantity):
             text = f"is named {named.quantity}_{named.unit}, which contradicts its header"
             self.ask(text, "words", field=column.name, remedy="correct either")
 
