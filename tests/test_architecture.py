@@ -116,7 +116,7 @@ BUDGET = {
     "rig": 4440,
     "scenario": 840,
     "serial_protocol": 160,
-    "simulation": 2820,
+    "simulation": 2830,
     "storage": 570,
     "study": 2880,
     "web": 2820,

@@ -31,6 +31,7 @@ def run(*arguments: str, cwd=None, **environment: str) -> subprocess.CompletedPr
     )
 
 
+ROOT = Path(__file__).parents[2]
 LIGHT = "jax equinox matplotlib scipy xarray numpy"
 
 
@@ -41,13 +42,18 @@ LIGHT = "jax equinox matplotlib scipy xarray numpy"
         (["simulate", "--help"], LIGHT),
         pytest.param(["catalog"], "matplotlib scipy xarray pandas mckibben.control", marks=pytest.mark.slow),
         pytest.param(
+            ["simulate", str(ROOT / "examples/pre-contracted-step-pid.yaml"), "--out", "results"],
+            "matplotlib.pyplot scipy xarray pandas",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
             ["identify", "festo-tool-10mm"],
             "matplotlib scipy.stats scipy.signal mckibben.codegen mckibben.control mckibben.simulation",
             marks=pytest.mark.slow,
         ),
     ],
 )
-def test_a_command_imports_only_what_it_needs(arguments, unused):
+def test_a_command_imports_only_what_it_needs(tmp_path, arguments, unused):
     code = (
         "import sys; unused, *sys.argv[1:] = sys.argv[1:]\n"
         "from mckibben.cli import main\n"
@@ -56,7 +62,7 @@ def test_a_command_imports_only_what_it_needs(arguments, unused):
         "print('imported:', [m for m in unused.split() if m in sys.modules], file=sys.stderr)\n"
     )
     command = [sys.executable, "-c", code, unused, *arguments]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    found = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     assert found.stderr.strip() == "imported: []"
     assert found.stdout
@@ -67,9 +73,6 @@ def test_bad_usage_ends_with_2(cli, arguments):
     found = cli(*arguments)
     assert (found.code, found.out) == (2, "")
     assert "error: mckibben identify: " in found.err and "see mckibben identify --help" in found.err
-
-
-ROOT = Path(__file__).parents[2]
 
 
 def options_of(command, path=()):

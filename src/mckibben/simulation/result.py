@@ -6,6 +6,7 @@ import abc
 import functools
 import importlib
 import importlib.util
+import io
 import os
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping
@@ -31,6 +32,7 @@ from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.simulation.trajectories import Trajectory, trajectory
+from mckibben.storage.files import atomic_write
 from mckibben.storage.mcap import write_samples
 from mckibben.units import bar, deg, percent
 
@@ -167,15 +169,34 @@ class RunResult(Result, abc.ABC):
         """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and engine as attributes."""
         import xarray as xr  # 0.15 s
 
-        time = {"time": ("time", self.times, {"units": "s", "long_name": "time"})}
-        table = {name: ((*self._rows_of(name), "time"), self[name], attributes(name)) for name in self.columns}
-        return xr.Dataset(table, coords=time | self._coordinates(), attrs=self._attributes())
+        return xr.Dataset(self._variables(), attrs=self._attributes())
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write to a NetCDF file, atomically and with a checksum."""
-        from mckibben.dataset.schema import write_netcdf
+        """Write the dataset to a NetCDF file, atomically and with a checksum."""
+        import h5netcdf  # importing xarray would take half as long as the whole simulation
+        import h5py
 
-        write_netcdf(self.to_dataset(), Path(path))
+        content = io.BytesIO()  # HDF5 crashes on a full disk
+        with h5netcdf.File(content, "w") as file:
+            file.attrs.update(self._attributes())
+            for name, (dims, values, labels) in self._variables().items():
+                values = np.asarray(values)
+                if values.dtype == bool:  # as xarray writes and reads them
+                    values, labels = values.astype(np.int8), labels | {"dtype": "bool"}
+                dtype = h5py.string_dtype() if values.dtype.kind == "U" else values.dtype
+                sizes = zip(dims, values.shape, strict=True)
+                file.dimensions.update({dim: size for dim, size in sizes if dim not in file.dimensions})
+                file.create_variable(name, dims, dtype, values.astype(dtype, copy=False)).attrs.update(labels)
+        with atomic_write(path, overwrite=True) as sibling:
+            sibling.write_bytes(content.getbuffer())
+
+    def _variables(self) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+        """Dimensions, values and attributes of the coordinates and columns of the dataset."""
+        variables: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]
+        variables = {name: ((name,), values, {}) for name, values in self._coordinates().items()}
+        variables["time"] = ("time",), self.times, {"units": "s", "long_name": "time"}
+        variables |= {name: ((*self._rows_of(name), "time"), self[name], attributes(name)) for name in self.columns}
+        return variables
 
     def _attributes(self) -> dict[str, Any]:
         """Attributes of the dataset."""
@@ -341,13 +362,11 @@ class SimulationResult(RunResult):
         """Write the columns as NetCDF and, with the package mcap, as MCAP; and the scenario if it is known."""
         self.to_netcdf(folder / "result.nc")
         if importlib.util.find_spec("mcap"):
-            table = self.to_dataset()
             columns = {
-                str(name): (values.attrs.get("units", ""), values.to_numpy())
-                for name, values in table.variables.items()
-                if values.dims == ("time",)
+                name: (labels.get("units", ""), np.asarray(values))
+                for name, (dims, values, labels) in self._variables().items()
+                if dims == ("time",)
             }
-            columns = {"time": columns.pop("time"), **columns}
             write_samples(folder / "result.mcap", columns, {"scenario.yaml": self.scenario.encode()})
         if self.scenario:  # its class is above this package
             scenario = importlib.import_module("mckibben.scenario").Scenario
