@@ -184,8 +184,7 @@ class NativeFunction:
         def function(common: Sequence[NDArray], varying: Sequence[NDArray]) -> PyTree:
             return self._function(shared.filled(common), lanes.filled(varying))
 
-        varying = [x[..., 0] for x in lanes.arrays]
-        return write_native(function, shared.arrays, varying, single=single, threads=self._threads)
+        return write_native(function, shared.arrays, [x[..., 0] for x in lanes.arrays], single, self._threads)
 
     _threads = False  # whether each run of a batch is a thread
 
@@ -607,6 +606,7 @@ def load_library(library: bytes) -> tuple[Any, int]:
 
     The library is loaded from a file that this user alone can access, and which is removed at once.
     """
+    np.empty(31 << 17)  # 31 MiB, untouched: once it is freed, glibc reuses the pages of arrays up to its size
     try:
         # accessible to this user only, with a unique name
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
