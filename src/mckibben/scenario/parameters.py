@@ -275,9 +275,9 @@ def find_parameters(scenario: StudiedScenario, names: Iterable[str]) -> list[Sce
         ...
     mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
     """
-    parameters = _Parameters.of(scenario)
     spelt: dict[Place, str] = {}
-    several = []
+    several: list[ScenarioParameter] = []
+    parameters = _Parameters.of(scenario) if (names := list(names)) else _Parameters()
     for name in names:
         parameter = _resolve(parameters, name)
         if twice := next((spelt[place] for place in parameter.places if place in spelt), None):
