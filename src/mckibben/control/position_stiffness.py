@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from numbers import Real
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -98,8 +98,8 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        pid = getattr(self.position, "base", self.position)
-        gains: list[Any] = [getattr(pid, name, None) for name in ("kp", "ki", "kd")]
+        pid = vars(self.position).get("base", self.position)  # `getattr` would look for a similar name
+        gains = [vars(pid).get(name) for name in ("kp", "ki", "kd")]
         if all(isinstance(gain, Real) for gain in gains) and 0 < max(abs(float(gain)) for gain in gains) < _LEAST_GAIN:
             text = f"the gains of the position loop are {', '.join(f'{gain:g}' for gain in gains)}"
             remedy = "numbers are in SI, such as 2 * bar for 2 bar/rad"
