@@ -49,7 +49,8 @@ def options_of(function: Callable[..., object], panel: str = "") -> tuple[str, d
         if name in described:
             metavar, words, part = described[name]
             shown: dict[str, Any] = {"metavar": metavar, "help": words, "rich_help_panel": part or None}
-            shown["autocompletion"] = completion(name, metavar or "")
+            if annotation is not bool:  # typer inspects each of these functions whenever a command starts
+                shown["autocompletion"] = completion(name, metavar or "")
             flag = f"--{name.strip('_').replace('_', '-')}"
             required = parameter.default is inspect.Parameter.empty
             annotation = Annotated[annotation, Argument(**shown) if required else Option(flag, **shown)]

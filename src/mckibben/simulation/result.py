@@ -172,7 +172,7 @@ class RunResult(Result, abc.ABC):
         return xr.Dataset(self._variables(), attrs=self._attributes())
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, atomically and with a checksum."""
+        """Write the dataset to a NetCDF file, atomically."""
         import h5netcdf  # importing xarray would take half as long as the whole simulation
         import h5py
 
