@@ -267,7 +267,7 @@ class Quantity:
             self._fail(f"{quoted(value)} is not a quantity", value)
         if not self.holds(number):
             lower, upper = self.limits
-            message = f"{quoted(value)} is outside {self.range}"
+            message = f"{quoted(value)} is out of range ({self.range})"
             remedy = "choose a value inside"
             raise RangeError(message, value=number, lower=lower, upper=upper, unit=self.unit, remedy=remedy)
         return number
@@ -309,7 +309,7 @@ class Quantity:
         unit = f" {self.shown}" if self.shown != "1" else ""
         lower = f"above {self.lower:g}" if self.open_lower else f"{self.lower:g}"
         upper = f"below {self.upper:g}" if self.open_upper else f"{self.upper:g}"
-        return f"{lower} to {upper}{unit}"
+        return f"{lower}{', up to' if self.open_lower else ' to'} {upper}{unit}"
 
     def _fail(self, message: str, value: object, remedy: str = "") -> NoReturn:
         raise UnitError(message, value=value, unit=self.shown, remedy=remedy or f"write it like {self.example}")
@@ -339,7 +339,7 @@ class BoundedInt:
             value = int(value) if _WHOLE.fullmatch(value.strip()) else None
         kind = isinstance(value, int) and not isinstance(value, bool)
         if not kind or not self.lower <= value <= self.upper:
-            message = "is not a whole number" if value is None else f"is outside {self.range}"
+            message = "is not a whole number" if value is None else f"is out of range ({self.range})"
             raise RangeError(
                 f"{quoted(written if value is None else value)} {message}",
                 value=value,
@@ -374,7 +374,7 @@ class Percent(Quantity):
     def read(self, value: Any) -> float:
         """Check the ratio; a number without a unit is a ratio."""
         if isinstance(value, str) and NUMBER.fullmatch(value.strip()) and not self.holds(float(value)):
-            message = f"{quoted(value)} has no unit, and as a ratio is outside {self.range}"
+            message = f"{quoted(value)} has no unit, and as a ratio is out of range ({self.range})"
             self._fail(message, value, f"write '{value.strip()} %'")
         return super().read(value)
 

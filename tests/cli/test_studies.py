@@ -63,7 +63,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
     assert listed["parameter"]["values"] == [parameter.name for parameter in known]
     row = listed["parameter"]["values"].index("joint.geometry.joint_length")
     shown = [listed[name]["values"][row] for name in ("value", "range", "unit")]
-    assert shown == ["370 mm", "above 0 to 10000 mm", "mm"]
+    assert shown == ["370 mm", "above 0, up to 10000 mm", "mm"]
     text = cli("sweep", "s.yaml", "--list").out
     assert text.startswith(f"{Scenario.read(scenario).name}: {len(known)} parameters can be varied")
 

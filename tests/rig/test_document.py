@@ -78,10 +78,10 @@ protocol:
     said = str(found.value)
     for part in (
         "line 2, muscle.specimen: 'MAS-10-180N' is not the name of a specimen; did you mean 'MAS-10-180N-AA-MC-O'?",
-        "line 3, rig.simulated.seed: -1 is outside 0 to",
+        "line 3, rig.simulated.seed: -1 is out of range (0 to",
         "line 4, limits.pressure: '6.5' has no unit; write it like '6.5 bar'",
         "line 4, limits.shorten: is missing",
-        "line 7, protocol.steps[0].move: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
+        "line 7, protocol.steps[0].move: '10' has no unit, and as a ratio is out of range (-50 to 80 %); write '10 %'",
         "line 8, protocol.steps[1]: lacks the key `class`",
         "line 10, protocol.steps[3].walk.stp: is not a known key here; did you mean 'step'?",
         "line 9, protocol.steps[2].acquire.samples: 'none' is not a whole number",

@@ -78,7 +78,7 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("load.mass2=1 kg, 1 kg", ["listed twice"]),
         ("load.mass2=0 kg..1 kg log", ["has no logarithm", "log"]),
         ("load.mass2=0..1 kg in 9.5", ["number of points", "in 9"]),
-        ("load.mass2=+-200 %", ["reaches -0.5 kg", "outside 0 to 10000 kg"]),
+        ("load.mass2=+-200 %", ["reaches -0.5 kg", "out of range (0 to 10000 kg)"]),
         ("start.angle=+-10 %", ["nominal value of 0 deg", "give an amount in deg"]),
         ("controller.position.seed=+-10 %", ["is a whole number", "0..19"]),
         ("controller.position.seed=0..100000", ["more than 100000"]),
@@ -127,7 +127,7 @@ def test_the_normal_distribution_is_one():
     [
         ("load.mass2", Uniform(-1.0, 1.0), "reaches -1 kg"),
         ("controller.position.seed", Uniform(0.0, 3.0), "is a whole number"),
-        ("valve.time_constant", Uniform(0.0, 1.0), "outside above 0"),
+        ("valve.time_constant", Uniform(0.0, 1.0), "out of range"),
     ],
 )
 def test_a_spread_has_to_go_with_its_number(name, spread, why):

@@ -339,7 +339,7 @@ def _words(kind: type) -> dict[str, tuple[object, ...]]:
 def _outside(owner: str, name: str, value: float, mark: Quantity | BoundedInt) -> RangeError:
     lower, upper = mark.limits
     scale, unit = factor(mark.shown, mark.unit), "" if mark.unit == "1" else f" {mark.unit}"
-    text, remedy = f"{owner}: {name} is {value:g}{unit}, outside {mark.range}", "choose a value inside"
+    text, remedy = f"{owner}: {name} is {value:g}{unit}, out of range ({mark.range})", "choose a value inside"
     if scale != 1 and mark.holds(value * scale):
         remedy = f"numbers are in SI: {value:g} {mark.shown} is {value * scale:g}{unit}"
     return RangeError(text, field=name, value=value, lower=lower, upper=upper, unit=mark.unit, remedy=remedy)

@@ -282,8 +282,8 @@ def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
     bad = np.flatnonzero(~np.asarray(parameter.holds(column)))
     if bad.size:
         value = column[bad[0]].item()
-        shown = f"{value:g}, not a whole number of" if parameter.is_integer else f"{parameter.show(value)}, outside"
-        message = f"{_row(bad[0], len(column))}{parameter.name} is {shown} {parameter.range}"
+        wrong = f"{value:g}, not a whole number in" if parameter.is_integer else f"{parameter.show(value)}, out of"
+        message = f"{_row(bad[0], len(column))}{parameter.name} is {wrong} range ({parameter.range})"
         raise parameter.outside(message, value)
     return column.astype(np.int64 if parameter.is_integer else float)
 

@@ -38,7 +38,7 @@ class SweptParameter:
         object.__setattr__(self, "distribution", distribution)
         for bound in distribution.bounds:
             if not parameter.holds(bound):
-                message = f"{parameter.name} reaches {parameter.show(bound)}, which is outside {parameter.range}"
+                message = f"{parameter.name} reaches {parameter.show(bound)}, which is out of range ({parameter.range})"
                 raise parameter.outside(message, bound)
 
     @property
