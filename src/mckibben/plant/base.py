@@ -191,7 +191,7 @@ class Plant(Component, Generic[S]):
         At the extreme angles [rad] of a joint, with a stiffness [N*m/rad], or at the angles of all joints of a robot.
         Raises `SimulationError` if there is none up to 1000.
         """
-        needed = max(type(self).fastest_rates(self, angles, stiffness).values()) * period / self.stability_limit
+        needed = max(self.fastest_rates(angles, stiffness).values()) * period / self.stability_limit
         if not needed <= MOST_SUBSTEPS:
             self.check_substeps(angles, stiffness, period, MOST_SUBSTEPS)
         return max(math.ceil(needed * (1 - _ROUNDING)), 1) if math.isfinite(needed) else 1
