@@ -311,9 +311,10 @@ def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
 
 
 def compiled(function: Callable[[PyTree, PyTree], PyTree]) -> Callable[..., PyTree]:
-    """`BatchFunction` by any engine, whose shared tree may have numbers."""
+    """`BatchFunction` by any engine, whose shared tree may have numbers, with results as arrays of NumPy."""
     program = BatchFunction(function)
-    return functools.wraps(function)(lambda shared, lanes=None: program("auto", numeric(shared), lanes)[0])
+    call = lambda shared, lanes=None: jax.tree.map(np.asarray, program("auto", numeric(shared), lanes)[0])  # noqa: E731
+    return functools.wraps(function)(call)
 
 
 @compiled

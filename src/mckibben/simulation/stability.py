@@ -356,7 +356,8 @@ def _linearised(
         lane(directions[:, None, None]),
     )
     following, wanted = (
-        np.moveaxis(np.reshape(rows, (-1, *shape, count + inputs)), 0, 2) for rows in _along("auto", constant, parts)[0]
+        np.moveaxis(np.asarray(rows).reshape(-1, *shape, count + inputs), 0, 2)
+        for rows in _along("auto", constant, parts)[0]
     )
     return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count]), oscillation
 
