@@ -271,10 +271,8 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     problem, minima, residual, noise, kept = _solve(problem, halves, scatter=prior.strength is None)
-    highest = float(
-        max(scales.force for scales in problem.scales)
-        * np.max(np.abs(paths_and_arms(joint.geometry, halves[0][0].angle)[1]))
-    )
+    arms = paths_and_arms(joint.geometry, halves[0][0].angle)[1]
+    highest = max(scales.force for scales in problem.scales) * float(np.max(np.abs(arms)))
     model = jax.tree.map(np.ndarray.item, _models(problem, minima[0].z[:, None]))
     try:
         recheck(model)
