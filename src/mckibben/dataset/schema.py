@@ -215,7 +215,7 @@ def format_range(values: np.ndarray) -> str:
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table atomically, with a checksum at its end.
+    """Write a table atomically.
 
     It is encoded in memory, as HDF5 crashes on a full disk. Raises an `OSError` if it cannot be written.
     """
