@@ -222,7 +222,7 @@ class Quantity:
 
         >>> time = Quantity("s", "ms", 0, 1e6, open_lower=True)
         >>> time.read("20 ms"), time.write(0.02), time.range
-        (0.02, '20 ms', 'above 0 to 1e+06 ms')
+        (0.02, '20 ms', 'above 0, up to 1e+06 ms')
     """
 
     unit: str

@@ -200,6 +200,7 @@ def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys,
     monkeypatch.setattr(paper, "reproduce", lambda *, quick, progress: reproduction)
     monkeypatch.setattr(mckibben.report, "write_report", write_report)
     monkeypatch.setattr(SimulationResult, "to_netcdf", lambda *_: None)  # `folder` has the trajectories
+    monkeypatch.setenv("COLUMNS", "160")
     out = tmp_path / "deep" / "report"
     app(["reproduce", "--quick", "--out", str(out)], standalone_mode=False)
     printed = capsys.readouterr()

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("nicegui")
-from nicegui import ui
+from nicegui import Client, ui
 from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import user_simulation
 from nicegui.testing.user_interaction import UserInteraction
@@ -49,6 +49,8 @@ async def visitor():
         async with user_simulation(root=lambda: None) as user:
             app.pages()
             yield user
+            for client in Client.instances.values():
+                client.outbox.stop()  # Python 3.11 may lose the cancellation of its loop
     finally:
         sys.modules.update(loaded)  # NiceGUI unloads the packages of the pages, which later tests still hold
 

@@ -135,7 +135,7 @@ class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  #
         >>> PendulumLoad(0.3, length=300.0)
         Traceback (most recent call last):
             ...
-        mckibben.errors.RangeError: PendulumLoad: length is 300 m, outside above 0 to 10000 mm; numbers are in SI: ...
+        mckibben.errors.RangeError: PendulumLoad: length is 300 m, out of range (above 0, up to 10000 mm); ...
     """
 
     def __check_init__(self) -> None:
@@ -175,7 +175,7 @@ def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
 
     >>> from mckibben.joint import PendulumLoad
     >>> field_quantities(PendulumLoad)["length"].range
-    'above 0 to 10000 mm'
+    'above 0, up to 10000 mm'
     """
     marks = {name: {*marks_in(hint, Quantity | BoundedInt)} for name, hint in field_hints(kind).items()}
     return {name: own.pop() for name, own in marks.items() if len(own) == 1}  # not a tuple of several quantities

@@ -302,8 +302,8 @@ class IsobaricProtocol(PressureProtocol):
     Traceback (most recent call last):
         ...
     mckibben.errors.RangeError: isobaric protocol: 2 problems
-      repeats: is 0, outside 1 to 10000; choose a value inside
-      step: is -0.001 m, outside above 0 to 100 mm; choose a value inside
+      repeats: is 0, out of range (1 to 10000); choose a value inside
+      step: is -0.001 m, out of range (above 0, up to 100 mm); choose a value inside
     """
 
     short_name = "isobaric"

@@ -238,8 +238,8 @@ def list_parameters(scenario: StudiedScenario) -> list[ScenarioParameter]:
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> for parameter in list_parameters(scenario)[:3]:
     ...     print(parameter.name, parameter.show(parameter.nominal), parameter.range, sep=", ")
-    joint.muscle.specimen.initial_length, 180 mm, above 0 to 10000 mm
-    joint.muscle.specimen.initial_diameter, 10 mm, above 0 to 500 mm
+    joint.muscle.specimen.initial_length, 180 mm, above 0, up to 10000 mm
+    joint.muscle.specimen.initial_diameter, 10 mm, above 0, up to 500 mm
     joint.muscle.specimen.braid_angle, 25 deg, 0.6 to 54.7 deg
     """
     parameters = _Parameters.of(scenario)
