@@ -99,7 +99,7 @@ def is_gain(name: str) -> bool:
 def gain_ranges(scenario: StudiedScenario, decades: float = 2.0) -> dict[str, LogUniform]:
     """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
 
-    A bandwidth [rad/s] is at most the Nyquist frequency.
+    A bandwidth [rad/s] is at most the Nyquist frequency, or the given one.
 
     >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
@@ -146,4 +146,6 @@ def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[Swept
 def _range_around(parameter: ScenarioParameter, decades: float, scenario: StudiedScenario) -> LogUniform:
     nominal, factor = float(parameter.nominal or 0.0), 10.0**decades
     low, high = sorted((nominal / factor, nominal * factor))
-    return LogUniform(low, min(high, math.pi / scenario.control_period) if parameter.unit == "rad/s" else high)
+    if parameter.unit == "rad/s":
+        high = min(high, max(math.pi / scenario.control_period, nominal))
+    return LogUniform(low, high)
