@@ -176,7 +176,7 @@ def test_rate_dependent_friction_is_dissipative_and_the_muscle_never_pushes(tens
     friction = dataclasses.replace(PLAIN, viscous=50.0, rate_growth=2.0, rate_speed=0.01, **RATES)
     force = float(friction.viscous_force(length, tension, pressure, rate))
     band = float(friction.half_width_at(tension, pressure))
-    assert force * rate >= 0 and abs(force) + band <= tension * (1 + 1e-12)
+    assert force * rate >= 0 and abs(force) + band <= tension * (1 + 1e-12) + 1e-12  # rounding of the width, some N
 
 
 @pytest.mark.parametrize(("given", "missing"), [({"rate_growth": 0.5}, "rate_speed"), ({"rate_speed": 0.01}, "rate_growth"), ({"viscous_length_growth": 4e3}, "reference_length")])  # fmt: skip
