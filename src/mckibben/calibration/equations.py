@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -14,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PyTree
+from jaxtyping import Array
 from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
@@ -25,8 +24,7 @@ from mckibben.joint import AntagonisticJoint, Geometry, Load, ScaledArms
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, adjusted_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.numerics.compiled import numeric
-from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.engine import compiled
 from mckibben.units import Quantity, Strength, deg, kPa, mm
 
 Floats = NDArray[np.float64]
@@ -308,13 +306,6 @@ def problem_of(
 def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
     """Path lengths [m] of both muscles at angles [rad]."""
     return list(paths_and_arms(joint.geometry, np.asarray(angle))[0])
-
-
-def compiled(function: Callable[[PyTree, PyTree], PyTree]) -> Callable[..., PyTree]:
-    """`BatchFunction` by any engine, whose shared tree may have numbers, with results as arrays of NumPy."""
-    program = BatchFunction(function)
-    call = lambda shared, lanes=None: jax.tree.map(np.asarray, program("auto", numeric(shared), lanes)[0])  # noqa: E731
-    return functools.wraps(function)(call)
 
 
 @compiled

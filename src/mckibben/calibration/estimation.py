@@ -28,7 +28,6 @@ from mckibben.calibration.equations import (
     Halves,
     JointPrior,
     JointRecording,
-    compiled,
     corrected,
     creep_stiffness,
     halves_of,
@@ -54,6 +53,7 @@ from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
 from mckibben.result import Column, Listing, Remark, column
+from mckibben.simulation.engine import compiled
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, compiled, sliding_from
+from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, sliding_from
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
 from mckibben.codegen.native import over_periods
@@ -33,6 +33,7 @@ from mckibben.rig import JointRig, JointRunResult, prepare
 from mckibben.rig.simulated.joint import Sensing
 from mckibben.scenario import Scenario, Start, run_scenario
 from mckibben.simulation import SimulationResult
+from mckibben.simulation.engine import compiled
 from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write, make_folder
 

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import RigidTendon
 from mckibben.muscle import PressureAffineLaw
-from mckibben.numerics.compiled import numeric
 from mckibben.robot.allocation import JointTerms, joint_terms
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.muscles import check_contractions
 from mckibben.robot.point_stiffness import movable
-from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.engine import compiled
 from mckibben.units import bar
 
 Floats = NDArray[np.float64]
@@ -56,7 +55,7 @@ def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
 
     Raises `RangeError` for contractions outside the domains of the muscles.
     """
-    (terms, paths), _ = _terms("auto", (numeric(robot), tuple(np.asarray(angle, float) for angle in angles)))
+    terms, paths = _terms((robot, tuple(np.asarray(angle, float) for angle in angles)))
     for name, muscle, path in zip(robot.muscle_names, robot.all_muscles, paths, strict=True):
         check_contractions(name, muscle, np.reshape(path, (1,)), ["this posture"])
     count, muscles = len(robot.joints), len(terms.tension)
@@ -74,7 +73,7 @@ def map_at(robot: Robot, angles: Sequence[float]) -> StaticsMap:
     return StaticsMap((torque, gain), (stiffness, slopes), (tension[0], tension[1]))
 
 
-@BatchFunction
+@compiled
 def _terms(parts: tuple[Robot, tuple[ArrayLike, ...]], _: None) -> tuple[JointTerms, list[Array]]:
     """Terms in a posture, and lengths [m] of the muscles' paths."""
     robot, angles = parts

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from mckibben.errors import McKibbenError
-from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark
 from mckibben.robot.attainable import attainable_statics
 from mckibben.robot.mechanism import Robot
@@ -21,7 +20,7 @@ from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot
 from mckibben.robot.statics import pressures_for_joint_stiffness
 from mckibben.scenario.scenario import errors_of
-from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.engine import compiled
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.units import deg
 
@@ -92,13 +91,13 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
     lanes = tuple(run["angle"]), tuple(run["pressure"])
-    stiffness, _ = _stiffness("auto", numeric(scenario.robot), lanes)
+    stiffness = _stiffness(scenario.robot, lanes)
     columns = dict(run.columns) | desired | {"stiffness": np.stack(stiffness)}
     given = {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}  # type: ignore[arg-type]
     return TrackingResult(**given | {"columns": columns, "scenario": scenario.dumps(), "notes": notes})
 
 
-@BatchFunction
+@compiled
 def _stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
     """Stiffness of the joints at one sample."""
     return robot.stiffness(*lane)

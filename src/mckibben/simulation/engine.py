@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -16,7 +17,7 @@ from mckibben.codegen.native import NativeFunction, OverPeriods, compiler, warn_
 from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
-from mckibben.numerics.compiled import jit_arrays, jit_lanes
+from mckibben.numerics.compiled import jit_arrays, jit_lanes, numeric
 from mckibben.simulation.loop import Record, episode
 
 R = TypeVar("R")
@@ -143,6 +144,17 @@ def _batch_by_xla(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, 
             return function(shared, lane)
 
     return jax.vmap(run, in_axes=-1, out_axes=-1)(lanes)
+
+
+def compiled(function: Callable[[PyTree, PyTree], PyTree]) -> Callable[..., PyTree]:
+    """`BatchFunction` by any engine, whose shared tree may have numbers, with results as arrays of NumPy."""
+    program = BatchFunction(function)
+
+    @functools.wraps(function)
+    def call(shared: PyTree, lanes: PyTree = None) -> PyTree:
+        return jax.tree.map(np.asarray, program("auto", numeric(shared), lanes)[0])
+
+    return call
 
 
 @BatchFunction

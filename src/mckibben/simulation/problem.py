@@ -24,7 +24,7 @@ from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, Plant, PlantState
-from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.engine import BatchFunction, compiled
 from mckibben.simulation.metrics import last_change
 
 
@@ -208,17 +208,15 @@ def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
         ) from error
 
 
-_each_sample = BatchFunction(sample_reference)
+_each_sample = compiled(sample_reference)
 _all_samples = jit(sample_reference)
 
 
 def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:
     """Setpoints at times [s], computed by a compiled program."""
     if _is_pointwise(reference):
-        setpoints, _ = _each_sample("auto", numeric(reference), times)
-    else:  # another function may be one of all times
-        setpoints = _all_samples(reference, times)
-    return jax.tree.map(np.asarray, setpoints)
+        return _each_sample(reference, times)
+    return jax.tree.map(np.asarray, _all_samples(reference, times))  # another function may be one of all times
 
 
 def sampled_runs(lanes: Reference, shared: Reference, times: NDArray[np.float64]) -> Setpoint:

@@ -27,7 +27,7 @@ from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
-from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.engine import BatchFunction, compiled
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
@@ -275,9 +275,8 @@ class SimulationResult(RunResult):
 
     def _measure(self) -> Metrics:
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        change = last_change(moved.desired_stiffness, np)
-        rest = jax.tree.map(np.asarray, (self.control_period, self.angle_resolution, change))
-        return _metrics("auto", (over_periods(moved), *rest))[0]
+        rest = self.control_period, self.angle_resolution, last_change(moved.desired_stiffness, np)
+        return _metrics((over_periods(moved), *jax.tree.map(np.asarray, rest)))
 
     @property
     def ok(self) -> bool:
@@ -438,12 +437,12 @@ def compute_trajectory(
     return jax.tree.map(np.asarray, moved)
 
 
-@BatchFunction
+@compiled
 def _metrics(parts: Any, _: None) -> Metrics:
     return measure(*parts)
 
 
-@BatchFunction
+@compiled
 def _path_columns(joint: AntagonisticJoint, lane: tuple[Array, Array, Pressures, PyTree]) -> dict[str, Array]:
     """Columns of the muscles' friction and creep at one control period, by name."""
     angle, velocity, pressures, muscles = lane
@@ -462,7 +461,7 @@ def path_columns(
     The stiffness of small motion is one of them unless the controller has a `stiffness_amplitude`.
     """
     lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), state[:4])
-    computed = functools.cache(lambda: _path_columns("auto", numeric(joint), lanes)[0])
+    computed = functools.cache(lambda: _path_columns(joint, lanes))
     names = ["friction_torque"] * joint.has_friction + ["creep_torque"] * joint.has_creep
     names += ["small_motion_stiffness"] * (joint.has_friction and stiffness_amplitude is None)
     return {name: functools.partial(lambda name: computed()[name], name) for name in names}
