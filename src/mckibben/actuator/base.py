@@ -18,8 +18,8 @@ from mckibben.component.base import Component
 from mckibben.component.columns import Labelled
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, RigidTendon
-from mckibben.joint.antagonistic import NO_STATES, MuscleStates
-from mckibben.muscle import Domain
+from mckibben.joint.route import Route
+from mckibben.muscle import NO_STATE, Domain, MuscleState
 from mckibben.muscle.air import ATMOSPHERE, TEMPERATURE, exchange_rate, mass_flow, pressure_rate
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import Number, exp, floating
@@ -88,28 +88,29 @@ class Point(NamedTuple):
 
 
 def air_volumes(
-    joint: AntagonisticJoint,
-    angle: ArrayLike,
-    velocity: ArrayLike,
-    pressures: tuple[Scalar, Scalar],
-    states: MuscleStates = NO_STATES,
-    dead_volumes: tuple[ArrayLike, ArrayLike] = (0.0, 0.0),
-) -> tuple[AirVolume, AirVolume]:
-    """Return the volumes of the air in the muscles of a joint, dead volumes [m^3] included, at a velocity [rad/s]."""
-    dead1, dead2 = dead_volumes
+    routes: Sequence[Route],
+    rates: Sequence[ArrayLike],
+    pressures: Sequence[ArrayLike],
+    states: Sequence[MuscleState] | None = None,
+    dead_volumes: Sequence[ArrayLike] | None = None,
+) -> tuple[AirVolume, ...]:
+    """Return the volumes of the air in muscles, dead volumes [m^3] included, at rates [rad/s] of the joints."""
+    count = len(routes)
+    states = (NO_STATE,) * count if states is None else states
+    dead_volumes = (0.0,) * count if dead_volumes is None else dead_volumes
 
-    def volumes(angle: ArrayLike, pressures: tuple[Scalar, Scalar]) -> tuple[Array, Array]:
-        contraction1, contraction2 = joint.contractions(angle, pressures, states)
-        specimen1, specimen2 = joint.muscle1.specimen, joint.muscle2.specimen
-        return specimen1.volume(contraction1) + dead1, specimen2.volume(contraction2) + dead2
+    def air(route: Route, pressure: ArrayLike, state: MuscleState, dead_volume: ArrayLike) -> AirVolume:
+        def volume(path: Array, pressure: ArrayLike) -> Array:
+            contraction = route.tendon.contraction(route.muscle, path, pressure, state)
+            return route.muscle.specimen.volume(contraction) + dead_volume
 
-    at, slopes = value_and_derivative(lambda angle: volumes(angle, pressures), angle)
-    by_pressure: Any = (None, None)
-    if not isinstance(joint.tendon, RigidTendon):
-        unit = jax.tree.map(jnp.ones_like, pressures)
-        by_pressure = jax.jvp(lambda held: volumes(angle, held), (pressures,), (unit,))[1]
-    volume1, volume2 = map(AirVolume, at, (slope * velocity for slope in slopes), by_pressure)
-    return volume1, volume2
+        at, slope = value_and_derivative(lambda path: volume(path, pressure), route.path)
+        by_pressure = None
+        if not isinstance(route.tendon, RigidTendon):
+            by_pressure = value_and_derivative(lambda p: volume(route.path, p), pressure)[1]
+        return AirVolume(at, slope * route.rate(rates), by_pressure)
+
+    return tuple(map(air, routes, pressures, states, dead_volumes))
 
 
 def lag_fraction(time_constant: ArrayLike, duration: ArrayLike) -> Scalar:

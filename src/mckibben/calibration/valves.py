@@ -347,7 +347,7 @@ def _substeps(
     joint = next(iter(problems.values())).joint
     angle = np.concatenate([record.angle for record in records])
     first, second = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
-    air = air_volumes(joint, angle, 0.0, (first, second))
+    air = air_volumes(joint.routes(angle), (0.0,), (first, second))
     room = min(float(np.min(air[index].volume)) for index in problems)
     fastest = max(valve.fastest_rate_in(room) for valve in valves)
     return math.ceil(margin * fastest * max(float(record.period) for record in records) / STABILITY_LIMIT)
@@ -394,7 +394,7 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     zero, arms, volume = others
     joint = dataclasses.replace(problem.joint, geometry=ScaledArms(problem.joint.geometry, arms))
     pressures = tuple(map(jnp.asarray, record.pressures))
-    air = air_volumes(joint, record.angle - zero, 0.0, pressures)[muscle]  # type: ignore[arg-type]
+    air = air_volumes(joint.routes(record.angle - zero), (0.0,), pressures)[muscle]  # type: ignore[arg-type]
     room = air.volume * volume + valve.attached_volume
     rate = jnp.diff(room, append=room[-1:]) / record.period  # exactly the changes of the volume: errors do not add up
     air = AirVolume(room, rate, air.by_pressure)

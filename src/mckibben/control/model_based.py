@@ -310,7 +310,7 @@ class StatePrediction(Controller[State]):
         air: Any = (None, None)
         if valve.holds_air:
             dead1, dead2 = (valve.for_muscle(i).attached_volume for i in (0, 1))
-            air = air_volumes(self.model, angle, velocity, pressures, dead_volumes=(dead1, dead2))
+            air = air_volumes(self.model.routes(angle), (velocity,), pressures, dead_volumes=(dead1, dead2))
         return Valves(valve, pressures, states, air, command_limits(self.model, valve))
 
     def _torque_and_stiffness(self, angle: ArrayLike, pressures: Pair) -> tuple[Scalar, Scalar, Scalar]:

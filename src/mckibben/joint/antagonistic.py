@@ -16,6 +16,7 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, printable
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
+from mckibben.joint.route import Route, pair_routes
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE
@@ -213,6 +214,10 @@ class AntagonisticJoint(Component):
     def has_creep(self) -> bool:
         """Whether a muscle has creep."""
         return any(muscle.has_creep for muscle in self.muscles)
+
+    def routes(self, angle: ArrayLike) -> tuple[Route, Route]:
+        """Return both muscles with their paths at an angle [rad]."""
+        return pair_routes(self.geometry, self.muscles, self.tendon, angle)
 
     @jit_inline
     def contractions(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES) -> Pair:

@@ -2,14 +2,17 @@
 
 from mckibben.plant.base import IOState, Plant
 from mckibben.plant.joint_friction import JointFriction
-from mckibben.plant.joint_plant import JointPlant, PlantState
+from mckibben.plant.joint_plant import Hinge, JointPlant, PlantState
+from mckibben.plant.mechanism import Mechanism
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, SampledSensors, Sensors, TorquePulses
 
 __all__ = [
     "Disturbance",
+    "Hinge",
     "IOState",
     "JointFriction",
     "JointPlant",
+    "Mechanism",
     "NoDisturbance",
     "PerfectSensors",
     "Plant",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 import math
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import equinox as eqx
@@ -14,18 +16,29 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume, delay_periods
+from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes, delay_periods
 from mckibben.component.base import Component
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement
-from mckibben.muscle import Muscle, MuscleState
-from mckibben.numerics.calculus import rk4
+from mckibben.muscle import NO_STATE, Muscle, MuscleState
+from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.batching import fusion_barrier
+from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.elementary import floating
+from mckibben.numerics.spatial import difference, total
+from mckibben.plant.joint_friction import JointFriction
+from mckibben.plant.mechanism import Mechanism
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.units import CommandDelay
 
 STABILITY_LIMIT = 2.785
 """Largest product of step and mode on the negative real axis at which the classical Runge-Kutta method is stable."""
+
+HERMITE_LIMIT = 1.19
+"""Largest product of step and mode, of any damping, at which the steps of `Plant.with_last_step` are stable."""
+
+MOST_HERMITE = 2
+"""Largest number of coordinates for which these steps are faster than others: each adds derivatives."""
 
 MOST_SUBSTEPS = 1000
 """Largest number of integration steps per control period."""
@@ -51,6 +64,14 @@ class IOState(NamedTuple):
     sensors: Any
 
 
+class LastStep(NamedTuple):
+    """Explicit part of a Hermite step, with one evaluation per step: the implicit part is evaluated in the next one."""
+
+    positions: tuple[Scalar, ...]  # [rad], the terms of the corrector from the beginning of the step, by joint
+    velocities: tuple[Scalar, ...]  # likewise [rad/s]
+    rates: tuple[Scalar, ...]  # of the pressures at the end of the step [Pa/s]
+
+
 class State(Protocol):
     """State of a plant: a named tuple of positions, velocities, and these; parts that a plant lacks have no leaves."""
 
@@ -66,6 +87,8 @@ class State(Protocol):
     def friction(self) -> Any: ...
     @property
     def sent(self) -> tuple[tuple[Scalar, ...], ...]: ...
+    @property
+    def last(self) -> LastStep | tuple[()]: ...
 
     _fields: ClassVar[tuple[str, ...]]
 
@@ -104,12 +127,25 @@ class Motion(NamedTuple):
         )
 
 
-class Plant(Component, Generic[S]):
-    """Bodies moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
+class Forces(NamedTuple):
+    """Tensions [N], contractions and path rates [m/s] of the muscles, and the torque [N*m] on each joint.
 
-    Commands are constant over a control period. Within it, the motion is integrated in steps of equal length, by
-    default of the classical method of Runge and Kutta; pressures follow in closed form, or, with air, are integrated
-    along. After each step `project` updates the internal states of friction and creep, by which no force changes.
+    Torques are those of muscles, friction and disturbance.
+    """
+
+    tensions: tuple[Array, ...]
+    contractions: tuple[Array, ...]
+    path_rates: tuple[Array, ...]
+    torques: tuple[Array, ...]
+
+
+class Plant(Component, Generic[S]):
+    """A mechanism moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
+
+    Commands are constant over a control period. Within it, the motion is integrated in steps of equal length: those of
+    the two-point Hermite method if it is smooth (`with_last_step`), else of the classical method of Runge and Kutta.
+    Pressures follow in closed form, or, with air, are integrated along. After each step `project` updates the internal
+    states of friction and creep, by which no force changes.
 
     Parameters
     ----------
@@ -140,8 +176,13 @@ class Plant(Component, Generic[S]):
 
     @property
     @abc.abstractmethod
+    def mechanism(self) -> Mechanism:
+        """What the muscles move."""
+
+    @property
     def muscles(self) -> tuple[Muscle, ...]:
         """All muscles, in the order of commands and pressures."""
+        return self.mechanism.muscles
 
     @property
     @abc.abstractmethod
@@ -157,29 +198,103 @@ class Plant(Component, Generic[S]):
         """Return the torque [N*m] of the disturbances at a time [s] since the start."""
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether steps are those of `with_last_step`: nothing slips, touches the ground or disturbs, up to two joints
+        move, and pressures are those of linear valves in closed form.
+        """
+        valve, mechanism = self._valve, self.mechanism
+        if self.slips or mechanism.has_contacts or mechanism.coordinates > MOST_HERMITE or not self.has_ideal_io:
+            return False
+        return valve.is_linear and valve.holds_pressure and not valve.holds_air
+
+    @property
+    def slips(self) -> bool:
+        """Whether internal states of friction or creep are updated after each integration step (`project`)."""
+        return any(muscle.has_friction or muscle.has_creep for muscle in self.muscles) or self._has_joint_friction
+
+    @property
+    def _has_joint_friction(self) -> bool:
+        return any(friction is not None for friction in self.mechanism.frictions)
+
+    @property
     def stability_limit(self) -> float:
         """Largest product of an integration step and the fastest rate."""
-        return STABILITY_LIMIT
+        return HERMITE_LIMIT if self.is_smooth else STABILITY_LIMIT
 
-    @abc.abstractmethod
+    def forces(self, state: S) -> Forces:
+        """Return the forces of the muscles, and the torques, in a state."""
+        mechanism = self.mechanism
+        position, velocity = state[0], state[1]
+        rates = mechanism.by_joint(velocity)
+        torques: list[Any] = [0.0] * len(rates)
+        tensions, contractions, path_rates = [], [], []
+        for route, pressure, held in zip(mechanism.routes(position), state.pressures, state.muscles, strict=True):
+            contraction, path_rate = route.contraction(pressure, held), route.rate(rates)
+            tension = route.muscle.tension(contraction, pressure, held)
+            if held != NO_STATE:
+                tension = tension + route.muscle.viscous_force(contraction, pressure, path_rate, held)
+            for joint, slope in route.slopes.items():
+                torques[joint] = difference(torques[joint], tension * slope)
+            tensions.append(tension)
+            contractions.append(contraction)
+            path_rates.append(path_rate)
+        if isinstance(state.io, IOState):
+            torques = list(map(total, torques, mechanism.by_joint(state.io.disturbance)))
+        for joint, (friction, held, at) in enumerate(self._joint_frictions(state)):
+            if friction is not None:
+                torques[joint] = difference(torques[joint], friction.resisting_torque(held, at))
+        return Forces(tuple(tensions), tuple(contractions), tuple(path_rates), tuple(torques))
+
+    def _joint_frictions(self, state: S) -> Iterator[tuple[JointFriction | None, FrictionState, Scalar]]:
+        """Friction of each joint with its state and position; none if no joint has friction."""
+        if state.friction == ():
+            return iter(())
+        by_joint = self.mechanism.by_joint
+        return zip(self.mechanism.frictions, by_joint(state.friction), by_joint(state[0]), strict=True)
+
     def rate(self, state: S) -> Motion:
-        """Return the time derivative of the motion at the pressures of a state."""
+        """Return the time derivative of the motion (Eq. 6), and of creep, at the pressures of a state."""
+        forces, velocity = self.forces(state), state[1]
+        acceleration = self.mechanism.acceleration(state[0], velocity, forces.torques)
+        muscles = zip(self.muscles, state.muscles, forces.path_rates, state.pressures, strict=True)
+        creep = tuple(muscle.state_rate(held, rate, pressure).creep for muscle, held, rate, pressure in muscles)
+        return Motion(velocity, acceleration, creep)
 
-    @abc.abstractmethod
     def project(self, state: S) -> S:
         """Return the state after an integration step with updated internal states; no force changes by it."""
+        if state.friction != ():
+            frictions = [
+                held if friction is None else friction.project(held, at)
+                for friction, held, at in self._joint_frictions(state)
+            ]
+            state = state._replace(friction=self.mechanism.like_joints(frictions))
+        if not any(held.friction or held.creep for held in state.muscles):
+            return state
+        routes = zip(self.mechanism.routes(state[0]), state.pressures, state.muscles, strict=True)
+        return state._replace(
+            muscles=tuple(
+                route.muscle.update_state(held, route.contraction(pressure, held), pressure)
+                for route, pressure, held in routes
+            )
+        )
 
-    @abc.abstractmethod
     def air_volumes(self, state: S) -> Sequence[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included, at the velocity of a state."""
+        dead_volumes = [self._valve.for_muscle(i).attached_volume for i in range(len(state.pressures))]
+        routes, rates = self.mechanism.routes(state[0]), self.mechanism.by_joint(state[1])
+        return air_volumes(routes, rates, state.pressures, state.muscles, dead_volumes)
 
-    @abc.abstractmethod
     def init_muscles(self, state: S) -> tuple[MuscleState, ...]:
         """Return the relaxed states of the muscles at the positions and pressures of a state."""
+        routes = zip(self.mechanism.routes(state[0]), state.pressures, strict=True)
+        return tuple(route.muscle.init_state(route.contraction(pressure), pressure) for route, pressure in routes)
 
-    @abc.abstractmethod
     def init_friction(self, state: S) -> Any:
         """Return the unstressed states of the friction of the joints at the positions of a state."""
+        if not self._has_joint_friction:
+            return ()
+        joints = zip(self.mechanism.frictions, self.mechanism.by_joint(state[0]), strict=True)
+        return self.mechanism.like_joints([() if own is None else own.initial(at) for own, at in joints])
 
     @abc.abstractmethod
     def fastest_rates(self, angles: Angles, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
@@ -216,14 +331,32 @@ class Plant(Component, Generic[S]):
         return start
 
     def with_last_step(self, state: S, step: ArrayLike) -> S:
-        """Return a state from which steps of a length [s] take fewer evaluations; by default the state."""
-        return state
+        """Return the state from which steps of a length [s] evaluate the torque once; unchanged unless `is_smooth`.
+
+        They are those of the two-point Hermite method of order 4, which is implicit (E. Hairer, S. P. Norsett and G.
+        Wanner, Solving Ordinary Differential Equations I, III.4). The next state is predicted by a Taylor polynomial;
+        the torque and its derivatives there, which a controller and the metrics need as well, correct it in the step
+        that follows.
+        """
+        if not self.is_smooth:
+            return state
+        positions, velocities = map(self.mechanism.by_joint, (state[0], state[1]))
+        accelerations, slopes = self._derivatives(state)
+        changes = _rate_of(slopes, (*velocities, *accelerations))
+        third = step**2 / 12
+        return state._replace(
+            last=LastStep(
+                _by_joint(lambda x, v, a: x - step / 2 * v + third * a, positions, velocities, accelerations),
+                _by_joint(lambda v, a, j: v - step / 2 * a + third * j, velocities, accelerations, changes),
+                tuple(jnp.zeros_like(pressure) for pressure in state.pressures),
+            )
+        )
 
     def observe(self, state: S) -> Any:
         """Return what a run records of a state at the start of a control period; by default the state."""
-        return state
+        return state._replace(last=())
 
-    def telemetry(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike) -> dict[str, Array]:
+    def telemetry(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike) -> dict[str, Any]:
         """Return further quantities of a control period [s], at whose start commands [Pa] are sent, by name."""
         return {}
 
@@ -296,8 +429,73 @@ class Plant(Component, Generic[S]):
 
         return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
 
+    def _derivatives(self, state: S) -> tuple[tuple[Scalar, ...], list[tuple[Scalar, ...]]]:
+        """Acceleration of each joint [rad/s^2], and its derivatives by all positions, velocities and pressures."""
+        mechanism = self.mechanism
+        positions, velocities = map(mechanism.by_joint, (state[0], state[1]))
+        count, point = len(positions), (*positions, *velocities, *state.pressures)
+        position, velocity = state._fields[:2]
+
+        def along(place: int) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+            def acceleration(x: Scalar) -> tuple[Scalar, ...]:
+                moved = (*point[:place], x, *point[place + 1 :])
+                at = {
+                    position: mechanism.like_joints(moved[:count], state[0]),
+                    velocity: mechanism.like_joints(moved[count : 2 * count], state[1]),
+                }
+                return mechanism.by_joint(self.rate(state._replace(pressures=moved[2 * count :], **at)).velocity)
+
+            return value_and_derivative(acceleration, point[place])
+
+        (accelerations, *_), slopes = zip(*map(along, range(len(point))), strict=True)
+        return accelerations, list(slopes)
+
+    def _hermite_step(
+        self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike, last: LastStep
+    ) -> S:
+        """State after a step [s] with the pressures of a closed form; see `with_last_step`."""
+        mechanism = self.mechanism
+        positions, velocities = map(mechanism.by_joint, (state[0], state[1]))
+        predicted, slopes = fusion_barrier(self._derivatives, state)
+
+        def pressures(elapsed: ArrayLike) -> Any:
+            return valve.all_after(state.pressures, state.air, commands, elapsed)[0]
+
+        third = step**2 / 12
+        changes = _rate_of(slopes, (*velocities, *predicted, *last.rates))
+        v = _by_joint(lambda v, a, j: v + step / 2 * a - third * j, last.velocities, predicted, changes)
+        x = _by_joint(lambda x, v, a: x + step / 2 * v - third * a, last.positions, v, predicted)
+        errors = (*map(operator.sub, x, positions), *map(operator.sub, v, velocities))
+        a = tuple(map(operator.add, predicted, _rate_of(slopes, errors)))
+        rates, bends = value_and_derivative(lambda t: value_and_derivative(pressures, t)[1], jnp.zeros_like(step))
+        jerk = _rate_of(slopes, (*v, *a, *rates))
+        snap = _rate_of(slopes, (*a, *jerk, *bends))  # without products of rates
+        position, velocity = state._fields[:2]
+
+        def end(x: Scalar, v: Scalar, a: Scalar, j: Scalar, s: Scalar) -> Scalar:
+            return x + step * (v + step / 2 * (a + step / 3 * (j + step / 4 * s)))
+
+        moved = {
+            position: mechanism.like_joints(_by_joint(end, x, v, a, jerk, snap), state[0]),
+            velocity: mechanism.like_joints(
+                _by_joint(lambda v, a, j, s: v + step * (a + step / 2 * (j + step / 3 * s)), v, a, jerk, snap), state[1]
+            ),
+        }
+        return state._replace(
+            **moved,
+            pressures=pressures(step),
+            air=valve.all_after(state.pressures, state.air, commands, step)[1],
+            last=LastStep(
+                _by_joint(lambda x, v, a: x + step / 2 * v + third * a, x, v, a),
+                _by_joint(lambda v, a, j: v + step / 2 * a + third * j, v, a, jerk),
+                value_and_derivative(pressures, step)[1],
+            ),
+        )
+
     def _step(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
         """State after a step [s] with the pressures of a closed form."""
+        if isinstance(last := state.last, LastStep):
+            return self._hermite_step(valve, state, commands, step, last)
 
         def rate(motion: Motion, *pressures: Scalar) -> Motion:
             return self.rate(motion.applied_to(state, pressures))
@@ -358,3 +556,14 @@ class Plant(Component, Generic[S]):
 
 def _given_or(values: tuple[Array, ...], initial: tuple[Array, ...]) -> tuple[Array, ...]:
     return values if len(values) else initial
+
+
+def _by_joint(function: Callable[..., Scalar], *values: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    """Apply a function to the values of each joint."""
+    return tuple(map(function, *values))
+
+
+def _rate_of(slopes: Sequence[tuple[Scalar, ...]], rates: Sequence[ArrayLike]) -> tuple[Scalar, ...]:
+    """Rates of a function of each joint, from its derivatives by variables and the rates of the first of these."""
+    columns = zip(*slopes[: len(rates)], strict=True)
+    return tuple(functools.reduce(operator.add, map(operator.mul, column, rates)) for column in columns)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-import operator
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -15,36 +13,24 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 from numpy.typing import NDArray
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes
+from mckibben.actuator.base import Actuator, AirState
 from mckibben.errors import UnreachableError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
 from mckibben.joint.geometry import Pressures
+from mckibben.joint.route import Route
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.batching import fusion_barrier
-from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
-from mckibben.plant.base import STABILITY_LIMIT, Angles, IOState, Motion, Plant
+from mckibben.plant.base import Angles, IOState, LastStep, Plant
 from mckibben.plant.joint_friction import JointFriction
+from mckibben.plant.mechanism import Mechanism
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
 from mckibben.units import deg
 
 Scalar = Float[Array, ""]
-
-
-HERMITE_LIMIT = 1.19
-"""Largest product of step and mode, of any damping, at which the steps of `JointPlant.with_last_step` are stable."""
-
-
-class LastStep(NamedTuple):
-    """Explicit part of a Hermite step, with one evaluation per step: the implicit part is evaluated in the next one."""
-
-    angle: Scalar  # [rad], the terms of the corrector from the beginning of the step
-    velocity: Scalar  # likewise [rad/s]
-    rates: tuple[Scalar, Scalar]  # of the pressures at the end of the step [Pa/s]
 
 
 class PlantState(NamedTuple):
@@ -59,6 +45,40 @@ class PlantState(NamedTuple):
     friction: FrictionState = ()  # of the joint
     sent: tuple[tuple[Scalar, Scalar], ...] = ()  # commands [Pa] on their way, the latest first
     last: LastStep | tuple[()] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Hinge(Mechanism):
+    """One joint with two muscles and a load in closed form; its motion follows Eq. 6 with the torque of Eq. 7."""
+
+    joint: AntagonisticJoint
+    load: Load
+    friction: JointFriction | None = None
+
+    @property
+    def muscles(self) -> tuple[Muscle, Muscle]:
+        return self.joint.muscles
+
+    @property
+    def frictions(self) -> tuple[JointFriction | None]:
+        return (self.friction,)
+
+    @property
+    def coordinates(self) -> int:
+        return 1
+
+    def by_joint(self, value: Any) -> tuple[Any]:
+        return (value,)
+
+    def like_joints(self, values: Sequence[Any], template: Any = None) -> Any:
+        (value,) = values
+        return value
+
+    def routes(self, position: ArrayLike) -> tuple[Route, Route]:
+        return self.joint.routes(position)
+
+    def acceleration(self, position: Scalar, velocity: Scalar, torques: Sequence[Array]) -> Array:
+        return self.load.acceleration(position, velocity, *torques)
 
 
 def _rated(joint: AntagonisticJoint) -> tuple[Any, ...]:
@@ -116,17 +136,12 @@ class JointPlant(Plant[PlantState]):
         return f"JointPlant({self.joint!r}, {', '.join(type(part).__name__ for part in parts)})"
 
     @property
-    def muscles(self) -> tuple[Muscle, Muscle]:
-        return self.joint.muscles
+    def mechanism(self) -> Hinge:
+        return Hinge(self.joint, self.load, self.friction)
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
         return (self.disturbance,)
-
-    @property
-    def slips(self) -> bool:
-        """Whether internal states of friction or creep are updated after each integration step (`project`)."""
-        return self.joint.has_friction or self.joint.has_creep or self.friction is not None
 
     @property
     def supplied_joint(self) -> AntagonisticJoint:
@@ -159,122 +174,14 @@ class JointPlant(Plant[PlantState]):
             found["joint_friction_torque"] = -self.friction.resisting_torque(state.friction, state.angle)
         return found
 
-    def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
-        """Return the volumes of the air, dead volume included, at the velocity of a state."""
-        dead1, dead2 = (self.valve.for_muscle(i).attached_volume for i in (0, 1))
-        return air_volumes(self.joint, state.angle, state.velocity, state.pressures, state.muscles, (dead1, dead2))
-
-    def rate(self, state: PlantState) -> Motion:
-        """Return the time derivative of the motion (Eq. 6) and of creep, at the pressures of a state."""
-        angle, velocity, pressures, muscles, io, _, friction, *_ = state
-        creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity, pressures))
-        if muscles == NO_STATES:
-            torque = self.joint.torque(angle, pressures)
-        else:
-            torque = self.joint.forces(angle, velocity, pressures, muscles).torque
-        if isinstance(io, IOState):
-            torque = torque + io.disturbance
-        if self.friction is not None and friction:
-            torque = torque - self.friction.resisting_torque(friction, angle)
-        return Motion(velocity, self.load.acceleration(angle, velocity, torque), (creep1, creep2))
-
-    @property
-    def is_smooth(self) -> bool:
-        """Whether nothing slips, pressures are those of linear valves in closed form, and no torque disturbs."""
-        valve = self.valve
-        return not self.slips and valve.is_linear and valve.holds_pressure and not valve.holds_air and self.has_ideal_io
-
-    @property
-    def stability_limit(self) -> float:
-        return HERMITE_LIMIT if self.is_smooth else STABILITY_LIMIT
-
-    def with_last_step(self, state: PlantState, step: ArrayLike) -> PlantState:
-        """Return the state from which steps of a length [s] evaluate the torque once; unchanged unless `is_smooth`.
-
-        They are those of the two-point Hermite method of order 4, which is implicit (E. Hairer, S. P. Norsett and G.
-        Wanner, Solving Ordinary Differential Equations I, III.4). The next state is predicted by a Taylor polynomial;
-        the torque and its derivatives there, which a controller and the metrics need as well, correct it in the step
-        that follows.
-        """
-        if not self.is_smooth:
-            return state
-        acceleration, (slope, damping, *_) = self._derivatives(state)
-        change = slope * state.velocity + damping * acceleration
-        velocity = state.velocity - step / 2 * acceleration + step**2 / 12 * change
-        angle = state.angle - step / 2 * state.velocity + step**2 / 12 * acceleration
-        zero = jnp.zeros_like(angle)
-        return state._replace(last=LastStep(angle, velocity, (zero, zero)))
-
     def begin(self, start: PlantState) -> PlantState:
         return start._replace(last=())
-
-    def observe(self, state: PlantState) -> PlantState:
-        return state._replace(last=())
-
-    def _derivatives(self, state: PlantState) -> tuple[Scalar, list[Scalar]]:
-        """Acceleration [rad/s^2] and its derivatives by angle, velocity and both pressures."""
-        point = (state.angle, state.velocity, *state.pressures)
-
-        def along(place: int) -> tuple[Scalar, Scalar]:
-            def acceleration(x: Scalar) -> Scalar:
-                angle, velocity, p1, p2 = (*point[:place], x, *point[place + 1 :])
-                return self.rate(state._replace(angle=angle, velocity=velocity, pressures=(p1, p2))).velocity
-
-            return value_and_derivative(acceleration, point[place])
-
-        (acceleration, *_), slopes = zip(*map(along, range(len(point))), strict=True)
-        return acceleration, list(slopes)
-
-    def _step(self, valve: Actuator, state: PlantState, commands: Sequence[ArrayLike], step: ArrayLike) -> PlantState:
-        """State after a step [s] with the pressures of a closed form; see `with_last_step`."""
-        if not isinstance(last := state.last, LastStep):
-            return super()._step(valve, state, commands, step)
-        at_prediction, slopes = fusion_barrier(self._derivatives, state)
-
-        def slope(*rates: ArrayLike) -> Scalar:
-            return functools.reduce(operator.add, map(operator.mul, slopes, rates))
-
-        def pressures(elapsed: ArrayLike) -> Any:
-            return valve.all_after(state.pressures, state.air, commands, elapsed)[0]
-
-        third = step**2 / 12
-        velocity = last.velocity + step / 2 * at_prediction - third * slope(state.velocity, at_prediction, *last.rates)
-        angle = last.angle + step / 2 * velocity - third * at_prediction
-        acceleration = at_prediction + slope(angle - state.angle, velocity - state.velocity)
-        rates, bends = value_and_derivative(lambda t: value_and_derivative(pressures, t)[1], jnp.zeros_like(step))
-        change = slope(velocity, acceleration, *rates)
-        snap = slope(acceleration, change, *bends)  # without products of rates
-        return state._replace(
-            angle=angle + step * (velocity + step / 2 * (acceleration + step / 3 * (change + step / 4 * snap))),
-            velocity=velocity + step * (acceleration + step / 2 * (change + step / 3 * snap)),
-            pressures=pressures(step),
-            air=valve.all_after(state.pressures, state.air, commands, step)[1],
-            last=LastStep(
-                angle + step / 2 * velocity + third * acceleration,
-                velocity + step / 2 * acceleration + third * change,
-                value_and_derivative(pressures, step)[1],
-            ),
-        )
-
-    def project(self, state: PlantState) -> PlantState:
-        """Return the state after an integration step with updated internal states; no force changes by it."""
-        friction = state.friction
-        if self.friction is not None and friction:
-            friction = self.friction.project(friction, state.angle)
-        muscles = self.joint.update_state(state.muscles, state.angle, state.pressures)
-        return state._replace(muscles=muscles, friction=friction)
 
     def init_state(self, angle: ArrayLike, pressures: Pressures) -> PlantState:
         """Return the state without velocity at an angle [rad] and gauge pressures [Pa], its muscles relaxed."""
         angle = floating(angle)
         pressure1, pressure2 = map(floating, pressure_pair(pressures))
         return self.complete_state(PlantState(angle, jnp.zeros_like(angle), (pressure1, pressure2)))
-
-    def init_muscles(self, state: PlantState) -> MuscleStates:
-        return self.joint.init_state(state.angle, state.pressures)
-
-    def init_friction(self, state: PlantState) -> FrictionState:
-        return () if self.friction is None else self.friction.initial(state.angle)
 
     def fastest_rates(self, angles: Angles, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         return {"the motion": _fastest_mode(self, angles, stiffness), "the air": _fastest_air(self, angles)}

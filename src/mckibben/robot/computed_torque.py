@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from mckibben.actuator.base import AirVolume, delay_periods
+from mckibben.actuator.base import AirVolume, air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.base import Setpoint, ValveModel
@@ -29,7 +29,7 @@ from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, jo
 from mckibben.robot.control import TrackingControl
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.plant import RobotMeasurement, muscle_air
+from mckibben.robot.plant import RobotMeasurement
 from mckibben.robot.posture import check_affine
 from mckibben.units import CommandDelay, Force, Gravity, bar
 
@@ -261,7 +261,8 @@ class ComputedTorque(TrackingControl):
         """Model of the valves at an estimate."""
         air: Sequence[AirVolume | None] = (None,) * len(at.pressures)
         if self.valve.holds_air:
-            air = muscle_air(self.robot, self.valve, at.angles, at.velocities, at.pressures)
+            dead = [self.valve.for_muscle(i).attached_volume for i in range(len(at.pressures))]
+            air = air_volumes(self.robot.routed_muscles(at.angles), at.velocities, at.pressures, dead_volumes=dead)
         muscles = enumerate(self.robot.all_muscles)
         ranges = [self.valve.for_muscle(i).command_range(muscle.domain) for i, muscle in muscles]
         return Valves(self.valve, at.pressures, at.valves, air, tuple(zip(*ranges, strict=True)))

@@ -19,11 +19,12 @@ from mckibben.component.checks import check_count
 from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
+from mckibben.joint.route import Route
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, difference, total
 from mckibben.robot.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
-from mckibben.robot.muscles import MusclePair, MuscleUnit, Routed, Skeleton, check_contractions
+from mckibben.robot.muscles import MusclePair, MuscleUnit, Skeleton, check_contractions
 from mckibben.robot.tree import Frame, Hinge, frames_of
 from mckibben.units import deg
 
@@ -340,7 +341,7 @@ class Robot(Component):
 
         return Skeleton(self.joints, self.frame_names, angles, posed)
 
-    def routed_muscles(self, angles: Sequence[ArrayLike]) -> list[Routed]:
+    def routed_muscles(self, angles: Sequence[ArrayLike]) -> list[Route]:
         """Return all muscles with their paths at angles [rad]."""
         skeleton = self._skeleton(angles)
         return [routed for unit in self.muscles for routed in unit.routed(skeleton)]

@@ -15,32 +15,16 @@ from jaxtyping import Array, ArrayLike
 from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Geometry, MusclePath, RigidTendon, Tendon
+from mckibben.joint.route import Bends, Route, pair_routes
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import total
 from mckibben.robot.bodies import BodyPoint, Joint
-from mckibben.robot.tree import Bends, Frame, Hinge, path_through
+from mckibben.robot.tree import Frame, Hinge, path_through
 from mckibben.units import Coordinate
 
 Action = Literal["lengthens", "shortens"]
 """Change of a muscle's path as the angle of a joint increases."""
-
-
-class Routed(NamedTuple):
-    """A muscle in a posture: its path length [m], and the derivative [m/rad] of that over the angles of its joints.
-
-    `bends` computes the second derivatives [m/rad^2].
-    """
-
-    muscle: Muscle
-    tendon: Tendon
-    path: Array
-    slopes: dict[int, Array]
-    bends: Callable[[], Bends]
-
-    def tension(self, pressure: ArrayLike) -> Array:
-        """Return the tension [N] at a gauge pressure [Pa]."""
-        return self.tendon.tension(self.muscle, self.path, pressure)
 
 
 class Skeleton(NamedTuple):
@@ -102,7 +86,7 @@ class MuscleUnit(Component):
         return ()
 
     @abc.abstractmethod
-    def routed(self, skeleton: Skeleton) -> list[Routed]:
+    def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         """Return the muscles in a posture."""
 
     @property
@@ -150,18 +134,9 @@ class MusclePair(MuscleUnit):
     def joint_names(self) -> tuple[str, ...]:
         return (self.over,)
 
-    def routed(self, skeleton: Skeleton) -> list[Routed]:
+    def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         index = skeleton.number(self.over)
-        angle = skeleton.angles[index]
-        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
-
-        def bend(side: int) -> Bends:
-            return {(index, index): value_and_derivative(self.geometry.moment_arms, angle)[1][side] * (1 - 2 * side)}
-
-        return [
-            Routed(self.muscle1, self.tendon, path1, {index: arm1}, lambda: bend(0)),
-            Routed(self.muscle2, self.tendon, path2, {index: -arm2}, lambda: bend(1)),
-        ]
+        return pair_routes(self.geometry, (self.muscle1, self.muscle2), self.tendon, skeleton.angles[index], index)
 
     @property
     def angle_ranges(self) -> tuple[tuple[float, float], ...]:
@@ -252,7 +227,7 @@ class PathMuscle(MuscleUnit):
     def points(self) -> tuple[BodyPoint, ...]:
         return self.through
 
-    def routed(self, skeleton: Skeleton) -> list[Routed]:
+    def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         over = [(skeleton.number(part.joint), part) for part in self.over]
         lengths = {index: part.length(skeleton.angles[index]) for index, part in over}
         slopes: dict[int, Any] = {index: slope for index, (_, slope) in lengths.items()}
@@ -271,7 +246,7 @@ class PathMuscle(MuscleUnit):
                 found[index, index] = total(found.get((index, index), 0.0), bend)
             return found
 
-        return [Routed(self.muscle, self.tendon, length - self.connector_length, slopes, bends)]
+        return [Route(self.muscle, self.tendon, length - self.connector_length, slopes, bends)]
 
     @property
     def angle_ranges(self) -> tuple[tuple[float, float], ...]:

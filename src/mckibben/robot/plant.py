@@ -14,18 +14,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
+from mckibben.actuator.base import Actuator, AirState, at_room_temperature
 from mckibben.component.checks import check_count, check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
-from mckibben.joint import Measurement, RigidTendon
+from mckibben.joint import Measurement
+from mckibben.joint.route import Route
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import floating
-from mckibben.numerics.spatial import Vector
-from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
+from mckibben.numerics.spatial import Vector, difference, product
+from mckibben.plant.base import IOState, LastStep, Plant
+from mckibben.plant.joint_friction import JointFriction
+from mckibben.plant.mechanism import Mechanism
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
 from mckibben.robot.dynamics import (
     Contact,
@@ -41,7 +43,6 @@ from mckibben.robot.dynamics import (
 )
 from mckibben.robot.ground import Ground, compliant_force
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.muscles import Routed
 from mckibben.units import Gravity, show
 
 Scalar = Float[Array, ""]
@@ -61,6 +62,7 @@ class RobotState(NamedTuple):
     air: AirState | tuple[()] = ()
     friction: tuple[FrictionState, ...] = ()
     sent: tuple[tuple[Scalar, ...], ...] = ()
+    last: LastStep | tuple[()] = ()
 
 
 class RobotStart(NamedTuple):
@@ -112,18 +114,64 @@ class RobotSample(NamedTuple):
     outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
 
 
-class RobotForces(NamedTuple):
-    """Tensions [N] and contractions of the muscles, torques [N*m] of the joints, forces [N] of the ground by sphere.
+@dataclasses.dataclass(frozen=True)
+class Tree(Mechanism):
+    """Bodies of a robot on hinges, with stops, on a base that may move, and the ground."""
 
-    Torques include disturbance, damping, friction and stops; `stops` are those of the stops alone.
-    """
+    robot: Robot
+    ground: Ground
+    gravity: Any
 
-    tensions: tuple[Array, ...]
-    contractions: tuple[Array, ...]
-    path_rates: tuple[Array, ...]
-    torques: tuple[Array, ...]
-    stops: tuple[Array, ...]
-    contacts: tuple[Vector, ...]
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return self.robot.all_muscles
+
+    @property
+    def frictions(self) -> tuple[JointFriction | None, ...]:
+        return tuple(joint.friction for joint in self.robot.joints)
+
+    @property
+    def coordinates(self) -> int:
+        return len(self.robot.motions) + sum(joint.locked is None for joint in self.robot.joints)
+
+    @property
+    def has_contacts(self) -> bool:
+        return bool(self.robot.spheres)
+
+    def by_joint(self, value: Any) -> tuple[Any, ...]:
+        return value.angles if isinstance(value, Posture) else value
+
+    def like_joints(self, values: Sequence[Any], template: Any = None) -> Any:
+        return tuple(values) if template is None else template._replace(angles=tuple(values))
+
+    def routes(self, position: Posture) -> Sequence[Route]:
+        return self.robot.routed_muscles(position.angles)
+
+    def acceleration(self, position: Posture, velocity: Velocity, torques: Sequence[Array]) -> Velocity:
+        robot, stops = self.robot, self.stop_torques(position, velocity)
+        joints = zip(robot.joints, torques, velocity.angles, stops, strict=True)
+        driven = [difference(torque, product(joint.damping, rate)) + stop for joint, torque, rate, stop in joints]
+        forces = self.contact_forces(position, velocity)
+        return acceleration(robot, position, velocity, driven, forces, self.gravity, self.ground.normal)
+
+    def stop_torques(self, position: Posture, velocity: Velocity) -> tuple[Array, ...]:
+        """Return the torques [N*m] of the stops of all joints."""
+        torques = []
+        for joint, angle, rate in zip(self.robot.joints, position.angles, velocity.angles, strict=True):
+            stiffness, damping = joint.stop_stiffness, joint.stop_damping
+            beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
+            torques.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
+        return tuple(torques)
+
+    def contacts(self, position: Posture, velocity: Velocity) -> list[Contact]:
+        """Return the points of the spheres that are nearest to the ground."""
+        if not self.has_contacts:
+            return []
+        return contacts(self.robot, frames(self.robot, position, velocity), self.ground.normal)
+
+    def contact_forces(self, position: Posture, velocity: Velocity) -> tuple[Vector, ...]:
+        """Return the forces [N] of the ground on all spheres."""
+        return tuple(map(self.ground.force, self.contacts(position, velocity)))
 
 
 class RobotPlant(Plant[RobotState]):
@@ -150,8 +198,8 @@ class RobotPlant(Plant[RobotState]):
         return f"RobotPlant({self.robot!r}, {type(self.valve).__name__})"
 
     @property
-    def muscles(self) -> tuple[Muscle, ...]:
-        return self.robot.all_muscles
+    def mechanism(self) -> Tree:
+        return Tree(self.robot, self.ground, self.gravity)
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
@@ -177,13 +225,14 @@ class RobotPlant(Plant[RobotState]):
 
     def observe(self, state: RobotState) -> RobotSample:
         forces, volumes = self.forces(state), self.air_volumes(state)
+        stops = self.mechanism.stop_torques(state.posture, state.velocity)
         moving = motion(self.robot, state.posture, state.velocity, self.gravity)
         contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
             for muscle, one in zip(self.robot.all_muscles, forces.contractions, strict=True)
         ]
-        zero, ground = jnp.zeros_like(state.posture.x), _sum(forces.contacts, state)
+        zero, ground = jnp.zeros_like(state.posture.x), self.ground_force(state)
         base = {name: getattr(state.posture, name) for name in ("x", "y", "z", "pitch", "yaw", "roll")}
         return RobotSample(
             **{name: zero if value is None else value for name, value in base.items()},
@@ -193,7 +242,7 @@ class RobotPlant(Plant[RobotState]):
             pressure=state.pressures,
             tension=forces.tensions,
             contraction=forces.contractions,
-            stop_torque=forces.stops,
+            stop_torque=stops,
             ground_forward=ground.x,
             ground_left=ground.y,
             ground_up=ground.z,
@@ -201,7 +250,7 @@ class RobotPlant(Plant[RobotState]):
             mass_speed=moving.upward_speed,
             kinetic=moving.kinetic,
             muscle_power=-_power(forces.tensions, forces.path_rates),
-            stop_power=_power(forces.stops, state.velocity.angles),
+            stop_power=_power(stops, state.velocity.angles),
             air_mass=tuple(
                 at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
                 for i, (pressure, one) in contents
@@ -229,7 +278,7 @@ class RobotPlant(Plant[RobotState]):
                 (joint.friction.steepest / inertia for joint, inertia in bodies if joint.friction), default=0.0
             ),
         }
-        rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
+        rates = {what: math.sqrt(square) * self.stability_limit / _LONGEST for what, square in stiffnesses.items()}
         weight = float(robot.total_mass) * self.gravity
         sideways = max((np.linalg.eigvalsh(mobility[:2, :2])[-1] for mobility in points), default=0.0)
         rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
@@ -291,7 +340,7 @@ class RobotPlant(Plant[RobotState]):
         distance = self.ground.distance
         if distance is not None and all(isinstance(angle, Real) for angle in start.angles):
             posture = posture_of(robot, start.angles)
-            points = self._contacts(posture, at_rest(posture))
+            points = self.mechanism.contacts(posture, at_rest(posture))
             nearest = min((float(point.position.dot(self.ground.normal)) for point in points), default=0.0)
             if nearest < -distance:
                 remedy = "give other angles, or the plane a greater distance"
@@ -303,7 +352,7 @@ class RobotPlant(Plant[RobotState]):
         held = tuple(map(floating, robot.held(start.angles)))
         posture, normal = posture_of(robot, held), self.ground.normal
         velocity = at_rest(posture)._replace(z=floating(start.upward_speed))
-        depths = [point.position.dot(normal) for point in self._contacts(posture, velocity)]
+        depths = [point.position.dot(normal) for point in self.mechanism.contacts(posture, velocity)]
         depth = functools.reduce(jnp.minimum, depths) if depths else 0.0
         if self.ground.distance is None:
             posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
@@ -311,97 +360,14 @@ class RobotPlant(Plant[RobotState]):
         muscles = (MuscleState((), ()),) * len(inside)
         return self.complete_state(RobotState(posture, velocity, inside, muscles))
 
-    def init_muscles(self, state: RobotState) -> tuple[MuscleState, ...]:
-        units = zip(self.robot.routed_muscles(state.posture.angles), state.pressures, strict=True)
-        return tuple(
-            unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure), pressure)
-            for unit, pressure in units
-        )
-
-    def init_friction(self, state: RobotState) -> tuple[FrictionState, ...]:
-        if all(joint.friction is None for joint in self.robot.joints):
-            return ()
-        pairs = zip(self.robot.joints, state.posture.angles, strict=True)
-        return tuple(() if joint.friction is None else joint.friction.initial(angle) for joint, angle in pairs)
-
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] within rated pressures and supply; `RangeError` unless each muscle has one."""
         check_count("commands", len(commands), len(self.muscles), f"of {', '.join(self.robot.muscle_names)}")
         return super().clip_commands(commands)
 
-    def forces(self, state: RobotState) -> RobotForces:
-        """Return the forces in a state."""
-        robot = self.robot
-        angles, rates = state.posture.angles, state.velocity.angles
-        torques: list[Array] = [-joint.damping * rate for joint, rate in zip(robot.joints, rates, strict=True)]
-        if isinstance(state.io, IOState):
-            torques = [one + torque for one, torque in zip(torques, state.io.disturbance, strict=True)]
-        for index, held in enumerate(state.friction):
-            if friction := robot.joints[index].friction:
-                torques[index] = torques[index] - friction.resisting_torque(held, angles[index])
-        tensions, contractions, path_rates = [], [], []
-        for unit, pressure, held in zip(robot.routed_muscles(angles), state.pressures, state.muscles, strict=True):
-            path_rate = _path_rate(unit, rates)
-            contraction = unit.tendon.contraction(unit.muscle, unit.path, pressure, held)
-            tension = unit.muscle.tension(contraction, pressure, held)
-            tension = tension + unit.muscle.viscous_force(contraction, pressure, path_rate, held)
-            for joint, slope in unit.slopes.items():
-                torques[joint] = torques[joint] - tension * slope
-            tensions.append(tension)
-            contractions.append(contraction)
-            path_rates.append(path_rate)
-        stops = []
-        for joint, angle, rate in zip(robot.joints, angles, rates, strict=True):
-            stiffness, damping = joint.stop_stiffness, joint.stop_damping
-            beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
-            stops.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
-        total = tuple(one + stop for one, stop in zip(torques, stops, strict=True))
-        ground = self._contact_forces(state)
-        return RobotForces(tuple(tensions), tuple(contractions), tuple(path_rates), total, tuple(stops), ground)
-
     def ground_force(self, state: RobotState) -> Vector:
         """Return the force [N] of the ground on all spheres: forwards, to the left, and up."""
-        return _sum(self._contact_forces(state), state)
-
-    def _contact_forces(self, state: RobotState) -> tuple[Vector, ...]:
-        return tuple(map(self.ground.force, self._contacts(state.posture, state.velocity)))
-
-    def _contacts(self, posture: Posture, velocity: Velocity) -> list[Contact]:
-        """Points of the spheres that are nearest to the ground."""
-        if not self.robot.spheres:
-            return []
-        return contacts(self.robot, frames(self.robot, posture, velocity), self.ground.normal)
-
-    def rate(self, state: RobotState) -> Motion:
-        forces, velocity = self.forces(state), state.velocity
-        moved = acceleration(
-            self.robot, state.posture, velocity, forces.torques, forces.contacts, self.gravity, self.ground.normal
-        )
-        creep = tuple(
-            muscle.state_rate(held, rate, pressure).creep
-            for muscle, held, rate, pressure in zip(
-                self.robot.all_muscles, state.muscles, forces.path_rates, state.pressures, strict=True
-            )
-        )
-        return Motion(Posture(*velocity), moved, creep)
-
-    def air_volumes(self, state: RobotState) -> list[AirVolume]:
-        motion = state.posture.angles, state.velocity.angles
-        return muscle_air(self.robot, self.valve, *motion, state.pressures, state.muscles)
-
-    def project(self, state: RobotState) -> RobotState:
-        if state.friction:
-            joints = zip(self.robot.joints, state.friction, state.posture.angles, strict=True)
-            friction = tuple(joint.friction.project(held, at) if joint.friction else held for joint, held, at in joints)
-            state = state._replace(friction=friction)
-        if not any(one.friction or one.creep for one in state.muscles):
-            return state
-        muscles = []
-        units = self.robot.routed_muscles(state.posture.angles)
-        for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
-            contraction = unit.tendon.contraction(unit.muscle, unit.path, pressure, held)
-            muscles.append(unit.muscle.update_state(held, contraction, pressure))
-        return state._replace(muscles=tuple(muscles))
+        return _sum(self.mechanism.contact_forces(state.posture, state.velocity), state)
 
     def energy(self, state: RobotState) -> Float[Array, ""]:
         """Return the mechanical energy of the bodies [J]."""
@@ -409,40 +375,10 @@ class RobotPlant(Plant[RobotState]):
         return found.kinetic + found.potential
 
 
-def muscle_air(
-    robot: Robot,
-    valve: Actuator,
-    angles: Sequence[Array],
-    rates: Sequence[Array],
-    pressures: Sequence[Array],
-    states: Sequence[MuscleState] | None = None,
-) -> list[AirVolume]:
-    """Return the volumes of the air in the muscles, at angles [rad], rates [rad/s] and gauge pressures [Pa]."""
-    volumes = []
-    states = [MuscleState((), ())] * len(pressures) if states is None else states
-    for unit, pressure, held in zip(robot.routed_muscles(angles), pressures, states, strict=True):
-
-        def volume(path: Array, pressure: Array, unit: Routed = unit, held: MuscleState = held) -> Array:
-            contraction = unit.tendon.contraction(unit.muscle, path, pressure, held)
-            return unit.muscle.specimen.volume(contraction) + valve.attached_volume
-
-        at, slope = value_and_derivative(lambda path, p=pressure: volume(path, p), unit.path)
-        by_pressure = None
-        if not isinstance(unit.tendon, RigidTendon):
-            by_pressure = value_and_derivative(lambda p, path=unit.path: volume(path, p), pressure)[1]
-        volumes.append(AirVolume(at, slope * _path_rate(unit, rates), by_pressure))
-    return volumes
-
-
 def _sum(forces: Sequence[Vector], state: RobotState) -> Vector:
     """Sum of forces [N], of arrays."""
     zero = jnp.zeros_like(state.posture.x)
     return functools.reduce(operator.add, forces) if forces else Vector(zero, zero, zero)
-
-
-def _path_rate(unit: Routed, rates: Sequence[Array]) -> Array:
-    """Rate of the length of a muscle's path [m/s]."""
-    return jnp.asarray(sum(slope * rates[joint] for joint, slope in unit.slopes.items()))
 
 
 def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from mckibben.joint.route import Bends
 from mckibben.numerics.elementary import Number
 from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, Z, difference, product, total
 
@@ -120,10 +121,6 @@ def ancestors(hinges: Sequence[Hinge], body: int) -> list[int]:
         found.append(body)
         body = hinges[body - 1].parent
     return found
-
-
-Bends = dict[tuple[int, int], Any]
-"""Second derivatives [m/rad^2] of a path, by two hinges or joints, the first of which is not after the second."""
 
 
 def path_through(

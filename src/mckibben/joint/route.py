@@ -1,0 +1,61 @@
+"""Route of a muscle in a posture: its path, and the derivatives of that by the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, ArrayLike
+
+from mckibben.joint.geometry import Geometry
+from mckibben.joint.tendon import Tendon
+from mckibben.muscle import NO_STATE, Muscle, MuscleState
+from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.spatial import product, total
+
+Bends = dict[tuple[int, int], Any]
+"""Second derivatives of a path [m/rad^2], by two hinges or joints, the first of which is not after the second."""
+
+
+class Route(NamedTuple):
+    """A muscle in a posture: the length of its path [m], and the derivatives [m/rad] of that by number of the joint.
+
+    `bends` computes the second derivatives [m/rad^2].
+    """
+
+    muscle: Muscle
+    tendon: Tendon
+    path: Array
+    slopes: dict[int, Array]
+    bends: Callable[[], Bends]
+
+    def tension(self, pressure: ArrayLike) -> Array:
+        """Return the tension [N] of the law at a gauge pressure [Pa]."""
+        return self.tendon.tension(self.muscle, self.path, pressure)
+
+    def contraction(self, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Array:
+        """Return the contraction [-] of the muscle at a gauge pressure [Pa]."""
+        return self.tendon.contraction(self.muscle, self.path, pressure, state)
+
+    def rate(self, rates: Sequence[ArrayLike]) -> Array:
+        """Return the rate [m/s] of the length of the path, at rates [rad/s] of all joints."""
+        rate: Any = 0.0
+        for joint, slope in self.slopes.items():
+            rate = total(rate, product(slope, rates[joint]))
+        return rate
+
+
+def pair_routes(
+    geometry: Geometry, muscles: tuple[Muscle, Muscle], tendon: Tendon, angle: ArrayLike, joint: int = 0
+) -> tuple[Route, Route]:
+    """Return two antagonistic muscles at an angle [rad] of a joint of a number."""
+    (path1, path2), (arm1, arm2) = geometry.paths_and_arms(angle)
+
+    def bends(muscle: int) -> Bends:
+        slope = value_and_derivative(geometry.moment_arms, angle)[1][muscle]
+        return {(joint, joint): slope * (1 - 2 * muscle)}
+
+    return (
+        Route(muscles[0], tendon, path1, {joint: arm1}, lambda: bends(0)),
+        Route(muscles[1], tendon, path2, {joint: -arm2}, lambda: bends(1)),
+    )

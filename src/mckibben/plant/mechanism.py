@@ -1,0 +1,60 @@
+"""Mechanisms: what the muscles of a plant move."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+from jaxtyping import Array
+
+from mckibben.joint.route import Route
+from mckibben.muscle import Muscle
+from mckibben.plant.joint_friction import JointFriction
+
+
+class Mechanism(abc.ABC):
+    """Joints with their loads, and the routes of the muscles over them.
+
+    Its position and velocity are trees of numbers: one number for a single joint without a name, whose quantities have
+    no axis; `by_joint` gives those of the joints as a tuple, and `like_joints` the reverse.
+    """
+
+    @property
+    @abc.abstractmethod
+    def muscles(self) -> tuple[Muscle, ...]:
+        """All muscles, in the order of their routes, commands and pressures."""
+
+    @property
+    @abc.abstractmethod
+    def frictions(self) -> tuple[JointFriction | None, ...]:
+        """Dry friction of each joint."""
+
+    @property
+    @abc.abstractmethod
+    def coordinates(self) -> int:
+        """Number of the coordinates that move: of the joints, and of a base that is not fixed."""
+
+    @property
+    def has_contacts(self) -> bool:
+        """Whether it may touch the ground."""
+        return False
+
+    @abc.abstractmethod
+    def by_joint(self, value: Any) -> tuple[Any, ...]:
+        """Return a position, velocity, torque or state of friction as a tuple over the joints."""
+
+    @abc.abstractmethod
+    def like_joints(self, values: Sequence[Any], template: Any = None) -> Any:
+        """Return a tuple over the joints in the form of a template, by default that of a torque."""
+
+    @abc.abstractmethod
+    def routes(self, position: Any) -> Sequence[Route]:
+        """Return all muscles with their paths in a position."""
+
+    @abc.abstractmethod
+    def acceleration(self, position: Any, velocity: Any, torques: Sequence[Array]) -> Any:
+        """Return the acceleration [rad/s^2, m/s^2] under torques [N*m] of muscles, friction and disturbance by joint.
+
+        It has the form of a velocity. Gravity, damping, stops and ground act as well.
+        """
