@@ -11,8 +11,7 @@ from jax.flatten_util import ravel_pytree
 import mckibben as mk
 from mckibben.errors import SimulationError
 from mckibben.plant import NoDisturbance, TorquePulses
-from mckibben.plant.base import STABILITY_LIMIT, Motion
-from mckibben.plant.joint_plant import HERMITE_LIMIT
+from mckibben.plant.base import HERMITE_LIMIT, STABILITY_LIMIT, Motion
 from mckibben.simulation import Outcome
 from mckibben.units import deg, mm
 

@@ -60,6 +60,10 @@ class Hinge(Mechanism):
         return self.joint.muscles
 
     @property
+    def components(self) -> tuple[AntagonisticJoint]:
+        return (self.joint,)
+
+    @property
     def frictions(self) -> tuple[JointFriction | None]:
         return (self.friction,)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxtyping import Array
 
+from mckibben.component.base import Component
 from mckibben.joint.route import Route
 from mckibben.muscle import Muscle
 from mckibben.plant.joint_friction import JointFriction
@@ -24,6 +25,11 @@ class Mechanism(abc.ABC):
     @abc.abstractmethod
     def muscles(self) -> tuple[Muscle, ...]:
         """All muscles, in the order of their routes, commands and pressures."""
+
+    @property
+    @abc.abstractmethod
+    def components(self) -> tuple[Component, ...]:
+        """Parts whose numbers a controller's model may have as well."""
 
     @property
     @abc.abstractmethod

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import operator
+from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import jax
@@ -10,10 +13,21 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.columns import Label, labelled
+from mckibben.component.columns import labelled
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.robot.plant import RobotPlant, RobotSample
-from mckibben.simulation.metrics import Duration, Largest, LargestError, Run, Totals, Tracked, metrics_of, values_of
+from mckibben.simulation.metrics import (
+    Duration,
+    Largest,
+    LargestError,
+    RootMeanSquare,
+    Run,
+    Total,
+    Totals,
+    Tracked,
+    metrics_of,
+    values_of,
+)
 
 Scalar = Float[Array, ""]
 
@@ -87,35 +101,43 @@ class RobotMetrics(NamedTuple):
 class TrackingMetrics(NamedTuple):
     """Metrics of a robot whose joints follow references, in SI: those of `Metrics` of each joint, or of all."""
 
-    angle_rmse: Annotated[Any, Label("rad", "angle error (RMS)", "deg", along="joint")]
-    angle_max: Annotated[Any, Label("rad", "largest angle error", "deg", along="joint")]
-    stiffness_rmse: Annotated[Any, Label("N*m/rad", "stiffness error (RMS)", along="joint")]
-    time_saturated: Annotated[Any, Label("s", "time saturated")]
-    time_outside_domain: Annotated[Any, Label("s", "time with a muscle outside its domain")]
-    air: Annotated[Any, Label("m^3", "air consumption, as a volume at atmospheric pressure", "L")]
+    angle_rmse: Annotated[Any, RootMeanSquare("rad", "angle error (RMS)", of="angle_error", shown="deg", along="joint")]
+    angle_max: Annotated[Any, LargestError("rad", "largest angle error", of="angle_error", shown="deg", along="joint")]
+    stiffness_rmse: Annotated[
+        Any, RootMeanSquare("N*m/rad", "stiffness error (RMS)", of="stiffness_error", along="joint")
+    ]
+    time_saturated: Annotated[Any, Duration("s", "time saturated", of="saturated")]
+    time_outside_domain: Annotated[Any, Duration("s", "time with a muscle outside its domain", of="outside")]
+    air: Annotated[Any, Total("m^3", "air consumption, as a volume at atmospheric pressure", of="inflow", shown="L")]
 
     @classmethod
-    def of(cls, samples: TrackingSample, period: float) -> TrackingMetrics:
-        """Return the metrics of samples of shape (..., periods), of one run or of several."""
-        angle, stiffness, air = (np.stack(part) for part in (samples.angle_error, samples.stiffness_error, samples.air))
-        return cls(
-            tuple(np.sqrt(np.mean(angle**2, axis=-1))),
-            tuple(np.abs(angle).max(axis=-1)),
-            tuple(np.sqrt(np.mean(stiffness**2, axis=-1))),
-            samples.saturated.sum(axis=-1) * period,
-            samples.outside.sum(axis=-1) * period,
-            np.maximum(np.diff(air), 0.0).sum(axis=(0, -1)) * (ENERGY / ATMOSPHERE),
-        )
+    def of(cls, samples: TrackingSample, period: ArrayLike) -> TrackingMetrics:
+        """Return the metrics of samples of shape (periods,)."""
+        sums, maxima = samples.totals
+        sums = jax.tree.map(lambda terms: np.sum(terms, axis=-1), sums)
+        maxima = jax.tree.map(lambda terms: np.max(terms, axis=-1), maxima)
+        return values_of(cls, Totals(sums, maxima), Run(jnp.asarray(len(samples.saturated)), period))
 
 
 class TrackingSample(NamedTuple):
-    """Quantities of a sample that `TrackingMetrics` are made of."""
+    """Quantities of a control period that `TrackingMetrics` are made of; flags are 0 or 1."""
 
     angle_error: tuple[Array, ...]  # [rad]
     stiffness_error: tuple[Array, ...]  # [N*m/rad]
     saturated: Array
     outside: Array
-    air: tuple[Array, ...]  # [kg]
+    inflow: Array  # of air into all muscles since the period before, as a volume at atmospheric pressure [m^3]
+
+    @property
+    def totals(self) -> Totals:
+        """Terms of the metrics."""
+        return Totals.of(metrics_of(TrackingMetrics).values(), self)
+
+
+def inflow(air: Sequence[Array], before: Sequence[Array]) -> Array:
+    """Return the air [m^3 at atmospheric pressure] that flows into muscles, from their contents [kg] a period apart."""
+    rises = [jnp.maximum(new - old, 0.0) for new, old in zip(air, before, strict=True)]
+    return functools.reduce(operator.add, rises) * (ENERGY / ATMOSPHERE)
 
 
 class RobotMetricSample(NamedTuple):
@@ -160,8 +182,8 @@ class Flight(NamedTuple):
         ballistic = sample.mass_height + rising * rising / (2 * gravity)
         flying = (touched > 0) & (force <= 0)
         higher = flying & (ballistic > self.apex + 1e-6)  # in flight it is constant except for rounding
-        inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
-        work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)
+        rises = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
+        work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(rises)
         absorbed = self.absorbed - sample.stop_power * period
         counts = higher | (self.apex == -jnp.inf)
         following = Flight(

@@ -85,6 +85,11 @@ class MuscleUnit(Component):
         """Points that its path goes through."""
         return ()
 
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """Parts of which the model of a joint alone may be made."""
+        return ()
+
     @abc.abstractmethod
     def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         """Return the muscles in a posture."""
@@ -133,6 +138,10 @@ class MusclePair(MuscleUnit):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return (self.over,)
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        return (self.joint,)
 
     def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         index = skeleton.number(self.over)
@@ -257,14 +266,15 @@ def check_contractions(
     owner: str, muscle: Muscle, paths: ArrayLike, places: Sequence[str], field: str = "muscle"
 ) -> None:
     """Raise where a path of a muscle is longer or shorter than its domain permits."""
-    numbers = muscle.specimen.initial_length, muscle.domain.contraction_min, muscle.domain.contraction_max
+    domain = muscle.domain
+    numbers = muscle.specimen.initial_length, domain.contraction_min, domain.contraction_max
     if not all(isinstance(one, Real) for one in numbers):
         return
     try:
         contractions = np.asarray(muscle.specimen.contraction_at(paths), float)
     except (TypeError, ValueError):  # of a geometry with many values
         return
-    lower, upper = muscle.domain.contraction_min, muscle.domain.contraction_max
+    lower, upper = domain.contraction_min, domain.contraction_max
     for place, contraction in zip(places, contractions, strict=True):
         if not lower - 1e-9 <= contraction <= upper + 1e-9:
             long = contraction < lower

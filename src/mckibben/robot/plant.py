@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirState, at_room_temperature
+from mckibben.component.base import Component
 from mckibben.component.checks import check_count, check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
@@ -125,6 +126,10 @@ class Tree(Mechanism):
     @property
     def muscles(self) -> tuple[Muscle, ...]:
         return self.robot.all_muscles
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        return (self.robot, *(part for unit in self.robot.muscles for part in unit.components))
 
     @property
     def frictions(self) -> tuple[JointFriction | None, ...]:

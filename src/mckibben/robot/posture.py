@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
@@ -199,8 +200,15 @@ class HeldPosture(NamedTuple):
 def holding_torques(robot: Robot, angles: Sequence[float], gravity: float = 9.81) -> Floats:
     """Return the torques [N*m] with which the muscles hold a posture, the base held; 0 of locked joints."""
     torques, free = np.zeros(len(robot.joints)), movable(robot)
-    torques[free] = np.array(joint_equations(robot, tuple(angles), (0.0,) * len(angles), gravity).bias, float)
+    torques[free] = _torques_at_rest((robot, tuple(np.asarray(angle, float) for angle in angles), gravity))
     return torques
+
+
+@compiled
+def _torques_at_rest(parts: tuple[Robot, tuple[ArrayLike, ...], ArrayLike], _: None) -> list[Array]:
+    """Torques [N*m] of gravity on the joints that can move."""
+    robot, angles, gravity = parts
+    return [jnp.asarray(torque) for torque in joint_equations(robot, angles, (0.0,) * len(angles), gravity).bias]
 
 
 def _pressure_ranges(

@@ -21,7 +21,7 @@ from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import jit
 from mckibben.robot.control import RobotController, TimedReference, TrackingControl, check_pairs
-from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, measure
+from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, inflow, measure
 from mckibben.robot.plant import RobotPlant, RobotSample, RobotStart
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -40,6 +40,7 @@ from mckibben.simulation.accuracy import (
 from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import LoopState, Record, control_period, initial_loop, of_any_length, positions_over_time
+from mckibben.simulation.metrics import Run, Totals, values_of
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampled_reference, sampling_times, single_run, split_runs
 from mckibben.simulation.result import RunResult
@@ -130,24 +131,33 @@ def robot_metrics(
     return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(count), period)
 
 
-def tracked_samples(
+def tracking_metrics(
     plant: RobotPlant, controller: TrackingControl, start: RobotStart, times: PyTree, period: ArrayLike, substeps: int
-) -> TrackingSample:
-    """Run a robot that follows references over time, and return its samples; a pure function."""
+) -> TrackingMetrics:
+    """Run a robot that follows references over time, and return its metrics alone, as `robot_metrics`."""
 
-    def advance(loop: LoopState, time: Array) -> tuple[LoopState, TrackingSample]:
+    def advance(carry: tuple[LoopState, PyTree, Totals], time: PyTree) -> tuple[tuple[LoopState, PyTree, Totals], None]:
+        loop, before, totals = carry
         following, record = control_period(plant, controller, loop, time, period, substeps)
         sample, setpoints = record.state, controller.setpoints_at(time)
         stiffness = plant.robot.stiffness(sample.angle, sample.pressure)
-        return following, TrackingSample(
+        kind = sample.z.dtype
+        terms = TrackingSample(
             tuple(angle - to.angle for angle, to in zip(sample.angle, setpoints, strict=True)),
             tuple(own - to.stiffness for own, to in zip(stiffness, setpoints, strict=True)),
-            record.telemetry.get("saturated", record.limited),
-            sample.outside,
-            sample.air_mass,
-        )
+            record.telemetry.get("saturated", record.limited).astype(kind),
+            sample.outside.astype(kind),
+            inflow(sample.air_mass, before),
+        ).totals
+        return (following, sample.air_mass, totals.merge(terms)), None
 
-    return lax.scan(advance, initial_loop(plant, controller, start), times)[1]
+    loop = initial_loop(plant, controller, start)
+    first = plant.observe(loop[0])
+    zeros, zero = tuple(jnp.zeros_like(angle) for angle in first.angle), jnp.zeros_like(first.z)
+    empty = TrackingSample(zeros, zeros, zero, zero, zero).totals.empty()
+    (_, _, totals), _ = lax.scan(advance, (loop, first.air_mass, empty), times)
+    count = jax.tree.leaves(times)[0].shape[0]
+    return values_of(TrackingMetrics, totals, Run(jnp.asarray(count), period))
 
 
 def setpoints_over(controller: PyTree, times: NDArray[np.float64], varying: PyTree = None) -> PyTree:
@@ -329,7 +339,7 @@ def simulate_robots(
         engine=engine,
         progress=progress,
     )
-    found: PyTree = TrackingMetrics.of(joined, control_period) if tracks else joined
+    found: PyTree = joined
     known = {name: getattr(found, name, 0.0) for name in ("time_outside_domain", "time_saturated")}
     errors = found.angle_max if tracks else [0.0 * found.peak_force, 0.0 * found.peak_trunk_force]  # NaN of a lost run
     codes = outcomes(known | {"angle_max": np.max(errors, axis=0)})
@@ -341,12 +351,12 @@ def simulate_robots(
 
 
 @BatchFunction
-def _run(given: Any, lane: Any) -> RobotMetrics | TrackingSample:
-    """Metrics of one run, or its samples."""
+def _run(given: Any, lane: Any) -> RobotMetrics | TrackingMetrics:
+    """Metrics of one run."""
     shared, times, period, substeps, kind, tracks = given
     run: tuple[Any, ...] = eqx.combine(lane, shared), times, period
     own, times, period = run if kind == "float64" else cast(run, jnp.dtype(kind))
-    compute = tracked_samples if tracks else robot_metrics
+    compute = tracking_metrics if tracks else robot_metrics
     return compute(own.plant, own.controller, own.start, times, period, substeps)
 
 

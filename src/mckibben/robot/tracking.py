@@ -14,7 +14,7 @@ from mckibben.errors import McKibbenError
 from mckibben.result import Column, Remark
 from mckibben.robot.attainable import attainable_statics
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.metrics import TrackingMetrics, TrackingSample
+from mckibben.robot.metrics import TrackingMetrics, TrackingSample, inflow
 from mckibben.robot.posture import EXACT, Floats, holding_torques, is_affine
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import RobotResult, simulate_robot
@@ -42,7 +42,9 @@ class TrackingResult(RobotResult):
 
     def _measure(self) -> TrackingMetrics:
         angle, stiffness = (tuple(self[name] - self[f"desired_{name}"]) for name in ("angle", "stiffness"))
-        rest: PyTree = self["saturated"], self["outside"], tuple(self["air_mass"])
+        air: PyTree = self["air_mass"]
+        drawn = inflow(air, tuple(np.concatenate([air[:, :1], air[:, :-1]], axis=1)))
+        rest: PyTree = self["saturated"], self["outside"], drawn
         return TrackingMetrics.of(TrackingSample(angle, stiffness, *rest), self.control_period)
 
     def verdict(self) -> str:

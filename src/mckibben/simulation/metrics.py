@@ -87,10 +87,10 @@ class RootMeanSquare(Metric):
     """Root mean square of an error; its derivative at 0 is 0."""
 
     def terms(self, sample: PyTree) -> Totals:
-        return Totals({f"{self.of}^2": jnp.square(getattr(sample, self.of))}, {})
+        return Totals({f"{self.of}^2": jax.tree.map(jnp.square, getattr(sample, self.of))}, {})
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        return root(totals.sums[f"{self.of}^2"] / run.periods)
+        return jax.tree.map(lambda square: root(square / run.periods), totals.sums[f"{self.of}^2"])
 
 
 class Largest(Metric):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import over_periods
+from mckibben.component.base import Component
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, DiscreteTimeSystem, Reference, Setpoint
 from mckibben.control.reference import Signal
@@ -99,24 +100,27 @@ def split_problem(
     whole = whole._replace(plant=plant, controller=type(controller).with_period(controller, control_period))
     count, varying = lanes_of(whole)
     plant = numeric(whole.plant)
-    controller = _sharing(whole.controller, getattr(whole.plant, "joint", None), getattr(plant, "joint", None))
+    controller = _sharing(whole.controller, whole.plant.mechanism.components, plant.mechanism.components)
     whole = numeric(whole._replace(plant=None, controller=None))._replace(plant=plant, controller=controller)
     return (None, whole, None) if count is None else (*eqx.partition(whole, varying), count)
 
 
-def _sharing(controller: PyTree, joint: object, number: object) -> PyTree:
-    """`numeric` controller, in which a model of the joint that equals the plant's is that one as `numeric`, `number`.
+def _sharing(controller: PyTree, parts: Iterable[Component], numbers: Iterable[Component]) -> PyTree:
+    """`numeric` controller, in which models that equal parts of the mechanism are these as `numeric`, `numbers`.
 
     Programs then compute once what both need, such as the stiffness at the measured angle.
     """
+    known: dict[type, list[tuple[Component, Component]]] = {}
+    for part, number in zip(parts, numbers, strict=True):
+        known.setdefault(type(part), []).append((part, number))
 
-    def is_model(node: object) -> bool:
-        return joint is not None and type(node) is type(joint)
+    def equal_part(node: object) -> Component | None:
+        return next((number for part, number in known.get(type(node), ()) if _equal(node, part)), None)
 
     def shared(node: object) -> object:
-        return number if is_model(node) and _equal(node, joint) else numeric(node)
+        return numeric(node) if (number := equal_part(node)) is None else number
 
-    return jax.tree.map(shared, controller, is_leaf=is_model)
+    return jax.tree.map(shared, controller, is_leaf=lambda node: equal_part(node) is not None)
 
 
 def _equal(one: PyTree, other: PyTree) -> bool:
