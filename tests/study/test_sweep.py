@@ -13,7 +13,7 @@ import xarray as xr
 
 from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, ParameterError, SimulationError
-from mckibben.scenario import Scenario, run_scenario
+from mckibben.scenario import Scenario, read_scenario, run_scenario
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS, USUAL_METRICS
 from mckibben.simulation.outcome import OUTCOMES
@@ -273,3 +273,21 @@ def test_all_runs_failed(count):
     assert sum(tables(swept)["Outcomes"].columns["runs"][1]) == count
     assert f"{count} of them failed" in swept.verdict()
     swept.to_text(), to_json(swept.to_dict())
+
+
+@pytest.mark.slow
+def test_a_robot_is_swept_with_the_metrics_of_each_joint(tmp_path):
+    """They are those of the single runs, also of a study that is continued."""
+    leg = read_scenario(EXAMPLE.parent / "robot" / "lei-leg-control.yaml").replace(duration=0.2)
+    over = ["robot.bodies.1.mass=0.4 kg..0.6 kg", "controller.minimum_tension=5..8 N"]
+    swept = sweep(leg, over, samples=3, out=tmp_path / "leg")
+    assert swept.metrics[:3] == ("angle_rmse.side", "angle_rmse.hip", "angle_rmse.knee")
+    for run in range(3):
+        alone = swept.scenario(run).run_once().metrics
+        for number, joint in enumerate(leg.joint_names):
+            for name in ("angle_rmse", "stiffness_rmse"):
+                assert swept[f"{name}.{joint}"][run] == pytest.approx(alone[name][number], rel=1e-6)
+        assert swept["air"][run] == pytest.approx(alone["air"], rel=1e-6)
+    again = sweep(leg, out=tmp_path / "leg", resume=True)
+    assert again.computed == 0 and again.table.identical(swept.table)
+    assert swept.plot().axes

@@ -61,19 +61,20 @@ def sweep(
     dask : ADDRESS
         tcp://HOST:PORT of a dask scheduler, to whose workers the runs go. Default: threads.
     """
-    from mckibben.scenario import Scenario, read_scenario
+    from mckibben.scenario import read_scenario
 
+    read = read_scenario(scenario)
     if list_:
         from mckibben.study.parameters.listing import ParameterList
 
-        return ParameterList.of(read_scenario(scenario))
+        return ParameterList.of(read)
     out = required_folder(out, "sweep")
     from mckibben.study.sweep import SweepResult
     from mckibben.study.sweep import sweep as run
 
     check_results(out, SweepResult, resume)
     return run(
-        Scenario.read(scenario),
+        read,
         over or None,
         out=out,
         design=design,

@@ -16,7 +16,7 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, printable
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
-from mckibben.joint.route import Route, pair_routes
+from mckibben.joint.route import Route, init_states, pair_routes, update_states
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE
@@ -286,8 +286,7 @@ class AntagonisticJoint(Component):
         """Return unstressed, relaxed internal states of the muscles."""
         if not (self.has_friction or self.has_creep):
             return NO_STATES
-        points = zip(self.muscles, self.contractions(angle, pressures), pressure_pair(pressures), strict=True)
-        state1, state2 = (muscle.init_state(contraction, pressure) for muscle, contraction, pressure in points)
+        state1, state2 = init_states(self.routes(angle), pressure_pair(pressures))
         return state1, state2
 
     def state_rate(
@@ -296,18 +295,15 @@ class AntagonisticJoint(Component):
         """Return the time derivatives of the internal states at an angular velocity [rad/s]."""
         if not self.has_creep:
             return NO_STATES
-        (arm1, arm2), (pressure1, pressure2) = self.geometry.moment_arms(angle), pressure_pair(pressures)
-        return (  # muscle 1 lengthens as the angle increases
-            self.muscle1.state_rate(states[0], arm1 * velocity, pressure1),
-            self.muscle2.state_rate(states[1], -arm2 * velocity, pressure2),
-        )
+        points = zip(self.routes(angle), states, pressure_pair(pressures), strict=True)
+        rate1, rate2 = (route.muscle.state_rate(state, route.rate((velocity,)), p) for route, state, p in points)
+        return rate1, rate2
 
     def update_state(self, states: MuscleStates, angle: ArrayLike, pressures: Pressures) -> MuscleStates:
         """Return the internal states after a short move to an angle and pressures; the forces do not change."""
         if not (self.has_friction or self.has_creep):
             return states
-        points = zip(self.muscles, states, self.contractions(angle, pressures, states), pressures, strict=True)
-        state1, state2 = (muscle.update_state(state, *point) for muscle, state, *point in points)
+        state1, state2 = update_states(self.routes(angle), states, pressure_pair(pressures))
         return state1, state2
 
     def forces(
@@ -318,19 +314,13 @@ class AntagonisticJoint(Component):
         A velocity of None leaves out the viscous part of friction. No tension is negative.
         """
         _warn_outside(self, angle, pressures)
-        pressure1, pressure2 = pressure_pair(pressures)
-        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
-
-        def pull(muscle: Muscle, state: MuscleState, path: Array, arm: Array, pressure: ArrayLike) -> Pair:
-            contraction = self.tendon.contraction(muscle, path, pressure, state)
-            tension = muscle.tension(contraction, pressure, state)
-            if velocity is not None:
-                tension = tension + muscle.viscous_force(contraction, pressure, arm * floating(velocity), state)
-            return tension, contraction
-
-        tension1, contraction1 = pull(self.muscle1, states[0], path1, arm1, pressure1)
-        tension2, contraction2 = pull(self.muscle2, states[1], path2, -arm2, pressure2)
-        return MuscleForces((tension1, tension2), tension2 * arm2 - tension1 * arm1, (contraction1, contraction2))
+        points = zip(self.routes(angle), pressure_pair(pressures), states, strict=True)
+        (tension1, contraction1, slope1), (tension2, contraction2, slope2) = (
+            (*route.forces(p, state, None if velocity is None else route.rate((floating(velocity),))), route.slopes[0])
+            for route, p, state in points
+        )
+        torque = -tension2 * slope2 - tension1 * slope1
+        return MuscleForces((tension1, tension2), torque, (contraction1, contraction2))
 
     def friction_torque(
         self, angle: ArrayLike, velocity: ArrayLike | None, pressures: Pressures, states: MuscleStates

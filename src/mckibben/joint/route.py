@@ -37,12 +37,40 @@ class Route(NamedTuple):
         """Return the contraction [-] of the muscle at a gauge pressure [Pa]."""
         return self.tendon.contraction(self.muscle, self.path, pressure, state)
 
+    def forces(self, pressure: ArrayLike, state: MuscleState, rate: ArrayLike | None) -> tuple[Array, Array]:
+        """Return the tension [N] with friction and creep, at a rate of the path [m/s], and the contraction [-].
+
+        A rate of None leaves out the viscous part of friction.
+        """
+        muscle, contraction = self.muscle, self.contraction(pressure, state)
+        tension = muscle.tension(contraction, pressure, state)
+        if rate is not None and muscle.has_friction:
+            tension = tension + muscle.viscous_force(contraction, pressure, rate, state)
+        return tension, contraction
+
     def rate(self, rates: Sequence[ArrayLike]) -> Array:
         """Return the rate [m/s] of the length of the path, at rates [rad/s] of all joints."""
         rate: Any = 0.0
         for joint, slope in self.slopes.items():
             rate = total(rate, product(slope, rates[joint]))
         return rate
+
+
+def init_states(routes: Sequence[Route], pressures: Sequence[ArrayLike]) -> tuple[MuscleState, ...]:
+    """Return the unstressed, relaxed states of muscles at gauge pressures [Pa]."""
+    points = zip(routes, pressures, strict=True)
+    return tuple(route.muscle.init_state(route.contraction(pressure), pressure) for route, pressure in points)
+
+
+def update_states(
+    routes: Sequence[Route], states: Sequence[MuscleState], pressures: Sequence[ArrayLike]
+) -> tuple[MuscleState, ...]:
+    """Return the states of muscles after a short move, projected on their bounds; no force changes by it."""
+    points = zip(routes, states, pressures, strict=True)
+    return tuple(
+        route.muscle.update_state(state, route.contraction(pressure, state), pressure)
+        for route, state, pressure in points
+    )
 
 
 def pair_routes(

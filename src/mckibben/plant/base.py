@@ -20,7 +20,8 @@ from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes, d
 from mckibben.component.base import Component
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement
-from mckibben.muscle import NO_STATE, Muscle, MuscleState
+from mckibben.joint.route import init_states, update_states
+from mckibben.muscle import Muscle, MuscleState
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.batching import fusion_barrier
 from mckibben.numerics.calculus import rk4, value_and_derivative
@@ -229,10 +230,8 @@ class Plant(Component, Generic[S]):
         torques: list[Any] = [0.0] * len(rates)
         tensions, contractions, path_rates = [], [], []
         for route, pressure, held in zip(mechanism.routes(position), state.pressures, state.muscles, strict=True):
-            contraction, path_rate = route.contraction(pressure, held), route.rate(rates)
-            tension = route.muscle.tension(contraction, pressure, held)
-            if held != NO_STATE:
-                tension = tension + route.muscle.viscous_force(contraction, pressure, path_rate, held)
+            path_rate = route.rate(rates)
+            tension, contraction = route.forces(pressure, held, path_rate)
             for joint, slope in route.slopes.items():
                 torques[joint] = difference(torques[joint], tension * slope)
             tensions.append(tension)
@@ -270,13 +269,7 @@ class Plant(Component, Generic[S]):
             state = state._replace(friction=self.mechanism.like_joints(frictions))
         if not any(held.friction or held.creep for held in state.muscles):
             return state
-        routes = zip(self.mechanism.routes(state[0]), state.pressures, state.muscles, strict=True)
-        return state._replace(
-            muscles=tuple(
-                route.muscle.update_state(held, route.contraction(pressure, held), pressure)
-                for route, pressure, held in routes
-            )
-        )
+        return state._replace(muscles=update_states(self.mechanism.routes(state[0]), state.muscles, state.pressures))
 
     def air_volumes(self, state: S) -> Sequence[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included, at the velocity of a state."""
@@ -286,8 +279,7 @@ class Plant(Component, Generic[S]):
 
     def init_muscles(self, state: S) -> tuple[MuscleState, ...]:
         """Return the relaxed states of the muscles at the positions and pressures of a state."""
-        routes = zip(self.mechanism.routes(state[0]), state.pressures, strict=True)
-        return tuple(route.muscle.init_state(route.contraction(pressure), pressure) for route, pressure in routes)
+        return init_states(self.mechanism.routes(state[0]), state.pressures)
 
     def init_friction(self, state: S) -> Any:
         """Return the unstressed states of the friction of the joints at the positions of a state."""

@@ -71,10 +71,10 @@ class Hinge(Mechanism):
     def coordinates(self) -> int:
         return 1
 
-    def by_joint(self, value: Any) -> tuple[Any]:
+    def by_joint(self, value: PyTree) -> tuple[PyTree]:
         return (value,)
 
-    def like_joints(self, values: Sequence[Any], template: Any = None) -> Any:
+    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
         (value,) = values
         return value
 

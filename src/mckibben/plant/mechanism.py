@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any
 
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from mckibben.component.base import Component
 from mckibben.joint.route import Route
@@ -47,19 +46,19 @@ class Mechanism(abc.ABC):
         return False
 
     @abc.abstractmethod
-    def by_joint(self, value: Any) -> tuple[Any, ...]:
+    def by_joint(self, value: PyTree) -> tuple[PyTree, ...]:
         """Return a position, velocity, torque or state of friction as a tuple over the joints."""
 
     @abc.abstractmethod
-    def like_joints(self, values: Sequence[Any], template: Any = None) -> Any:
+    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
         """Return a tuple over the joints in the form of a template, by default that of a torque."""
 
     @abc.abstractmethod
-    def routes(self, position: Any) -> Sequence[Route]:
+    def routes(self, position: PyTree) -> Sequence[Route]:
         """Return all muscles with their paths in a position."""
 
     @abc.abstractmethod
-    def acceleration(self, position: Any, velocity: Any, torques: Sequence[Array]) -> Any:
+    def acceleration(self, position: PyTree, velocity: PyTree, torques: Sequence[Array]) -> PyTree:
         """Return the acceleration [rad/s^2, m/s^2] under torques [N*m] of muscles, friction and disturbance by joint.
 
         It has the form of a velocity. Gravity, damping, stops and ground act as well.

@@ -31,7 +31,6 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.simulation.metrics import METRICS
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import bar, factor, percent
 
@@ -127,7 +126,7 @@ def sweep(swept: SweepResult) -> Figure:
             plain_numbers(column[0].xaxis)
         column[-1].set_xlabel(swept_input.label)
     for axes, metric in zip(grid[:, 0], metrics, strict=False):
-        axes.set_ylabel(_label(metric))
+        axes.set_ylabel(_label(swept, metric))
     if len(heights) > len(metrics):
         grid[-1, 0].set_ylabel("unstable runs [%]")
         grid[-1, 0].set_ylim(0, 1.1 * max(line.get_ydata().max() for axes in grid[-1] for line in axes.lines))
@@ -164,7 +163,7 @@ def _input(swept: SweepResult, name: str) -> _Input:
 
 
 def _metric(axes: Axes, swept_input: _Input, swept: SweepResult, metric: str) -> None:
-    values = swept.table[metric].to_numpy().astype(float) / _shown(metric)[1]
+    values = swept.table[metric].to_numpy().astype(float) / swept.label(metric).size
     valid = ~swept.failed & np.isfinite(values)
     x, y = swept_input.values[valid], values[valid]
     low, high = np.percentile(y, [5, 95])
@@ -200,13 +199,9 @@ def _lost(axes: Axes, swept_input: _Input, lost: NDArray[np.bool_]) -> None:
     axes.plot(middles, shares, color=VERMILLION, marker="o", markersize=2.2, linewidth=1.0)
 
 
-def _shown(metric: str) -> tuple[str, float]:
-    return next((unit, size) for name, unit, size in METRICS.values() if name == metric)
-
-
-def _label(metric: str) -> str:
-    words = metric.replace("rmse", "RMSE").replace("_", " ")
-    return f"{words} [{_shown(metric)[0].replace('*', '·')}]"
+def _label(swept: SweepResult, metric: str) -> str:
+    words = metric.replace("rmse", "RMSE").replace("_", " ").replace(".", ", ")
+    return f"{words} [{swept.label(metric).shown_unit.replace('*', '·')}]"
 
 
 _UNKNOWN, _OUT = "#C9C9C9", "#FFFFFF"

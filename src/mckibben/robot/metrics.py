@@ -101,14 +101,18 @@ class RobotMetrics(NamedTuple):
 class TrackingMetrics(NamedTuple):
     """Metrics of a robot whose joints follow references, in SI: those of `Metrics` of each joint, or of all."""
 
-    angle_rmse: Annotated[Any, RootMeanSquare("rad", "angle error (RMS)", of="angle_error", shown="deg", along="joint")]
-    angle_max: Annotated[Any, LargestError("rad", "largest angle error", of="angle_error", shown="deg", along="joint")]
-    stiffness_rmse: Annotated[
-        Any, RootMeanSquare("N*m/rad", "stiffness error (RMS)", of="stiffness_error", along="joint")
+    angle_rmse: Annotated[
+        tuple[Scalar, ...], RootMeanSquare("rad", "angle error (RMS)", of="angle_error", shown="deg", along="joint")
     ]
-    time_saturated: Annotated[Any, Duration("s", "time saturated", of="saturated")]
-    time_outside_domain: Annotated[Any, Duration("s", "time with a muscle outside its domain", of="outside")]
-    air: Annotated[Any, Total("m^3", "air consumption, as a volume at atmospheric pressure", of="inflow", shown="L")]
+    angle_max: Annotated[
+        tuple[Scalar, ...], LargestError("rad", "largest angle error", of="angle_error", shown="deg", along="joint")
+    ]
+    stiffness_rmse: Annotated[
+        tuple[Scalar, ...], RootMeanSquare("N*m/rad", "stiffness error (RMS)", of="stiffness_error", along="joint")
+    ]
+    time_saturated: Annotated[Scalar, Duration("s", "time saturated", of="saturated")]
+    time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
+    air: Annotated[Scalar, Total("m^3", "air consumption, as a volume at atmospheric pressure", of="inflow", shown="L")]
 
     @classmethod
     def of(cls, samples: TrackingSample, period: ArrayLike) -> TrackingMetrics:

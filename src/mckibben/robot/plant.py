@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator.base import Actuator, AirState, at_room_temperature
 from mckibben.component.base import Component
@@ -121,7 +121,7 @@ class Tree(Mechanism):
 
     robot: Robot
     ground: Ground
-    gravity: Any
+    gravity: PyTree
 
     @property
     def muscles(self) -> tuple[Muscle, ...]:
@@ -143,10 +143,10 @@ class Tree(Mechanism):
     def has_contacts(self) -> bool:
         return bool(self.robot.spheres)
 
-    def by_joint(self, value: Any) -> tuple[Any, ...]:
+    def by_joint(self, value: PyTree) -> tuple[PyTree, ...]:
         return value.angles if isinstance(value, Posture) else value
 
-    def like_joints(self, values: Sequence[Any], template: Any = None) -> Any:
+    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
         return tuple(values) if template is None else template._replace(angles=tuple(values))
 
     def routes(self, position: Posture) -> Sequence[Route]:

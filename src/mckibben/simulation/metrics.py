@@ -272,8 +272,13 @@ class Metrics(NamedTuple):
     command_travel: Annotated[Array, LargerRate("Pa/s", "travel of a command per second", of="travel", shown="bar/s")]
 
 
-USUAL_METRICS = tuple(name for name in Metrics._fields if name != "coupling")
-"""Metrics of batches unless others are asked for: the coupling needs a second run."""
+def usual_metrics(kind: Any) -> tuple[str, ...]:
+    """Return the metrics of a class that batches compute unless others are asked for: `coupling` needs a second run."""
+    return tuple(name for name in kind._fields if name != "coupling")
+
+
+USUAL_METRICS = usual_metrics(Metrics)
+"""Those of a joint."""
 
 _SUFFIXES = {"N*m/rad": "", "1/s": "_per_s", "bar/s": "_bar_per_s"}
 METRICS: dict[str, tuple[str, str, float]] = {

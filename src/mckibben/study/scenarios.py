@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.scenario import Scenario, batched
+from mckibben.scenario import StudiedScenario, batched
 from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, check_study, read_store
 from mckibben.study.parameters import (
@@ -37,6 +37,7 @@ class ScenarioStudy(Study):
     ...
     ...     def compute(self, rows):
     ...         return {"gravity": self.scenarios(rows).plant().load.gravity_stiffness(0.0)}
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> records = Gravity.carry_out(scenario, ["load.mass2=0.2 kg..0.8 kg"], samples=4)
     >>> records.rows["load.mass2"].shape == records.columns["gravity"].shape == (4,)
@@ -46,7 +47,7 @@ class ScenarioStudy(Study):
     format: ClassVar[str] = ""
     """Name of the kind of study in its file. Default: module and class."""
 
-    scenario: Scenario
+    scenario: StudiedScenario
     swept: tuple[SweptParameter, ...]
     design: SamplingMethod
     samples: int
@@ -56,7 +57,7 @@ class ScenarioStudy(Study):
     @classmethod
     def of(
         cls,
-        scenario: Scenario,
+        scenario: StudiedScenario,
         over: Sweepable | None,
         begun: Mapping[str, Any] | None = None,
         *,
@@ -85,7 +86,7 @@ class ScenarioStudy(Study):
     @classmethod
     def carry_out(
         cls,
-        scenario: Scenario,
+        scenario: StudiedScenario,
         over: Sweepable | None = None,
         *,
         out: str | os.PathLike[str] | None = None,
@@ -136,14 +137,14 @@ class ScenarioStudy(Study):
             "seed": self.seed,
             "software": software(),
             "digest of values": digest(self.rows()),
-            "digest of model": digest((first.plant(), first.control(), first.reference())),
+            "digest of model": digest((first.plant(), first.control(), first.references())),
         }
 
     def rows(self) -> Table:
         """Return the values of the varied parameters [SI], shape (samples,)."""
         return sample(self.swept, self.design, self.samples, self.seed)
 
-    def scenarios(self, rows: Table) -> Scenario:
+    def scenarios(self, rows: Table) -> StudiedScenario:
         """Return the scenarios of some rows as one, whose plant, controller and reference have arrays (`batched`)."""
         return batched(self.scenario, rows)
 
@@ -169,7 +170,7 @@ def begun_settings(out: str | os.PathLike[str] | None, kind: str, *, resume: boo
     return about
 
 
-def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, ...]:
+def _swept(over: Sweepable | None, scenario: StudiedScenario) -> tuple[SweptParameter, ...]:
     if isinstance(over, str):
         over = [over]
     if isinstance(over, Mapping) and over:

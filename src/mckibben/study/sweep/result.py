@@ -16,11 +16,10 @@ from mckibben.component.columns import attributes
 from mckibben.dataset.schema import write_netcdf
 from mckibben.errors import ParameterError
 from mckibben.result import Column, Listing, Remark
-from mckibben.scenario import ModelFollows, Scenario, with_values
-from mckibben.simulation import Metrics
+from mckibben.scenario import ModelFollows, StudiedScenario, with_values
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import RunTable, outcome_variable
-from mckibben.simulation.metrics import METRICS
+from mckibben.simulation.metrics import Metric, metrics_of
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import SweptParameter
 from mckibben.study.study import Table
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 MAIN = ("angle_rmse", "stiffness_rmse", "coupling")
 """Metrics used in correlations and figures, if they were computed."""
 
-_SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
+_MOST = 6  # metrics in correlations and figures
 
 
 class SweepResult(RunTable):
@@ -45,7 +44,7 @@ class SweepResult(RunTable):
     figures = ("sweep",)
     files = ("sweep.nc",)
 
-    nominal: Scenario
+    nominal: StudiedScenario
     model_follows: ModelFollows = ()
     """Varied plant parameters that the controller's model follows."""
     computed: int = field(default=0)
@@ -53,7 +52,7 @@ class SweepResult(RunTable):
     @classmethod
     def of(
         cls,
-        scenario: Scenario,
+        scenario: StudiedScenario,
         about: Mapping[str, Any],
         inputs: Mapping[SweptParameter, NDArray],
         columns: Table,
@@ -81,8 +80,9 @@ class SweepResult(RunTable):
             units = {"units": swept.parameter.unit, "shown_units": swept.parameter.shown}
             about_input = units | {"long_name": swept.name, "over": swept.text, "role": "input"}
             variables[swept.name] = "run", values, about_input
-        names = (*about["metrics"], *STEP_COLUMNS)
-        variables |= {name: ("run", columns[name], attributes(name)) for name in names}
+        for name, values in columns.items():
+            if name != "outcome":
+                variables[name] = "run", values, _attributes(name)
         variables |= outcome_variable(columns["outcome"])
         attrs = {"title": scenario.name, "scenario": about["scenario"], "manifest": json.dumps(about, sort_keys=True)}
         return cls(xr.Dataset(variables, attrs=attrs), scenario, tuple(about["model_follows"]), computed)
@@ -94,20 +94,26 @@ class SweepResult(RunTable):
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Names of the computed metrics."""
-        return tuple(name for name in Metrics._fields if name in self.table)
+        """Names of the computed metrics; of those along the joints of a robot, with the joint: ``angle_rmse.hip``."""
+        order = list(self.nominal.metrics._fields)
+        names = [str(name) for name in self.table if str(name).partition(".")[0] in order and name not in self.inputs]
+        return tuple(sorted(names, key=lambda name: order.index(name.partition(".")[0])))
 
     @property
     def main_metrics(self) -> tuple[str, ...]:
-        """Up to three metrics that have values: the main ones, or else others."""
+        """Up to three metrics that have values: the main ones, or else others; up to six of several joints."""
         finite = [name for name in self.metrics if self.values(name).size]
-        return tuple([name for name in MAIN if name in finite] or finite[:3])
+        return tuple([name for name in finite if name.partition(".")[0] in MAIN][:_MOST] or finite[:3])
+
+    def label(self, metric: str) -> Metric:
+        """Return unit and meaning of a metric."""
+        return metrics_of(self.nominal.metrics)[metric.partition(".")[0]]
 
     def values(self, metric: str) -> NDArray[np.float64]:
         """Return a metric [SI] of the runs that did not fail and have a value of it."""
         return self._frame[metric].dropna().to_numpy()
 
-    def scenario(self, run: int) -> Scenario:
+    def scenario(self, run: int) -> StudiedScenario:
         """Return the scenario of one run, numbered from 0; the controller's model is explicit if the plant varied.
 
         Raises `ParameterError` if there is no such run.
@@ -144,7 +150,7 @@ class SweepResult(RunTable):
         ranks = self.correlations().rename_axis("parameter").reset_index()
         ranks = ranks.melt("parameter", var_name="metric", value_name="Spearman").dropna()
         ranks = ranks.sort_values("Spearman", key=abs, ascending=False, kind="stable").head(10)
-        ranks["metric"] = ranks["metric"].str.replace("_", " ")
+        ranks["metric"] = ranks["metric"].str.replace("_", " ").str.replace(".", ", ")
         if ranks.size:
             yield Listing.of("Rank correlations, strongest first", list(map(str, ranks)), ranks.to_numpy().tolist())
 
@@ -154,11 +160,12 @@ class SweepResult(RunTable):
         In shown units, over the runs that did not fail and have a value.
         """
         rows: list[tuple[object, ...]] = []
-        for metric, (_, unit, scale) in ((name, METRICS[_SHOWN[name]]) for name in self.metrics):
-            values = self._frame[metric].dropna() / scale
+        for metric in self.metrics:
+            label = self.label(metric)
+            values = self._frame[metric].dropna() / label.size
             if values.size:
-                quantiles = values.quantile([0.5, 0.05, 0.95]).tolist()
-                rows.append((metric.replace("_", " "), unit, *quantiles, values.max(), values.idxmax(), values.size))
+                numbers = *values.quantile([0.5, 0.05, 0.95]).tolist(), values.max(), values.idxmax(), values.size
+                rows.append((metric.replace("_", " ").replace(".", ", "), label.shown_unit, *numbers))
         return rows
 
     def correlations(self, *, least_runs: int = 3) -> pd.DataFrame:
@@ -178,3 +185,10 @@ class SweepResult(RunTable):
 
         metrics = {name: np.where(np.isfinite(self[name]) & ~self.failed, self[name], np.nan) for name in self.metrics}
         return pd.DataFrame({name: self[name].astype(float) for name in self.inputs} | metrics)
+
+
+def _attributes(column: str) -> dict[str, str]:
+    """Attributes of a column, with the joint of a metric of one."""
+    name, _, joint = column.partition(".")
+    about = attributes(name)
+    return about | {"long_name": f"{about['long_name']}, {joint}"} if joint else about

@@ -13,11 +13,11 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.errors import SimulationError
 from mckibben.notebook import Progress
-from mckibben.scenario import ModelFollows, Scenario, batched, followed_names, run_many
-from mckibben.simulation import Batch, Metrics
+from mckibben.scenario import ModelFollows, StudiedScenario, batched, followed_names, run_many
+from mckibben.simulation import Batch
 from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
-from mckibben.simulation.metrics import USUAL_METRICS
+from mckibben.simulation.metrics import usual_metrics
 from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.cluster import check_cluster
@@ -42,7 +42,7 @@ class Sweep(ScenarioStudy):
     @classmethod
     def of(
         cls,
-        scenario: Scenario,
+        scenario: StudiedScenario,
         over: Sweepable | None,
         begun: Mapping[str, Any] | None = None,
         *,
@@ -53,13 +53,13 @@ class Sweep(ScenarioStudy):
     ) -> Sweep:
         """Return a sweep with the arguments of `sweep`; raises `ParameterError` for invalid ones."""
         begun = begun or {}
-        chosen = begun.get("metrics", USUAL_METRICS) if metrics is None else metrics
-        check_names("metric", chosen, Metrics._fields)
+        chosen = begun.get("metrics", usual_metrics(scenario.metrics)) if metrics is None else metrics
+        check_names("metric", chosen, scenario.metrics._fields)
         follows = begun.get("model_follows", ()) if model_follows is None else model_follows
         engine = engine_of_job(set, begun["software"], engine) if begun else engine
         own: dict[str, Any] = {"metrics": tuple(chosen), "model_follows": (), "software": software(engine)}
         study = super().of(scenario, over, begun, **sampling, **own, batch_size=0, block=0)
-        check_frequencies(study.scenarios(study.rows()).reference(), scenario.control_period)
+        check_frequencies(study.scenarios(study.rows()).references(), scenario.control_period)
         batch_size, block = _sizes(study.samples, engine)
         followed = followed_names(scenario, follows, [parameter.name for parameter in study.swept])
         return replace(study, model_follows=followed, batch_size=batch_size, block=block)
@@ -75,7 +75,7 @@ class Sweep(ScenarioStudy):
             "software": dict(self.software),
         }
 
-    def scenarios(self, rows: Table) -> Scenario:
+    def scenarios(self, rows: Table) -> StudiedScenario:
         """Return the scenarios of some rows as one; the controller's model has the values of `model_follows`."""
         return batched(self.scenario, rows, model_follows=self.model_follows)
 
@@ -91,7 +91,17 @@ class Sweep(ScenarioStudy):
         full = {name: np.concatenate([column, np.repeat(column[-1:], padding)]) for name, column in rows.items()}
         batch = self._simulate(full, chunk=self.batch_size, engine=engine)
         columns = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
-        return select(columns, slice(count))
+        return select(self._by_joint(columns), slice(count))
+
+    def _by_joint(self, columns: Table) -> Table:
+        """Return columns of the runs, one for each joint of a metric along the joints, such as ``angle_rmse.hip``."""
+        table: dict[str, Any] = {}
+        for name, values in columns.items():
+            if values.ndim == 1:
+                table[name] = values
+            else:
+                table |= {f"{name}.{joint}": row for joint, row in zip(self.scenario.joint_names, values, strict=True)}
+        return table
 
     def block_size(self) -> int:
         """Return the number of runs that are computed and kept together."""
@@ -109,7 +119,7 @@ class Sweep(ScenarioStudy):
 
 @checked_call
 def sweep(
-    scenario: Scenario,
+    scenario: StudiedScenario,
     over: Sweepable | None = None,
     *,
     out: str | os.PathLike[str] | None = None,
@@ -140,7 +150,7 @@ def sweep(
     design, samples, seed
         Sampling as for `mckibben.study.parameters.sample`. Defaults: "sobol", 1024 and 0.
     metrics
-        Metrics to compute. Default: all but `coupling`.
+        Metrics to compute, by joint for a robot. Default: all but `coupling`.
     resume
         Continue the sweep in `out`. Options left out are taken from it; others must match.
     dask
