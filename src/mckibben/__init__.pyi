@@ -104,6 +104,7 @@ from .simulation import (
 )
 from .scenario import (
     Scenario as Scenario,
+    read_scenario as read_scenario,
 )
 from .study.inputs import (
     identify as identify,

@@ -350,3 +350,17 @@ def test_a_locked_joint_is_refused():
     with pytest.raises(RangeError) as caught:
         ComputedTorque(mk.PolePlacement(30.0), robot=locked, valve=mk.FirstOrderValve(0.02))
     assert caught.value.field == "robot" and caught.value.remedy
+
+
+@pytest.mark.slow
+def test_a_scenario_of_a_robot_has_the_methods_of_one_of_a_joint(tmp_path):
+    path = tmp_path / "one.yaml"
+    path.write_text(ONE + PID, encoding="utf-8")
+    scenario = mk.read_scenario(path)
+    assert {"simulate", "margins", "tune", "compare", "export"} <= set(dir(scenario))
+    run = scenario.simulate(duration=0.1)
+    assert run.duration == pytest.approx(0.1) and run.plot().axes
+    np.testing.assert_array_equal(run["angle"], scenario.replace(duration=0.1).run_once()["angle"])
+    assert "computed torque" in scenario.suite().controllers
+    scenario.export("c", tmp_path / "c")
+    assert list((tmp_path / "c").glob("*.c"))

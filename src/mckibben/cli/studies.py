@@ -249,7 +249,7 @@ def _suite(file: Path) -> ControllerSuite:
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text
     from mckibben.robot.comparison import RobotSuite
-    from mckibben.scenario import Scenario, read_scenario
+    from mckibben.scenario import read_scenario
     from mckibben.study.compare import Suite
 
     keys = read_document(read_text(file)).data or {}
@@ -257,8 +257,7 @@ def _suite(file: Path) -> ControllerSuite:
         return RobotSuite.read(file)
     if not {"controller", "robot"} & {*keys}:
         return Suite.read(file)
-    scenario = read_scenario(file)
-    suite = Suite.of(scenario) if isinstance(scenario, Scenario) else RobotSuite.of(scenario)
+    suite: ControllerSuite = read_scenario(file).suite()
     echo(
         f"suite of the scenario: {', '.join(suite.controllers)}; varied: {', '.join(suite.conditions)}. For other "
         "controllers and conditions, edit suite.yaml in DIR, and compare that",

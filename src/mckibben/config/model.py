@@ -282,7 +282,7 @@ def validated(
 
 
 _KINDS = (
-    ({"robot"}, "a robot, which `mckibben robot`, `simulate`, `margins` and `tune` read"),
+    ({"robot"}, "a robot, which `mckibben robot`, `simulate`, `margins`, `tune`, `sweep`, `compare` and `export` read"),
     ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
     ({"muscle", "rig"}, "a protocol, which `mckibben rig run` reads"),

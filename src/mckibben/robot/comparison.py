@@ -102,7 +102,8 @@ class RobotSuite(ControllerSuite):
 def _default_controllers(scenario: RobotScenario) -> dict[str, RobotScenario]:
     """The controllers that apply to a robot, other than its own."""
     own = [scenario.controller, *scenario.controllers.values()]
-    sections: dict[str, PyTree] = {"computed torque": {"controller": {"class": "computed_torque"}}}
+    _, decoupling = DEFAULTS["decoupling"]
+    sections: dict[str, PyTree] = {"computed torque": {"controller": {**decoupling, "class": "computed_torque"}}}
     joints = scenario.joint_names
     sections |= {name: {"controllers": dict.fromkeys(joints, section)} for name, (_, section) in DEFAULTS.items()}
     found = {}

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import importlib
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from types import SimpleNamespace
 from typing import Annotated, Any, cast
 
@@ -287,6 +287,9 @@ class RobotScenario(StudiedScenario):
 
     def run_once(self, *, source: str = "") -> RobotResult:
         return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
+
+    def suite(self, controllers: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+        return importlib.import_module("mckibben.robot.comparison").RobotSuite.of(self, controllers, **settings)
 
     def batch_parts(self) -> BatchParts:
         return BatchParts(self.plant(), self.references(), self._starts())

@@ -201,6 +201,38 @@ class StudiedScenario(RunSettings):
     def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
         """Simulate parts of a batch with a controller, with options of `simulate_many`."""
 
+    def simulate(self, **changes: Any) -> RunResult:
+        """Run the scenario, with changes as for `replace`."""
+        return (self.replace(**changes) if changes else self).run_once()
+
+    @checked_call
+    def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
+        """Tune gains or other parameters, see `mckibben.tune`. Default: all gains, with the cost of `mckibben tune`."""
+        return _above("study.tune").tune(self, over, cost, **options)
+
+    @checked_call
+    def compare(self, controllers: Mapping[str, Any] | None = None, *, out: Path | None = None, **settings: Any) -> Any:
+        """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
+
+        Defaults: as for `mckibben.study.compare.Suite.of`; controllers of a robot are sections as in a file. `settings`
+        are attributes of a `Suite`; see `mckibben.study.compare.compare`.
+        """
+        return _above("study.compare").compare(self.suite(controllers, **settings), out=out)
+
+    @abc.abstractmethod
+    def suite(self, controllers: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+        """Return the suite that compares other controllers by name with that of the scenario."""
+
+    @checked_call
+    def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
+        """Write controller or plant for another program, see `mckibben.export.export`."""
+        return _above("export").export(self, target, out, **options)
+
+    @property
+    def digest(self) -> bytes:
+        """SHA-256 of the scenario with the absolute paths of its files: the same from whichever folder it is read."""
+        return hashlib.sha256(self.dumps(folder=Path.cwd().anchor).encode()).digest()
+
     def run_many(self, **options: PyTree) -> Batch:
         """Simulate all runs of a batch, with options of `simulate_many`."""
         return self.run_parts(self.batch_parts(), self.control(), **options)
@@ -330,11 +362,6 @@ class Scenario(StudiedScenario):
     def model_remarks(self) -> Iterable[Remark]:
         return self.joint.remarks
 
-    @property
-    def digest(self) -> bytes:
-        """SHA-256 of the scenario with the absolute paths of its files: the same from whichever folder it is read."""
-        return hashlib.sha256(self.dumps(folder=Path.cwd().anchor).encode()).digest()
-
     def plant(self) -> JointPlant:
         """Return the simulated plant."""
         names = "sensors", "disturbance", "friction", "command_delay"
@@ -379,31 +406,12 @@ class Scenario(StudiedScenario):
         """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
         return _above("reachability").envelope(self)
 
-    @checked_call
-    def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
-        """Tune gains or other parameters, see `mckibben.tune`. Default: all gains, with the cost of `mckibben tune`."""
-        return _above("study.tune").tune(self, over, cost, **options)
-
-    @checked_call
-    def compare(
-        self, controllers: Mapping[str, Controller] | None = None, *, out: Path | None = None, **settings: Any
-    ) -> Any:
-        """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
-
-        Defaults: as for `mckibben.study.compare.Suite.of`. `settings` are attributes of a `Suite`; see
-        `mckibben.study.compare.compare`.
-        """
-        study = _above("study.compare")
-        return study.compare(study.Suite.of(self, controllers, **settings), out=out)
+    def suite(self, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Any:
+        return _above("study.compare").Suite.of(self, controllers, **settings)
 
     @checked_call
     def margins(self, points: int = 20) -> Margins:
         return _with_run(self, margins, substeps=self.needed_substeps(), points=points)
-
-    @checked_call
-    def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
-        """Write controller or plant for another program, see `mckibben.export.export`."""
-        return _above("export").export(self, target, out, **options)
 
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
