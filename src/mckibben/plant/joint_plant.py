@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 from numpy.typing import NDArray
 
 from mckibben.actuator.base import Actuator, AirState
+from mckibben.component.base import Component
 from mckibben.errors import UnreachableError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
@@ -59,9 +60,8 @@ class Hinge(Mechanism):
     def muscles(self) -> tuple[Muscle, Muscle]:
         return self.joint.muscles
 
-    @property
-    def components(self) -> tuple[AntagonisticJoint]:
-        return (self.joint,)
+    def components(self, kind: type) -> tuple[Component, ...]:
+        return (self.joint,) if kind is AntagonisticJoint else ()
 
     @property
     def frictions(self) -> tuple[JointFriction | None]:

@@ -25,10 +25,9 @@ class Mechanism(abc.ABC):
     def muscles(self) -> tuple[Muscle, ...]:
         """All muscles, in the order of their routes, commands and pressures."""
 
-    @property
     @abc.abstractmethod
-    def components(self) -> tuple[Component, ...]:
-        """Parts whose numbers a controller's model may have as well."""
+    def components(self, kind: type) -> tuple[Component, ...]:
+        """Return its parts of a class that a controller's model may have as well."""
 
     @property
     @abc.abstractmethod

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mckibben.control.allocation import prioritise_torque
+from mckibben.joint import AffineMap, TorqueStiffnessMap
 from mckibben.muscle import PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import Number
@@ -116,6 +118,45 @@ class BoundedSolution(NamedTuple):
     values: tuple[Scalar, ...]
     active: tuple[Scalar, ...]
     gap: Scalar
+
+
+def allocate_pairs(
+    terms: JointTerms,
+    torques: Sequence[Number],
+    stiffness: Sequence[Number],
+    lower: Sequence[Array],
+    upper: Sequence[Array],
+    springs: Sequence[tuple[bool, bool]],
+) -> BoundedSolution:
+    """Return the pressures [bar] of robots whose muscles are a pair of each joint, in closed form.
+
+    The torque of each joint [N*m] has priority over its stiffness [N*m/rad]; see `prioritise_torque`.
+
+    Parameters
+    ----------
+    lower, upper
+        Limits of the pressures [Pa].
+    springs
+        Whether muscles 1 and 2 of each pair are return springs.
+    """
+    values: dict[int, Array] = {}
+    for joint, row in enumerate(terms.torque):
+        first, second = row
+
+        def affine(row: Row) -> AffineMap:
+            slopes = (jnp.asarray(row[muscle][1]) for muscle in (first, second))  # noqa: B023
+            return AffineMap(jnp.asarray(_offset(row)), *slopes)
+
+        both = TorqueStiffnessMap(affine(row), affine(terms.stiffness[joint, joint]))
+        low, high = ((limit[first], limit[second]) for limit in (lower, upper))
+        pressures = prioritise_torque(both, torques[joint], stiffness[joint], low, high, springs[joint]).pressures
+        values[first], values[second] = pressures
+    ordered = [values[muscle] for muscle in range(len(lower))]
+    active = tuple(
+        jnp.where(value <= low, -1.0, jnp.where(value >= high, 1.0, 0.0))
+        for value, low, high in zip(ordered, lower, upper, strict=True)
+    )
+    return BoundedSolution(tuple(value / bar for value in ordered), active, jnp.zeros_like(ordered[0]))
 
 
 def bounded_least_squares(

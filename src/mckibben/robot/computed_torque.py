@@ -25,7 +25,7 @@ from mckibben.errors import RangeError
 from mckibben.muscle import SpringLaw
 from mckibben.numerics.elementary import exp, floating
 from mckibben.numerics.spatial import total
-from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
+from mckibben.robot.allocation import BoundedSolution, allocate_pairs, bounded_least_squares, joint_terms
 from mckibben.robot.control import TrackingControl
 from mckibben.robot.dynamics import joint_equations
 from mckibben.robot.mechanism import Robot
@@ -78,7 +78,8 @@ class ComputedTorque(TrackingControl):
 
     with muscles taut, below their ratings, and within what the valves reach; torques have priority by their weight. An
     active set is continued from period to period. ``allocation_gap`` is a certificate: no pressures have errors whose
-    sum of squares is smaller by more. Laws are affine in pressure, and tendons rigid.
+    sum of squares is smaller by more. Where the muscles are a pair of each joint, their pressures follow in closed
+    form, as those of `DecouplingControl`. Laws are affine in pressure, and tendons rigid.
 
     Parameters
     ----------
@@ -192,12 +193,17 @@ class ComputedTorque(TrackingControl):
                 acceleration = acceleration + correction - motions[i].disturbance
             torques[i] = torques[i] + self.robot.joints[i].damping * coming.velocities[i]
             torques = [torque + row[i] * acceleration for torque, row in zip(torques, made.matrix, strict=True)]
-        allocation = bounded_least_squares(
-            *terms.errors(torques, [setpoint.stiffness for setpoint in setpoints], _TORQUE, _CENTRED, lower, upper),
-            tuple(limit / bar for limit in lower),
-            tuple(limit / bar for limit in upper),
-            state.allocation,
-        )
+        stiffness = [setpoint.stiffness for setpoint in setpoints]
+        if self.robot.has_disjoint_pairs:
+            springs = [self.robot.pair(joint).springs for joint in range(len(torques))]
+            allocation = allocate_pairs(terms, torques, stiffness, lower, upper, springs)
+        else:
+            allocation = bounded_least_squares(
+                *terms.errors(torques, stiffness, _TORQUE, _CENTRED, lower, upper),
+                tuple(limit / bar for limit in lower),
+                tuple(limit / bar for limit in upper),
+                state.allocation,
+            )
         targets = tuple(value * bar for value in allocation.values)
         short = [wanted - given for wanted, given in zip(torques, terms.torque_at(targets), strict=True)]
         feedback = [

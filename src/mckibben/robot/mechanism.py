@@ -280,6 +280,11 @@ class Robot(Component):
             first += len(unit.names)
         return dict(sorted(found.items()))
 
+    @property
+    def has_disjoint_pairs(self) -> bool:
+        """Whether its muscles are a pair of each joint, and no others."""
+        return len(self.pairs) == len(self.joints) and len(self.all_muscles) == 2 * len(self.joints)
+
     def pair(self, index: int) -> AntagonisticJoint:
         """Return the pair of muscles of a joint; `RangeError` without one."""
         name = self.joints[index].name

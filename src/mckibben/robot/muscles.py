@@ -85,11 +85,6 @@ class MuscleUnit(Component):
         """Points that its path goes through."""
         return ()
 
-    @property
-    def components(self) -> tuple[Component, ...]:
-        """Parts of which the model of a joint alone may be made."""
-        return ()
-
     @abc.abstractmethod
     def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         """Return the muscles in a posture."""
@@ -138,10 +133,6 @@ class MusclePair(MuscleUnit):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return (self.over,)
-
-    @property
-    def components(self) -> tuple[Component, ...]:
-        return (self.joint,)
 
     def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         index = skeleton.number(self.over)

@@ -19,7 +19,7 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_count, check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
-from mckibben.joint import Measurement
+from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.joint.route import Route
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
@@ -127,9 +127,10 @@ class Tree(Mechanism):
     def muscles(self) -> tuple[Muscle, ...]:
         return self.robot.all_muscles
 
-    @property
-    def components(self) -> tuple[Component, ...]:
-        return (self.robot, *(part for unit in self.robot.muscles for part in unit.components))
+    def components(self, kind: type) -> tuple[Component, ...]:
+        if kind is AntagonisticJoint:
+            return tuple(map(self.robot.pair, self.robot.pairs))
+        return (self.robot,) if kind is Robot else ()
 
     @property
     def frictions(self) -> tuple[JointFriction | None, ...]:

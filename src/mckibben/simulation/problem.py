@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -24,7 +25,7 @@ from mckibben.errors import ParameterError, SimulationError, described
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
-from mckibben.plant import JointPlant, Plant, PlantState
+from mckibben.plant import JointPlant, Mechanism, Plant, PlantState
 from mckibben.simulation.engine import BatchFunction, compiled
 from mckibben.simulation.metrics import last_change
 
@@ -100,22 +101,24 @@ def split_problem(
     whole = whole._replace(plant=plant, controller=type(controller).with_period(controller, control_period))
     count, varying = lanes_of(whole)
     plant = numeric(whole.plant)
-    controller = _sharing(whole.controller, whole.plant.mechanism.components, plant.mechanism.components)
+    controller = _sharing(whole.controller, whole.plant.mechanism, plant.mechanism)
     whole = numeric(whole._replace(plant=None, controller=None))._replace(plant=plant, controller=controller)
     return (None, whole, None) if count is None else (*eqx.partition(whole, varying), count)
 
 
-def _sharing(controller: PyTree, parts: Iterable[Component], numbers: Iterable[Component]) -> PyTree:
-    """`numeric` controller, in which models that equal parts of the mechanism are these as `numeric`, `numbers`.
+def _sharing(controller: PyTree, mechanism: Mechanism, numbers: Mechanism) -> PyTree:
+    """`numeric` controller, in which models that equal parts of the mechanism are these as `numeric`, of `numbers`.
 
     Programs then compute once what both need, such as the stiffness at the measured angle.
     """
-    known: dict[type, list[tuple[Component, Component]]] = {}
-    for part, number in zip(parts, numbers, strict=True):
-        known.setdefault(type(part), []).append((part, number))
+
+    @functools.cache
+    def parts(kind: type) -> list[tuple[Component, Component]]:
+        return list(zip(mechanism.components(kind), numbers.components(kind), strict=True))
 
     def equal_part(node: object) -> Component | None:
-        return next((number for part, number in known.get(type(node), ()) if _equal(node, part)), None)
+        known = parts(type(node)) if isinstance(node, Component) else ()
+        return next((number for part, number in known if _equal(node, part)), None)
 
     def shared(node: object) -> object:
         return numeric(node) if (number := equal_part(node)) is None else number
