@@ -106,7 +106,7 @@ BUDGET = {
     "firmware": 150,
     "identification": 3490,
     "joint": 1240,
-    "robot": 4580,
+    "robot": 4610,
     "muscle": 1560,
     "numerics": 810,
     "paper": 720,
