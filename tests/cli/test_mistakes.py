@@ -62,7 +62,7 @@ def files(tmp_path, shortened):
         (("sweep", "s.yaml", *MASS), "--out DIR"),
         (("sweep", "s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"), "did you mean 'load.mass2'?"),
         (("sweep", "s.yaml", "--out", "x", "--resume"), "there is no study to continue"),
-        (("sweep", "s.yaml", "--out", "x", "--force", *MASS), "continue it with --resume"),
+        (("sweep", "s.yaml", "--out", "x", "--resume", "--force", *MASS), "leave --force out"),
         (("sweep", "s.yaml", "--out", "/proc/x", *MASS), "/proc/x: 1 problem\n  it cannot be made"),
         (START[:-2], "--out DIR"),
         (("tune", "s.yaml", "--over", "controller.positon.kp"), "did you mean 'controller.position.kp'"),  # before --out

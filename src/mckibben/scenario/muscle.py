@@ -117,22 +117,26 @@ def air_volume(text: str, length: float | None) -> float | None:
 
 
 def write_identified(
-    folder: Path, fit: Fit | FitWithFriction, attributes: Mapping[str, Any], *, name: str = "", volume: float | None
-) -> Path | None:
-    """Write fit.yaml and, with an initial length, muscle.yaml to a folder, replacing files; return that of the muscle.
+    path: Path,
+    fit: Fit | FitWithFriction,
+    attributes: Mapping[str, Any],
+    *,
+    name: str = "",
+    volume: float | None = None,
+) -> bool:
+    """Write the muscle of a fit, whose file fit.yaml is in the same folder; arguments and answer as `write_muscle`.
 
     Parameters
     ----------
-    folder, fit
-        Folder, and law, with friction where it was identified.
+    path, fit
+        File to write, and law, with friction where it was identified.
     attributes
         Those of the points of the fit, with name and initial length [m] of the specimen.
     name, volume
         Name of a specimen that has none, and volume of the air at contraction 0 [m^3] if it is known.
     """
-    loops, path = getattr(fit, "hysteresis", None), folder / "muscle.yaml"
-    fit.to_yaml(folder / "fit.yaml")
-    written = write_muscle(
+    loops = getattr(fit, "hysteresis", None)
+    return write_muscle(
         path,
         fit.law,
         specimen=attributes["specimen"] or name,
@@ -141,4 +145,3 @@ def write_identified(
         friction=loops.friction if loops else None,
         undetermined=loops.undetermined if loops else None,
     )
-    return path if written else None

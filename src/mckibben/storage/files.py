@@ -242,3 +242,17 @@ def write_json(path: Path, value: object) -> None:
     text = to_json(value)
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text + "\n", encoding="utf-8")
+
+
+def remove_results(folder: Path) -> None:
+    """Remove the files of an earlier result in a folder: those that its results.json lists as `files`."""
+    listed = folder / "results.json"
+    names: list[str] = []
+    with suppress(ValueError, TypeError, KeyError):  # another program's
+        if listed.is_file() and not listed.is_symlink():
+            names = [str(name) for name in json.loads(listed.read_bytes())["files"]]
+    for path in map(folder.joinpath, names):
+        if (path.is_file() or path.is_symlink()) and path.parent.resolve().is_relative_to(folder.resolve()):
+            path.unlink()
+            if path.parent != folder and not any(path.parent.iterdir()):
+                path.parent.rmdir()

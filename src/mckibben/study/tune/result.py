@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from mckibben.errors import McKibbenError
-from mckibben.result import Listing, Remark, Result, column
+from mckibben.result import Listing, Remark, WritingResult, column
 from mckibben.scenario import StudiedScenario, find_parameter
 from mckibben.simulation import margin_remarks
 from mckibben.simulation.metrics import metrics_of
@@ -20,7 +20,7 @@ from mckibben.study.tune.trials import Trial
 _MARGINS = {"least gain margin": "", "least phase margin": "deg", "least delay margin": "ms", "least disk margin": ""}
 
 
-class TuneResult(Result):
+class TuneResult(WritingResult):
     """Result of a tuning; its tables simulate each scenario before and after when they are first asked for.
 
     `trials` has every point of the search with its cost; `scenarios` can be written with their `to_yaml`.
