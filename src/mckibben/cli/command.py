@@ -158,6 +158,7 @@ def present(
     names += [STUDY] if out and resume and (out / STUDY).exists() else []
     if out:
         figure = next((f"; figure: {out / name}" for name in names if name.endswith(".png")), "")
-        echo(f"wrote {', '.join(names)} to {out}{figure}", err=json)
+        shown = dict.fromkeys(re.sub("/.*", "/", name) for name in names)
+        echo(f"wrote {', '.join(shown)} to {out}{figure}", err=json)
     if not result.ok:
         raise typer.Exit(1)

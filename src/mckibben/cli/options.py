@@ -228,8 +228,7 @@ def long_job(*, quiet: bool, study: Path | None) -> Iterator[Progress]:
 def check_results(out: Path, names: Iterable[str], *, resume: bool, force: bool) -> None:
     """Raise `FileError` as `check_study`, and if a new study would replace results and `force` is not set."""
     check_study(out / STUDY, resume=resume)
-    if not (resume or force):
-        check_free(out, names)
+    results_folder(out, names, force or resume)
 
 
 def required_folder(out: Path | None, job: str) -> Path:
