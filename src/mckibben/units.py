@@ -214,7 +214,7 @@ def justified(text: str, error: float = math.nan) -> str:
 
     Two digits move it by at most 5 % of the error.
 
-    >>> justified("12.001437258969247 N", 0.2847), justified("0.500686814051085 mm", 1.5e-6), justified("3.14159265 bar")
+    >>> justified("12.001437258969247 N", 0.2847), justified("0.500686814 mm", 1.5e-6), justified("3.14159265 bar")
     ('12 N', '0.5007 mm', '3.14159 bar')
     """
     number, _, unit = text.partition(" ")

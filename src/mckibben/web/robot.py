@@ -104,7 +104,7 @@ def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScen
     muscle
         Muscle of all tendons.
     folder
-        Folder of the files that a robot of ours may name.
+        Folder of the files that it may name.
     """
     if path.suffix not in (".xml", ".urdf"):
         return parse_model(RobotScenario, path.read_text("utf-8"), source=path.name, folder=folder, confined=True)[
@@ -112,7 +112,7 @@ def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScen
         ], ()
     from mckibben.robot.reading import read_mjcf
 
-    read = read_mjcf(path, muscle)
+    read = read_mjcf(path, muscle, confined=True)
     return read.scenario(), tuple(read.remarks())
 
 
