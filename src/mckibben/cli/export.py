@@ -43,12 +43,13 @@ def export(
     """
     if not to:
         raise ParameterError("the export needs a format", remedy="give one with --to FORMAT, such as --to c --out DIR")
-    folder = required_folder(out, "export")
     from mckibben.export import export as write
-    from mckibben.export.targets import CONTROLLERS
+    from mckibben.export.targets import CONTROLLERS, check_target
     from mckibben.firmware import Hardware
     from mckibben.scenario import Scenario, read_scenario
 
+    check_target(to)
+    folder = required_folder(out, "export")
     with keeping(folder):
         read = read_scenario(scenario)
         parts = None if hardware is None else Hardware.read(hardware)

@@ -41,7 +41,11 @@ class Helping:
             if not given and getattr(self, "no_args_is_help", False):
                 raise  # prints the help
             text = f"{ctx.command_path}: {error.format_message().replace('Value error, ', '').rstrip('.')}"
-            raise ParameterError(text, remedy=f"see {ctx.command_path} --help") from None
+            choices = getattr(getattr(getattr(error, "param", None), "type", None), "choices", ())
+            wrong = re.search(r"'([^']*)' is not one of", text)
+            meant = closest(wrong[1], list(choices)) if wrong else ""
+            did = f"did you mean {meant!r}? if not, " if meant else ""
+            raise ParameterError(text, remedy=f"{did}see {ctx.command_path} --help") from None
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write panels of arguments, options and commands."""

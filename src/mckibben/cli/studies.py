@@ -143,11 +143,13 @@ def tune(
     """
     from mckibben.scenario import read_scenario
     from mckibben.study.parameters import parse_sweeps, sample
+    from mckibben.study.parameters.sampling import check_count
     from mckibben.study.scenarios import begun_settings
     from mckibben.study.tune import TuneResult, parse_ranges
     from mckibben.study.tune import tune as run
     from mckibben.study.tune.tune import FORMAT, cost_of
 
+    check_count("iterations", iterations, 1, 10**9)
     read = [read_scenario(path) for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
-from mckibben.errors import ExportError, ParameterError, quoted
+from mckibben.errors import ExportError, ParameterError, closest, quoted
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
@@ -93,6 +93,21 @@ ROBOT_TARGETS = "c", "js", "mjcf", "warp"
 """Formats of a robot."""
 
 
+_MEANT = {
+    **dict.fromkeys(("arduino", "teensy", "esp32", "stm32", "board", "sketch"), "firmware"),
+    **{"c99": "c", "javascript": "js", "simulink": "fmu", "fmi": "fmu", "mujoco": "mjcf", "opensim": "osim"},
+}
+
+
+def check_target(target: str, targets: Collection[str] = TARGETS, owner: str = "joint") -> None:
+    """Raise `ParameterError` unless a format is one of these; the remedy names the one that is meant."""
+    if target not in targets:
+        names = {**_MEANT, **{name: name for name in targets}}
+        meant = names.get(closest(target, [*names]), "")
+        remedy = f"did you mean {meant}?" if meant in targets else f"give {' or '.join(targets)}"
+        raise ParameterError(f"{quoted(target)} is not a format of a {owner}", field="to", value=target, remedy=remedy)
+
+
 @checked_call
 def export(
     scenario: Scenario | RobotScenario,
@@ -119,9 +134,7 @@ def export(
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """
     targets, owner = (tuple(TARGETS), "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
-    if target not in targets:
-        message = f"{quoted(target)} is not a format of a {owner}"
-        raise ParameterError(message, field="to", value=target, remedy=f"give {' or '.join(targets)}")
+    check_target(target, targets, owner)
     place, default = TARGETS[target]
     name = check_name(name or (owner if default == "joint" else default))
     module, function = place.split(":")
