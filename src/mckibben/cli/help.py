@@ -40,10 +40,10 @@ class Helping:
         except _UsageError as error:
             if not given and getattr(self, "no_args_is_help", False):
                 raise  # prints the help
-            text = f"{ctx.command_path}: {error.format_message().replace('Value error, ', '').rstrip('.')}"
-            choices = getattr(getattr(getattr(error, "param", None), "type", None), "choices", ())
-            wrong = re.search(r"'([^']*)' is not one of", text)
-            meant = closest(wrong[1], list(choices)) if wrong else ""
+            message = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
+            text = f"{ctx.command_path}: {message}"
+            typed, known = (re.findall(r"'([^']*)'", part) for part in text.rpartition(" is not one of ")[::2])
+            meant = closest(typed[-1], known) if typed else ""
             did = f"did you mean {meant!r}? if not, " if meant else ""
             raise ParameterError(text, remedy=f"{did}see {ctx.command_path} --help") from None
 
