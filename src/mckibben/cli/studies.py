@@ -151,6 +151,7 @@ def tune(
 
     check_count("iterations", iterations, 1, 10**9)
     read = [read_scenario(path) for path in scenarios]
+    texts = [path.read_text(encoding="utf-8-sig") for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)
     wanted = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
@@ -177,8 +178,10 @@ def tune(
         conditions=drawn,
         progress=progress,
     )
-    files = dict(zip(names, zip(tuned.scenarios, scenarios, strict=True), strict=True))
-    return replace(tuned, writers={name: partial(_write_tuned, tuned, *pair) for name, pair in files.items()})
+    own = zip(tuned.scenarios, texts, scenarios, strict=True)
+    return replace(
+        tuned, writers={name: partial(_write_tuned, tuned, *of) for name, of in zip(names, own, strict=True)}
+    )
 
 
 @command
@@ -238,11 +241,11 @@ def _tuned_names(paths: list[Path]) -> list[str]:
     return [f"{stem}-tuned{f'-{i}' if stem in stems[: i - 1] else ''}.yaml" for i, stem in enumerate(stems, start=1)]
 
 
-def _write_tuned(tuned: TuneResult, scenario: StudiedScenario, source: Path, target: Path) -> None:
+def _write_tuned(tuned: TuneResult, scenario: StudiedScenario, before: str, source: Path, target: Path) -> None:
     """Write a tuned scenario, editing the user's text in place if its relative paths remain valid."""
     from mckibben.scenario import edit_scenario
 
-    text = edit_scenario(source.read_text(encoding="utf-8-sig"), tuned.values, folder=source.parent)
+    text = edit_scenario(before, tuned.values, folder=source.parent)
     with suppress(ScenarioError):
         if type(scenario).parse(text, folder=target.parent) == scenario:
             with atomic_write(target, overwrite=True) as part:

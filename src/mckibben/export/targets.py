@@ -67,7 +67,7 @@ class Exported(Result):
         """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set."""
         folder = make_folder(folder)
         if not force:
-            check_free(folder, self.contents, "choose another folder, or overwrite it (command line: --force)")
+            check_free(folder, self.contents, "choose another folder, or give overwrite=True (command line: --force)")
         for path, content in self.contents.items():
             make_folder((folder / path).parent)
             with atomic_write(folder / path, overwrite=force) as temporary:
