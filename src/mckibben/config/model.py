@@ -374,17 +374,19 @@ def _problems(error: ValidationError, document: Document) -> list[Problem]:
         )
         if not follows and not document.is_rejected(place):
             problems.append(_problem(detail, document))
+    return sorted([*document.problems, *_indented(problems)], key=lambda problem: problem.line or 0)
+
+
+def _indented(problems: list[Problem]) -> Iterator[Problem]:
+    """Yield the problems; a missing key of the file that stands in another section is indented too far."""
     missing = {problem.field for problem in problems if problem.message == _MISSING}
-    lost = {problem.field: problem.field.rpartition(".")[2] for problem in problems if problem.message == _UNKNOWN}
-    deeper = {field: key for field, key in lost.items() if key in missing and key != field}
-    problems = [
-        replace(problem, message="is indented too far: it is a key of the file", remedy="indent it like the others")
-        if problem.field in deeper
-        else problem
-        for problem in problems
-        if problem.field not in deeper.values()
-    ]
-    return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+    keys = {problem.field: problem.field.rpartition(".")[2] for problem in problems if problem.message == _UNKNOWN}
+    deeper = {field: key for field, key in keys.items() if key in missing - {field}}
+    for problem in problems:
+        if problem.field in deeper:
+            yield replace(problem, message="is indented too far: it is a key of the file", remedy="indent it less")
+        elif problem.field not in deeper.values():
+            yield problem
 
 
 # message and remedy by pydantic's kind of error
