@@ -6,16 +6,19 @@ import abc
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 from numpy import asarray, float64
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ConfigDict, field_validator
+from pydantic import ConfigDict, field_validator, model_validator
 
 from mckibben.component.base import check_fields
 from mckibben.component.classes import Keyed
 from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.errors import RigError
 from mckibben.rig.bench import FASTEST
+
+_UNITS = {"angle": "rad", "force": "N", "pressure": "Pa", "valve": "Pa"}
 
 
 class Channel(NamedTuple):
@@ -51,7 +54,7 @@ class ScaledChannel(ConfigModel):
         Range of a working sensor, or of the commands of a valve, in SI.
     """
 
-    model_config = ConfigDict(strict=False)  # numbers of YAML are text
+    model_config = ConfigDict(strict=False, allow_inf_nan=False)  # numbers of YAML are text
 
     gain: float
     offset: float = 0.0
@@ -62,9 +65,13 @@ class ScaledChannel(ConfigModel):
     @field_validator("gain")
     @classmethod
     def _nonzero(cls, gain: float) -> float:
-        return (
-            gain if math.isfinite(gain) and gain else fail_validation("is no line", "give SI units per count or volt")
-        )
+        return gain or fail_validation("is no line", "give SI units per count or volt")
+
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        if not self.low < self.high:
+            fail_validation(f"is not below high, {self.high:g}", "give the lower end first", field="low")
+        return self
 
     def si(self, numbers: ArrayLike) -> NDArray[float64]:
         """Quantity in SI; any shape."""
@@ -188,9 +195,20 @@ class Backend(abc.ABC):
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Context in which it is open; closed if it cannot be opened, and vented and closed at the end."""
+        """Context in which it is open; closed if it cannot be opened, and vented and closed at the end.
+
+        Raises
+        ------
+        RigError
+            As `open`; or if a channel of a joint or a bench has another unit than limits and commands.
+        """
         try:
             self.open()
+            for channel in (*self.inputs, *self.outputs):
+                unit = _UNITS.get(channel.name.rstrip("12"), channel.unit)
+                if channel.unit != unit:
+                    message = f"{channel.name} is in {channel.unit}, and has to be in {unit}"
+                    raise RigError(message, field=channel.name, remedy="give its gain, offset and range in SI")
         except BaseException:
             self.close()
             raise

@@ -243,7 +243,7 @@ def control(
             with contextlib.suppress(McKibbenError):
                 loop.record_venting(block)
 
-        found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1, timeout=limits.silence)
+        found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1)
         outcome = RunOutcome(kind, text, error, found.duration, found.pressure)
         _note(recorder, "vented" if found.duration is not None else "not vented", outcome.venting)
         return outcome

@@ -446,7 +446,6 @@ class Runner(StepInterpreter):
             threshold=bench.vented,
             duration=_OBSERVED,
             samples=bench.samples_per_cycle,
-            timeout=bench.cycle,
         )
         if found.pressure is None:
             vented = "the valve was commanded to vent, but no sensor confirms it"

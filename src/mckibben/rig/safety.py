@@ -218,7 +218,7 @@ class SafetyMonitor:
             raise
 
     def observe_venting(
-        self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int, timeout: float
+        self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int
     ) -> VentResult:
         """Read and record after `stop` until all pressures are below a threshold, by samples taken after it.
 
@@ -231,9 +231,7 @@ class SafetyMonitor:
         duration
             Longest observation [s].
         samples
-            Samples per block.
-        timeout
-            Longest wait for a block [s].
+            Samples per block, for which it waits longer than before the vent: a late one costs nothing now.
         """
         backend, rate, found = self.backend, self.backend.rate, VentResult()
         pressures = [one for one in self.signals if one.name.startswith("pressure")]
@@ -243,7 +241,7 @@ class SafetyMonitor:
             left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even if its clock stands still
             while left > 0:
                 waiting = int((backend.clock() - newest) * rate)
-                block = backend.read(min(max(waiting, samples), MOST_READ), timeout=timeout)
+                block = backend.read(min(max(waiting, samples), MOST_READ))
                 backend.vent()
                 record(block)
                 newest, left = float(block.time[-1]), left - len(block.time)
