@@ -128,7 +128,7 @@ def test_bodies_come_back():
         "knee 1.0", 1000, bytes(range(32)), [("angle", "rad"), ("p", "Pa")], [("u", "Pa")], [("K", "N*m/rad")]
     )
     assert wire.Hello.unpack(hello.pack()) == hello
-    sample = wire.Sample(wire.FirmwareState.HOLDING, wire.FaultCode.FROZEN, 3, 2, 1, (0.5, 2.0**18))
+    sample = wire.Sample(wire.FirmwareState.HOLDING, wire.FaultCode.FROZEN, 3, 2, 1, 9, (0.5, 2.0**18))
     assert wire.Sample.unpack(sample.pack()) == sample
     assert wire.FaultReport.unpack(wire.FaultReport(wire.FaultCode.OUT_OF_RANGE, 2, -0.5).pack()) == (
         wire.FaultCode.OUT_OF_RANGE,
@@ -146,7 +146,7 @@ def test_bodies_come_back():
         (wire.Hello.unpack, bytes([wire.VERSION]) + bytes(10), "body"),
         (wire.Hello.unpack, bytes([wire.VERSION, 2]) + bytes(38) + b"knee\nangle rad", "body"),
         (wire.Sample.unpack, b"\0", "body"),
-        (wire.Sample.unpack, bytes(9), "body"),
+        (wire.Sample.unpack, bytes(11), "body"),
         (wire.FaultReport.unpack, b"\0", "body"),
     ],
 )

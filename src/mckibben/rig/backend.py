@@ -17,6 +17,7 @@ from mckibben.component.classes import Keyed
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import RigError
 from mckibben.rig.bench import FASTEST
+from mckibben.units import ms
 
 _UNITS = {"angle": "rad", "force": "N", "pressure": "Pa", "valve": "Pa"}
 
@@ -221,6 +222,11 @@ class Backend(abc.ABC):
                 self.close()
 
     @property
+    def latency(self) -> float:
+        """Longest time [s] by which `clock` can be behind, as a line delays the samples; 0 without one."""
+        return 0.0
+
+    @property
     def losses(self) -> str:
         """Losses on the way to the hardware so far, none of them fatal; empty if there are none."""
         return ""
@@ -231,6 +237,8 @@ class Backend(abc.ABC):
         yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
         with self.opened():
             block = self.read(max(1, round(0.1 * self.rate)))
+            if self.latency:
+                yield ChannelStatus("line", "", f"a message and its answer take {self.latency / ms:.3g} ms")
         for channel, read in zip(self.inputs, block.values.T, strict=True):
             reading = f"{read.mean():.4g} {channel.unit} (noise {read.std():.2g})"
             works = ((read >= channel.low) & (read <= channel.high)).all()

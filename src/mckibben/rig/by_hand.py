@@ -49,6 +49,10 @@ class HandBench(MovingBackend):
     def description(self) -> Mapping[str, str]:
         return {**self.inner.description, "moved": "by weights" if self.weights else "by hand"}
 
+    @property
+    def latency(self) -> float:
+        return self.inner.latency
+
     def status(self) -> Iterator[ChannelStatus]:
         return self.inner.status()
 

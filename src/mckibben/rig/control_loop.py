@@ -451,6 +451,7 @@ class ControlLoop:
                 )
             block = self.backend.read(self._waiting(), timeout=self.monitor.limits.silence)
             rows = self._rows(block, self.backend.clock())
+            self.monitor.check_latency()
             self.monitor.heartbeat()
             self._next = self._begun = block.first + len(block.time)
             self.recorder.append(rows)

@@ -14,7 +14,7 @@ import numpy as np
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
 from mckibben.result import Column, Listing, Remark, Result
-from mckibben.rig.backend import Backend
+from mckibben.rig.backend import Backend, ChannelStatus
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
@@ -26,7 +26,7 @@ from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
-from mckibben.units import deg
+from mckibben.units import deg, ms
 
 _BEYOND = 10 * deg  # of the angle limits beyond the reference
 _ABOVE = 1.05  # pressure limit over the rated pressure
@@ -111,6 +111,28 @@ class JointSession:
     plan: RunPlan
     program: ControlProgram
     header: Mapping[str, Any]
+
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of each channel, and of the line; limits in time that allow too much."""
+        yield from self.backend.status()
+        if (latency := self.backend.latency) > self.limits.late:
+            slow = f"a message and its answer take {latency / ms:.3g} ms, limits.late is {self.limits.late / ms:g} ms"
+            yield ChannelStatus("line", "", "", f"{slow}: connect it without hub, adapter or network")
+        if self.leniency:
+            yield ChannelStatus("limits", "", self.leniency)
+
+    @property
+    def leniency(self) -> str:
+        """Warning if a physical joint can cross its range of angles in the time for which samples may be late."""
+        limits, wait = self.limits, max(self.limits.late, self.limits.silence)
+        travel, room = wait * limits.angle_rate, limits.highest_angle - limits.lowest_angle
+        if not self.backend.physical or travel < room:
+            return ""
+        return (
+            f"while a sample is late ({limits.late / ms:g} ms) or missing ({limits.silence / ms:g} ms) the joint may move by "
+            f"{travel / deg:.0f} deg (angle_rate), and its range is {room / deg:.0f} deg: lower limits.late and silence, by "
+            f"default {JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
+        )
 
     def run(
         self,

@@ -17,6 +17,7 @@ from mckibben.storage.files import handle_signals
 from mckibben.units import bar, deg, mm, ms
 
 _BUSY = "find out what delayed the device or the host"
+_SLOW = "connect it without hub, adapter or network, and find out what else delays the line, the device or the host"
 _PLUG = "check its plug and its supply"
 _SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
@@ -286,6 +287,15 @@ class SafetyMonitor:
         if clock is not None and not abs(clock - last) <= self._maximum_age:
             message = f"the newest sample is {clock - last:.3g} s old"
             raise StoppedError(message, value=clock - last, upper=self._maximum_age, unit="s", remedy=_BUSY)
+        if clock is not None:
+            self.check_latency(clock - last)
+
+    def check_latency(self, age: float = 0.0) -> None:
+        """Check how old a sample can be that arrived an age [s] ago; `StoppedError` beyond the limit."""
+        latency = self.backend.latency
+        if not age + latency <= self._maximum_age:
+            message = f"the line is slow: a message and its answer take {latency:.3g} s"
+            raise StoppedError(message, value=latency, upper=self._maximum_age, unit="s", remedy=_SLOW)
 
     def _check_rates(self, time: float, values: Sequence[float]) -> None:
         """Check the rates of change between the means over two consecutive windows."""
