@@ -128,10 +128,11 @@ class JointSession:
         travel, room = wait * limits.angle_rate, limits.highest_angle - limits.lowest_angle
         if not self.backend.physical or travel < room:
             return ""
+        allowed = f"late: {limits.late / ms:g} ms and silence: {limits.silence / ms:g} ms"
+        defaults = f"{JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
         return (
-            f"while a sample is late ({limits.late / ms:g} ms) or missing ({limits.silence / ms:g} ms) the joint may move by "
-            f"{travel / deg:.0f} deg (angle_rate), and its range is {room / deg:.0f} deg: lower limits.late and silence, by "
-            f"default {JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
+            f"{allowed} hide a slow line: meanwhile the joint may move by {travel / deg:.0f} deg (angle_rate), and its "
+            f"range is {room / deg:.0f} deg; lower them, by default they are {defaults}"
         )
 
     def run(
