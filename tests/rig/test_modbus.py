@@ -246,7 +246,7 @@ def changed(section, name, **changes):
         ("outputs", "valve1", {"gain": -100}, "type"),
         ("outputs", "valve1", {"kind": "input"}, "kind"),
         ("outputs", "valve2", {"address": 10}, "address"),
-        ("outputs", "valve2", {"address": 9, "type": "uint32", "first_word": "low"}, "address"),
+        ("outputs", "valve2", {"address": 9, "type": "uint32", "word_order": "little"}, "address"),
         ("outputs", "valve1", {"low": 20000}, "low"),  # nothing vents it
         ("outputs", "valve1", {"low": 900000, "high": 0}, "low"),
         ("outputs", "valve1", {"address": 20, "type": "float32"}, "type"),
@@ -273,24 +273,24 @@ def test_a_map_with_several_mistakes_names_them_all():
 
 
 @pytest.mark.parametrize("number", [0.123, 0.5, -1.75])  # 0.5 has a word of zeros: exchanged it is 2e-41
-@pytest.mark.parametrize("order", ["high", "low"])
+@pytest.mark.parametrize("order", ["big", "little"])
 def test_words_in_the_other_order_are_named(faulty, number, order):
     words = struct.unpack(">2H", struct.pack(">f", number))
-    faulty.registers[0:2] = words if order == "high" else words[::-1]
-    other = "low" if order == "high" else "high"
+    faulty.registers[0:2] = words if order == "big" else words[::-1]
+    other = "little" if order == "big" else "big"
     with pytest.raises(RigError) as refused:
-        opened(faulty, "type: float32", f"type: float32, first_word: {other}")
-    assert refused.value.field == "angle" and f"first_word: {order}" in refused.value.remedy
-    rig = opened(faulty, "type: float32", f"type: float32, first_word: {order}")
+        opened(faulty, "type: float32", f"type: float32, word_order: {other}")
+    assert refused.value.field == "angle" and f"word_order: {order}" in refused.value.remedy
+    rig = opened(faulty, "type: float32", f"type: float32, word_order: {order}")
     assert rig.read(1).values[0, 0] == pytest.approx(number)
     rig.close()
 
 
-@pytest.mark.parametrize("order", ["high", "low"])
+@pytest.mark.parametrize("order", ["big", "little"])
 def test_commands_of_two_words_have_the_stated_order(faulty, order):
-    rig = opened(faulty, "address: 11, type: uint16", f"address: 12, type: uint32, first_word: {order}")
+    rig = opened(faulty, "address: 11, type: uint16", f"address: 12, type: uint32, word_order: {order}")
     rig.set_valves([0.0, 5 * bar])
-    assert faulty.registers[12:14] == ([0, 5000] if order == "high" else [5000, 0])
+    assert faulty.registers[12:14] == ([0, 5000] if order == "big" else [5000, 0])
     rig.close()
     assert faulty.registers[10:14] == [0] * 4
 

@@ -478,6 +478,7 @@ class ControlLoop:
         self._delay = min(self._delay, clock - times[last])
         for i, (time, signals) in enumerate(zip(times, block.values.tolist(), strict=True)):
             monitor.check_sample(time, signals, self._commands, clock if i == last else None)
+        monitor.check_latency(clock - times[last])
         number = self._next - 1 - self._begun
         if number >= plan.periods:  # the last samples were dropped
             return

@@ -128,12 +128,9 @@ class JointSession:
         travel, room = wait * limits.angle_rate, limits.highest_angle - limits.lowest_angle
         if not self.backend.physical or travel < room:
             return ""
-        allowed = f"late: {limits.late / ms:g} ms and silence: {limits.silence / ms:g} ms"
-        defaults = f"{JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
-        return (
-            f"{allowed} hide a slow line: meanwhile the joint may move by {travel / deg:.0f} deg (angle_rate), and its "
-            f"range is {room / deg:.0f} deg; lower them, by default they are {defaults}"
-        )
+        allowed = f"late: {limits.late / ms:g} ms and silence: {limits.silence / ms:g} ms hide a slow line"
+        moved = f"meanwhile the joint may move by {travel / deg:.0f} deg, and its range is {room / deg:.0f} deg"
+        return f"{allowed}: {moved}; by default they are {JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
 
     def run(
         self,

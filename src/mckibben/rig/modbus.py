@@ -17,8 +17,6 @@ from mckibben.rig.backend import Backend, Block, Channel, ScaledChannel
 from mckibben.units import ms
 
 _CABLE = "check cable, power and address of the terminal, and what else keeps it or this computer busy"
-_Order = Literal["big", "little"]  # of the words, as pymodbus calls it
-
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its errors are ours, with remedies
 
 
@@ -33,24 +31,20 @@ class Register(ScaledChannel):
         Holding registers, or input registers, which cannot be written.
     type
         Type of its number.
-    first_word
-        Which word of a number of two registers comes first. Default: high, as Modbus has it; outputs have to say it.
+    word_order
+        Which word of a number of two registers comes first: the high one (big), or the low one (little). Default: big,
+        as Modbus has it; outputs have to say it.
     """
 
     address: int = Field(ge=0, le=65535)
     kind: Literal["holding", "input"] = "holding"
     type: Literal["int16", "uint16", "int32", "uint32", "float32"] = "int16"
-    first_word: Literal["high", "low"] | None = None
+    word_order: Literal["big", "little"] | None = None
 
     @property
     def size(self) -> int:
         """Number of registers."""
         return 1 if self.type.endswith("16") else 2
-
-    @property
-    def orders(self) -> tuple[_Order, _Order]:
-        """Order of its words, and the other one."""
-        return ("little", "big") if self.first_word == "low" else ("big", "little")
 
     def can_read(self, counts: float) -> bool:
         """Whether a sensor can give these counts: in its range, and not the remnant of a number of other words."""
@@ -86,9 +80,11 @@ class ValveRegister(Register):
         if not self.low <= 0 < self.high:
             message = f"{self.low:g}..{self.high:g} {self.unit} does not hold 0, which vents"
             fail_validation(message, "give the pressure at the lowest command, at most 0", field="low")
-        if self.size == 2 and self.first_word is None:
+        if self.size == 2 and self.word_order is None:
             message = f"{self.type} has two registers, and a wrong order of them could open the valve fully"
-            fail_validation(message, "give first_word: high (as Modbus has it), or low", field="type")
+            fail_validation(
+                message, "give word_order: big (high word first, as Modbus has it), or little", field="type"
+            )
         return self
 
 
@@ -268,19 +264,22 @@ class ModbusBackend(Backend):
     def _value(self, name: str, register: Register) -> float:
         """Value of an input; `RigError` if it is in its range only with the other order of words."""
         words, kind = self._read(name, register, register.address), self._client.DATATYPE[register.type.upper()]
-        counts, other = (float(self._client.convert_from_registers(words, kind, order)) for order in register.orders)
-        value, exchanged = float(register.si(counts)), float(register.si(other))
+        orders = ("little", "big") if register.word_order == "little" else ("big", "little")
+        counts, other = (float(self._client.convert_from_registers(words, kind, order)) for order in orders)
         if register.size == 2 and register.can_read(other) and not register.can_read(counts):
-            message = f"{name} reads {value:.4g} {register.unit}, and {exchanged:.4g} with its words exchanged"
-            remedy = f"set first_word: {'high' if register.first_word == 'low' else 'low'} in the register map"
-            raise RigError(message, field=name, value=value, remedy=remedy)
-        return value
+            readings = (
+                f"{register.si(counts):.4g} {register.unit}, and with its words exchanged {register.si(other):.4g}"
+            )
+            raise RigError(
+                f"{name} reads {readings}", field=name, remedy=f"set word_order: {orders[1]} in its register"
+            )
+        return float(register.si(counts))
 
     def _words(self, register: ValveRegister, pressure: float) -> list[int]:
         """Words of a command [Pa], within the range of the valve."""
         counts = float(register.raw(min(max(pressure, register.low), register.high)))
         number, kind = counts if register.type == "float32" else round(counts), register.type.upper()
-        return self._client.convert_to_registers(number, self._client.DATATYPE[kind], register.orders[0])
+        return self._client.convert_to_registers(number, self._client.DATATYPE[kind], register.word_order or "big")
 
     def _write(self, name: str, pressure: float) -> None:
         """Write a command [Pa]."""
@@ -304,20 +303,17 @@ class ModbusBackend(Backend):
     def _check_readback(self, name: str) -> None:
         """Check that an output reads back, unless the terminal refuses that; `RigError` for another number."""
         try:
-            if self._is_vented(name, written=True):
-                return
-        except SilentError:
-            raise
-        except RigError:
-            if self.registers.outputs[name].readback is not None:
+            is_vented = self._is_vented(name, True)
+        except RigError as refused:
+            if isinstance(refused, SilentError) or self.registers.outputs[name].readback is not None:
                 raise
             self._unreadable.add(name)
             return
-        message = f"{name} does not read back the 0 that was written to it"
-        remedy = "correct its address, or give the register from which it reads back (readback: NUMBER)"
-        raise RigError(message, field=name, remedy=remedy)
+        if not is_vented:
+            remedy = "correct its address, or give the register from which it reads back (readback: NUMBER)"
+            raise RigError(f"{name} does not read back the 0 that was written", field=name, remedy=remedy)
 
-    def _succeeds(self, again: bool, act: Callable[..., bool | None], *arguments: Any) -> bool:
+    def _succeeds(self, again: bool, act: Callable[..., bool | None], *arguments: object) -> bool:
         """Whether a request of a vent is answered in its share of `patience`, and not with False."""
         self._await(self.patience / (4 * len(self.registers.outputs)))
         try:
@@ -328,7 +324,7 @@ class ModbusBackend(Backend):
             return False
 
     def _reply(
-        self, name: str, register: Register, function: int, ask: Callable[..., Any], *arguments: Any, **options: int
+        self, name: str, register: Register, function: int, ask: Callable, *arguments: object, **options: int
     ) -> Any:
         """Reply to a request with a function code.
 

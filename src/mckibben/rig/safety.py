@@ -287,8 +287,6 @@ class SafetyMonitor:
         if clock is not None and not abs(clock - last) <= self._maximum_age:
             message = f"the newest sample is {clock - last:.3g} s old"
             raise StoppedError(message, value=clock - last, upper=self._maximum_age, unit="s", remedy=_BUSY)
-        if clock is not None:
-            self.check_latency(clock - last)
 
     def check_latency(self, age: float = 0.0) -> None:
         """Check how old a sample can be that arrived an age [s] ago; `StoppedError` beyond the limit."""

@@ -189,22 +189,15 @@ class SerialBackend(Backend):
                 value=hello.digest.hex(),
                 remedy=_REMEDIES[FaultCode.OTHER_DIGEST],
             )
-        if self._period and abs(hello.period * 1e-6 - self._period) > 1e-6:
+        needed, period = self._period or self.patience, hello.period * 1e-6
+        if period > needed + 1e-6 or (self._period and period < needed - 1e-6):
+            limit = "exactly" if self._period else "at most"
             raise RigError(
-                f"the firmware samples every {hello.period * 1e-3:g} ms, and {self._period / ms:g} ms are needed",
+                f"the firmware samples every {period / ms:g} ms, and {limit} {needed / ms:g} ms are needed",
                 field="period",
-                value=hello.period * 1e-6,
+                value=period,
                 unit="s",
                 remedy=_REMEDIES[FaultCode.OTHER_DIGEST],
-            )
-        if not hello.period * 1e-6 <= self.patience:
-            raise RigError(
-                f"the firmware samples every {hello.period * 1e-3:g} ms, and {self.patience / ms:g} ms are the longest",
-                field="period",
-                value=hello.period * 1e-6,
-                upper=self.patience,
-                unit="s",
-                remedy="choose the port of the board, or export and flash it again with a shorter period",
             )
         self.rate = 1e6 / hello.period
 
