@@ -1,17 +1,21 @@
 """A rig on a terminal: a server of pymodbus in this process, which may stall."""
 
 import asyncio
+import dataclasses
 import json
 import logging
 import struct
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from mckibben.errors import RigError, ScenarioError, SilentError
+from mckibben.rig.control_loop import RunPlan, control
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.units import bar
+from tests.rig.joint.conftest import LIMITS, Kept, SteadyControl
 from tests.rig.terminal import FaultyTerminal
 
 pymodbus = pytest.importorskip("pymodbus", reason="needs the extra rig")
@@ -202,6 +206,28 @@ def test_a_dead_line_is_tried_no_longer_than_the_patience(faulty):
     begun = time.monotonic()
     rig.vent()
     assert time.monotonic() - begun < 0.4 + 0.2 and rig.losses and faulty.registers[10:12] == [0, 0]
+
+
+def test_a_run_whose_valve_refuses_its_commands_ends_in_silence(faulty):
+    """So that the watchdog of the terminal vents: 5 s of reading held it off."""
+
+    def follow(function, address, reply):
+        faulty.registers[2:4] = faulty.registers[10:12]
+        if faulty.registers[10] > 2000:
+            faulty.refused = {10}
+        return reply
+
+    faulty.fault = follow
+    rig = ModbusBackend(RegisterMap.parse(SPLIT.format(port=faulty.port)))
+    pressures = (0.0, 8 * bar), (0.0, 8 * bar)
+    plan = RunPlan(np.zeros((200, 2)), 1 / 200, 100, 20, (3 * bar, 3 * bar), pressures)
+    limits = dataclasses.replace(LIMITS, silence=1.0, late=1.0)  # on a busy machine
+    outcome = control(rig, SteadyControl(), plan, limits, kept := Kept())
+    ended = time.monotonic()
+    assert outcome.kind == "rig" and outcome.error.field == "valve1" and outcome.remaining is None
+    assert "valve1" in dict(kept.events)["losses"] and faulty.registers[11] == 0
+    time.sleep(0.1)
+    assert faulty.heard[-1] < ended and ended - faulty.heard[-1] < 0.5
 
 
 @pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault not in ("refused", "too many")])
