@@ -148,6 +148,7 @@ class ModbusBackend(Backend):
         self._timeout = self._end = 0.0  # longest wait for replies [s], and when it ends
         self._unreadable: set[str] = set()  # outputs that do not read back
         self._unvented: list[str] = []  # outputs that did not confirm the vent
+        self._duration = 0.0  # of the latest sample [s]
 
     @property
     def inputs(self) -> Sequence[Channel]:
@@ -164,6 +165,10 @@ class ModbusBackend(Backend):
     @property
     def description(self) -> Mapping[str, str]:
         return {"kind": "modbus", "registers": self.registers.dumps()}
+
+    @property
+    def latency(self) -> float:
+        return self._duration
 
     @property
     def losses(self) -> str:
@@ -211,8 +216,10 @@ class ModbusBackend(Backend):
         for number in range(first, first + count):
             time.sleep(max(0.0, number / self.rate - self.clock()))
             self._await()
+            begun = self.clock()
             rows.append(self._sample())
             times.append(self.clock())
+            self._duration = times[-1] - begun
         self._next = first + count
         return Block(first, np.array(times), np.array(rows), np.zeros(count))
 
