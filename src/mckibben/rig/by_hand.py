@@ -116,7 +116,8 @@ def typed(text: str) -> str:
         number = sys.stdin.fileno()
     except OSError:  # not a file
         return input(text)
-    print(text, end="", flush=True)
+    sys.stdout.write(text)
+    sys.stdout.flush()
     line = io.FileIO(number, closefd=False).readline()
     if not line:
         raise RigError("the input has ended, and an answer is needed", remedy="run it on a terminal")
