@@ -275,7 +275,7 @@ def changed(section, name, **changes):
         ("outputs", "valve2", {"address": 9, "type": "uint32", "word_order": "little"}, "address"),
         ("outputs", "valve1", {"low": 20000}, "low"),  # nothing vents it
         ("outputs", "valve1", {"low": 900000, "high": 0}, "low"),
-        ("outputs", "valve1", {"address": 20, "type": "float32"}, "type"),
+        ("outputs", "valve1", {"address": 20, "type": "uint32", "offset": -100}, "type"),  # 0 Pa is 1 count, or 65,536
         ("outputs", "valve2", {"address": 65536}, "address"),
         ("inputs", "pressure1", {"address": 1}, "address"),  # the second word of the angle
         ("inputs", "pressure1", {"gain": 10}, "type"),  # it would never read more than 3.3 bar
@@ -319,6 +319,21 @@ def test_commands_of_two_words_have_the_stated_order(faulty, order):
     assert faulty.registers[12:14] == ([0, 5000] if order == "big" else [5000, 0])
     rig.close()
     assert faulty.registers[10:14] == [0] * 4
+
+
+@pytest.mark.parametrize(("angle", "known"), [(0.123, True), (0.0, False)])
+def test_the_order_of_commands_is_that_of_readings_or_asked_for(faulty, angle, known):
+    faulty.registers[0:2] = struct.unpack(">2H", struct.pack(">f", angle))
+    text = SPLIT.replace("address: 11, type: uint16", "address: 12, type: uint32").format(port=faulty.port)
+    rig = ModbusBackend(RegisterMap.parse(text))
+    if known:
+        with rig.opened():
+            rig.set_valves([0.0, 5 * bar])
+            assert faulty.registers[12:14] == [0, 5000]
+    else:
+        with pytest.raises(RigError) as refused, rig.opened():
+            pass
+        assert refused.value.field == "valve2" and "word_order" in refused.value.remedy
 
 
 def test_an_output_that_reads_back_elsewhere_is_asked_for(faulty):

@@ -17,6 +17,8 @@ from mckibben.rig.backend import Backend, Block, Channel, ScaledChannel
 from mckibben.units import ms
 
 _CABLE = "check cable, power and address of the terminal, and what else keeps it or this computer busy"
+_ORDER = "give word_order: big (high word first, as Modbus has it), or little"
+
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its errors are ours, with remedies
 
 
@@ -33,7 +35,7 @@ class Register(ScaledChannel):
         Type of its number.
     word_order
         Which word of a number of two registers comes first: the high one (big), or the low one (little). Default: big,
-        as Modbus has it; outputs have to say it.
+        as Modbus has it; of an output, if that makes sense of a reading at opening.
     """
 
     address: int = Field(ge=0, le=65535)
@@ -80,11 +82,8 @@ class ValveRegister(Register):
         if not self.low <= 0 < self.high:
             message = f"{self.low:g}..{self.high:g} {self.unit} does not hold 0, which vents"
             fail_validation(message, "give the pressure at the lowest command, at most 0", field="low")
-        if self.size == 2 and self.word_order is None:
-            message = f"{self.type} has two registers, and a wrong order of them could open the valve fully"
-            fail_validation(
-                message, "give word_order: big (high word first, as Modbus has it), or little", field="type"
-            )
+        if self.size == 2 and self.word_order is None and self.raw(0.0).round():
+            fail_validation("is of two registers, of which a wrong order could open the valve", _ORDER, field="type")
         return self
 
 
@@ -149,6 +148,7 @@ class ModbusBackend(Backend):
         self._unreadable: set[str] = set()  # outputs that do not read back
         self._unvented: list[str] = []  # outputs that did not confirm the vent
         self._duration = 0.0  # of the latest sample [s]
+        self._reads_big = False  # whether a reading makes sense only with the high word first
 
     @property
     def inputs(self) -> Sequence[Channel]:
@@ -202,6 +202,9 @@ class ModbusBackend(Backend):
             self._check_readback(name)
         self._await()
         self._sample()
+        for name, register in there.outputs.items():
+            if register.size == 2 and register.word_order is None and not self._reads_big:
+                raise RigError(f"the order of the words of {name} shows in no reading", field=name, remedy=_ORDER)
         self._begun, self._next = time.monotonic(), 0
 
     def clock(self) -> float:
@@ -277,9 +280,9 @@ class ModbusBackend(Backend):
             readings = (
                 f"{register.si(counts):.4g} {register.unit}, and with its words exchanged {register.si(other):.4g}"
             )
-            raise RigError(
-                f"{name} reads {readings}", field=name, remedy=f"set word_order: {orders[1]} in its register"
-            )
+            remedy = f"set word_order: {orders[1]} in its register"
+            raise RigError(f"{name} reads {readings}", field=name, remedy=remedy)
+        self._reads_big |= register.size == 2 and orders[0] == "big" and not register.can_read(other)
         return float(register.si(counts))
 
     def _words(self, register: ValveRegister, pressure: float) -> list[int]:

@@ -307,9 +307,8 @@ class SerialBackend(Backend):
         try:
             yield
         except (OSError, AttributeError, TypeError) as error:  # pyserial raises all of them for a lost port
-            raise RigError(
-                f"the port {self.port} is lost: {error}", remedy="plug it in again; the board vents by itself"
-            ) from error
+            remedy = f"{_CABLE}; the board vents by itself"
+            raise RigError(f"the port {self.port} does not work: {error}", remedy=remedy) from error
 
     def _take(self, messages: Sequence[Message]) -> None:
         """Take samples and faults of the board."""
