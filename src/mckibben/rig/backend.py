@@ -17,8 +17,10 @@ from mckibben.component.classes import Keyed
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import RigError
 from mckibben.rig.bench import FASTEST
-from mckibben.units import ms
+from mckibben.units import bar, deg, mm, ms
 
+SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
+"""Units in messages by those of channels, with their scales."""
 _UNITS = {"angle": "rad", "force": "N", "pressure": "Pa", "valve": "Pa"}
 
 
@@ -240,12 +242,15 @@ class Backend(abc.ABC):
             if self.latency:
                 yield ChannelStatus("line", "", f"a message and its answer take {self.latency / ms:.3g} ms")
         for channel, read in zip(self.inputs, block.values.T, strict=True):
-            reading = f"{read.mean():.4g} {channel.unit} (noise {read.std():.2g})"
+            unit, scale = SHOWN.get(channel.unit, (channel.unit, 1.0))
+            reading = f"{read.mean() / scale:.4g} {unit} (noise {read.std() / scale:.2g})"
             works = ((read >= channel.low) & (read <= channel.high)).all()
             problem = "" if works else f"{reading}, lost: check its plug and its supply"
             yield ChannelStatus(channel.name, channel.where, reading, problem)
         for channel in self.outputs:
-            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} {channel.unit}")
+            unit, scale = SHOWN.get(channel.unit, (channel.unit, 1.0))
+            ends = f"{channel.low / scale:g}..{channel.high / scale:g} {unit}"
+            yield ChannelStatus(channel.name, channel.where, ends if channel.high < math.inf else "no known range")
 
 
 class MuscleRig(Keyed, abc.ABC):

@@ -56,9 +56,12 @@ class JointRunResult(Result):
     priority: str
 
     def verdict(self) -> str:
-        """The outcome of the run, and that of the venting."""
+        """The outcome of the run, its missed deadlines, and the outcome of the venting."""
         text = self.result.verdict() if self.result is not None and self.outcome.completed else self.outcome.kind
-        return f"{text}; {self.outcome.venting}"
+        missed = f"; {self.timing.missed} of {self.timing.periods} deadlines missed" * (
+            self.paced and self.timing.missed > 0
+        )
+        return f"{text}{missed}; {self.outcome.venting}"
 
     def remarks(self) -> Iterator[Remark]:
         """The reason of a stop, and the remarks on the motion."""

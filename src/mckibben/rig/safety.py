@@ -11,15 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import RigError, SignalledError, StoppedError
-from mckibben.rig.backend import Backend, Block, Channel, MovingBackend
+from mckibben.rig.backend import SHOWN, Backend, Block, Channel, MovingBackend
 from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.storage.files import handle_signals
-from mckibben.units import bar, deg, mm, ms
+from mckibben.units import bar, ms
 
 _BUSY = "find out what delayed the device or the host"
 _SLOW = "connect it without hub, adapter or network, and find out what else delays the line, the device or the host"
 _PLUG = "check its plug and its supply"
-_SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
 
 class SignalLimits(NamedTuple):
@@ -324,7 +323,7 @@ PROBED = 0.5 * bar
 def _exceeded(
     name: str, value: float, lower: float, upper: float, unit: str, *, per: str = "", remedy: str = ""
 ) -> StoppedError:
-    shown, scale = _SHOWN.get(unit, (unit, 1.0))
+    shown, scale = SHOWN.get(unit, (unit, 1.0))
     limits = (
         "not a number"
         if math.isnan(value)
