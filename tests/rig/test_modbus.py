@@ -364,6 +364,13 @@ def test_channels_in_other_units_are_refused(faulty, section, name, unit):
     assert refused.value.field == name and refused.value.remedy
 
 
+def test_the_status_names_an_input_that_reads_a_command(faulty, terminal):
+    right = ModbusBackend(RegisterMap.parse(SPLIT.format(port=faulty.port)))
+    assert not [row for row in right.status() if row.problem]
+    wrong = ModbusBackend(RegisterMap.parse(MAP.format(port=terminal.port)))
+    assert [row.name for row in wrong.status() if row.problem] == ["pressure1", "pressure2"]
+
+
 def test_remarks_of_the_library_stay_off_the_terminal(faulty, capsys, monkeypatch):
     rig = opened(faulty)
     monkeypatch.setattr(logging.getLogger(), "handlers", [])  # as without pytest

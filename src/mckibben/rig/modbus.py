@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from mckibben.config.model import DocumentModel, fail_validation
 from mckibben.errors import RigError, SilentError
-from mckibben.rig.backend import Backend, Block, Channel, ScaledChannel
+from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, ScaledChannel
 from mckibben.units import ms
 
 _CABLE = "check cable, power and address of the terminal, and what else keeps it or this computer busy"
@@ -207,6 +207,15 @@ class ModbusBackend(Backend):
                 raise RigError(f"the order of the words of {name} shows in no reading", field=name, remedy=_ORDER)
         self._begun, self._next = time.monotonic(), 0
 
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of its channels; an input at the register from which an output reads back is a problem."""
+        yield from super().status()
+        commands = {self._readback(name): name for name in self.registers.outputs if name not in self._unreadable}
+        for name, register in self.registers.inputs.items():
+            if register.kind == "holding" and (valve := commands.get(register.address)):
+                problem = f"reads the command of {valve}, and measures nothing: correct its address and kind"
+                yield ChannelStatus(name, str(register.address), "", problem)
+
     def clock(self) -> float:
         return time.monotonic() - self._begun
 
@@ -307,8 +316,12 @@ class ModbusBackend(Backend):
         if name in self._unreadable:
             return written
         register = self.registers.outputs[name]
-        address = register.address if register.readback is None else register.readback
-        return self._read(name, register, address) == self._words(register, 0.0)
+        return self._read(name, register, self._readback(name)) == self._words(register, 0.0)
+
+    def _readback(self, name: str) -> int:
+        """Number of the register from which an output reads back."""
+        register = self.registers.outputs[name]
+        return register.address if register.readback is None else register.readback
 
     def _check_readback(self, name: str) -> None:
         """Check that an output reads back, unless the terminal refuses that; `RigError` for another number."""
