@@ -120,7 +120,7 @@ class JointSession:
         yield from self.backend.status()
         if (latency := self.backend.latency) > self.limits.late:
             slow = f"a message and its answer take {latency / ms:.3g} ms, limits.late is {self.limits.late / ms:g} ms"
-            yield ChannelStatus("line", "", "", f"{slow}: connect it without hub, adapter or network")
+            yield ChannelStatus("line", "", "", f"{slow}: connect it directly")
         if self.leniency:
             yield ChannelStatus("limits", "", self.leniency)
 

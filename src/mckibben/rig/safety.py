@@ -17,7 +17,7 @@ from mckibben.storage.files import handle_signals
 from mckibben.units import bar, ms
 
 _BUSY = "find out what delayed the device or the host"
-_SLOW = "connect it without hub, adapter or network, and find out what else delays the line, the device or the host"
+_SLOW = "connect it directly, and find out what else delays the line, the device or this computer"
 _PLUG = "check its plug and its supply"
 
 
