@@ -77,11 +77,11 @@ def _stiffness(read: RobotScenario, source: str) -> Report:
 
     attainable, solved = solve_statics(read, source=source)
     tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"
-    numbers: dict[str, object] = {"attainable": {name: row._asdict() for name, row in attainable.items()}}
     if read.stiffness is not None:
         text = "what is attainable in the posture of the file"
+    numbers = None if solved is None else solved.to_dict() | {"tables": [table.to_dict() for table in tables]}
     if solved is not None:
-        tables, text, numbers = (solved.listing(), *tables), solved.describe(), solved.record() | numbers
+        tables, text = (*solved.listings(), *tables), solved.verdict()
 
     def write(folder: Path) -> None:
         read.to_yaml(folder / "robot.yaml")
