@@ -13,6 +13,7 @@ from mckibben.export import export
 from mckibben.export.controller_files import c_files
 from mckibben.firmware import Hardware
 from mckibben.robot import RobotScenario
+from mckibben.scenario import Scenario
 from tests.codegen.test_javascript import NODE, run
 from tests.robot.test_control import DECOUPLING, ONE
 
@@ -51,9 +52,11 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     with pytest.raises(ExportError) as caught:
         export(landing, "c", tmp_path / "out")
     assert caught.value.field == "controller" and caught.value.remedy
-    with pytest.raises(ParameterError) as other:
-        export(landing, "osim", tmp_path / "out")
-    assert other.value.value == "osim" and "c or" in other.value.remedy
+    joint = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    for scenario, target, other in ((landing, "firmware", "mjcf"), (joint, "matlab", "firmware")):
+        with pytest.raises(ParameterError) as unknown:
+            export(scenario, target, tmp_path / "out")
+        assert (unknown.value.field, unknown.value.value) == ("to", target) and other in unknown.value.remedy
     assert not (tmp_path / "out").exists()
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import shutil
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.export.muscle_plugin import plugin_files
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
+from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.units import bar, deg
 from tests.robot.conftest import limb, over_two, pair_over
 
@@ -249,6 +251,29 @@ def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
     for joint in plant.robot.joints:
         mobility = model.dof_invweight0[model.joint(joint.name).dofadr[0]]
         assert found[joint.name].stiffness / joint.stop_stiffness == pytest.approx(mobility, rel=2e-3)
+
+
+def test_friction_creep_and_spools_are_those_of_each_muscle(tmp_path):
+    """A robot whose muscles differ, on its start in the air, with a plugin of its own."""
+    valve = mk.PressureRegulator(conductance=0.5e-8, supply=7 * bar, time_constant=0.01, dead_volume=5e-6)
+    plant, widths = plant_of("fixed", valve=valve), iter(range(5, 20))
+
+    def rough(part):
+        friction = MaxwellSlip(next(widths), 5e-4, viscous=30.0, elements=2)
+        return dataclasses.replace(part, friction=friction, creep=MaxwellCreep(900.0, 0.5))
+
+    is_muscle = lambda part: isinstance(part, mk.Muscle)  # noqa: E731
+    plant = jax.tree.map(lambda part: rough(part) if is_muscle(part) else part, plant, is_leaf=is_muscle)
+    start, commands = start_of(plant, 0.5, 0.0)
+    state = plant.begin(start)
+    plugin_files(mujoco_model(plant, "rough", PERIOD / SUBSTEPS, state), "a robot").save(tmp_path)
+    model = load_mujoco(tmp_path)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = commands
+    ours, _ = moved(plant, start, commands)
+    assert np.ptp(ours, axis=0).min() > 1e-3 and model.na == 3 * model.nu
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
 
 
 ROPES = Pulley(0.02, 0.1), Pulley(0.015, 0.072)

@@ -28,8 +28,8 @@ def export(
         Scenario or robot; see examples/.
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
-        for pages. fmu, fmu-controller, fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle.
-        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a robot: c, js, mjcf or warp.
+        for pages. fmu, fmu-controller: FMUs, the joint with load and valves, or the controller. mjcf: joint and muscles
+        for MuJoCo. For a robot: c, js or mjcf.
     out : DIR
         Output folder.
     name : NAME

@@ -76,11 +76,11 @@ def _stiffness(read: RobotScenario, source: str) -> Report:
 
     attainable, solved = solve_statics(read, source=source)
     tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"
-    numbers: dict[str, object] = {"attainable": {name: row._asdict() for name, row in attainable.items()}}
     if read.stiffness is not None:
         text = "what is attainable in the posture of the file"
+    numbers = None if solved is None else solved.to_dict() | {"tables": [table.to_dict() for table in tables]}
     if solved is not None:
-        tables, text, numbers = (solved.listing(), *tables), solved.describe(), solved.record() | numbers
+        tables, text = (*solved.listings(), *tables), solved.verdict()
 
     angles = read.robot.posture_angles({} if read.stiffness is None else read.stiffness.posture)
     pressures, stiffness = (None, None) if solved is None else (solved.pressures, solved.joint_stiffness)

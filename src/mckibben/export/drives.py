@@ -112,7 +112,7 @@ def muscle_drive(
 
 
 def muscle_functions(
-    plant: PyTree, name: str, drives: Sequence[Drive], start: PyTree, *, filters: bool = True
+    plant: PyTree, name: str, drives: Sequence[Drive], start: PyTree
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
     """The functions of all muscles of a plant in a module.
 
@@ -120,14 +120,12 @@ def muscle_functions(
     ----------
     start
         State of the plant at the start.
-    filters
-        Whether MuJoCo's own filter models first-order valves.
     """
     numbers, fixed = eqx.partition(numeric(plant), eqx.is_inexact_array_like)
     module, functions = SourceModule(name, {"plant": numbers}, "plant."), []
     for number, drive in enumerate(drives, 1):
         state = start.muscles[drive.index], start.pressures[drive.index], state_of_muscle(start.air, drive.index)
-        filtered = filters and is_filter(plant.valve.for_muscle(drive.index))
+        filtered = is_filter(plant.valve.for_muscle(drive.index))
         functions.append(MuscleFunctions(fixed, number, drive.muscle, drive.path, state, filtered))
         functions[-1].add_to(module)
     return module, functions

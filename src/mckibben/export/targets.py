@@ -81,15 +81,12 @@ TARGETS = {
     "js": ("mckibben.export.controller_files:js_files", "controller"),
     "fmu": ("mckibben.export.fmu:plant_fmu", "plant"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller"),
-    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "muscle"),
     "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint"),
-    "warp": ("mckibben.export.warp:warp_files", "joint"),
-    "osim": ("mckibben.export.osim:osim_files", "joint"),
 }
 """Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = "c", "js", "mjcf", "warp"
+ROBOT_TARGETS = "c", "js", "mjcf"
 """Formats of a robot."""
 
 
@@ -128,8 +125,8 @@ def export(
     target
         One of `TARGETS`, or of `ROBOT_TARGETS` for a robot.
     name
-        Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``muscle``, ``joint`` or
-        ``robot``, according to the format.
+        Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``joint`` or ``robot``,
+        according to the format.
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """

@@ -127,7 +127,7 @@ def pose(scenario: RobotScenario, angles: tuple[float, ...]) -> Posed:
         solved = pressures_for_joint_stiffness(robot, angles, any_stiffness, torques=held, supply=scenario.supply)
     except McKibbenError as error:
         return Posed(lines, None, None, (), error)
-    holding = replace(solved.listing(), title="Pressures that hold this posture", detail=True)
+    holding = replace(list(solved.listings())[-1], title="Pressures that hold this posture", detail=True)
     point = (scenario.stiffness.point if scenario.stiffness else None) or robot.foot
     ellipsoid = None
     if point is not None:
