@@ -92,7 +92,7 @@ ROBOT_TARGETS = "c", "js", "mjcf"
 
 _MEANT = {
     **dict.fromkeys(("arduino", "teensy", "esp32", "stm32", "board", "sketch"), "firmware"),
-    **{"c99": "c", "javascript": "js", "simulink": "fmu", "fmi": "fmu", "mujoco": "mjcf", "opensim": "osim"},
+    **{"c99": "c", "javascript": "js", "simulink": "fmu", "fmi": "fmu", "mujoco": "mjcf"},
 }
 
 
