@@ -124,7 +124,9 @@ def functions_of(
         return answer(parameters, containment.hold(parameters["limits"], state, exported))
 
     def answer(parameters: PyTree, state: ContainedState) -> dict[str, PyTree]:
-        commands = OrderedDict((f"pressure{number}", x) for number, x in enumerate(state.commands, 1))  # dicts are sorted
+        commands = OrderedDict(
+            (f"pressure{number}", x) for number, x in enumerate(state.commands, 1)
+        )  # dicts are sorted
         telemetry = of(parameters).telemetry(state.controller) | {"status": state.status, "fault": state.fault}
         return {"state": state, "commands": commands, "telemetry": telemetry}
 

@@ -87,7 +87,9 @@ def containment_of(scenario: Scenario | RobotScenario, limits: Limits) -> Contai
         return limits.containment(scenario.plant(), *_joint_bounds(scenario, limits))
     plant = scenario.plant()
     pressures, stiffest = _measured_pressures(plant, limits), _stiffest(scenario, limits)
-    return limits.containment(plant, *(_robot_bounds(plant, limits, side, pressures[side], stiffest) for side in (0, 1)))
+    return limits.containment(
+        plant, *(_robot_bounds(plant, limits, side, pressures[side], stiffest) for side in (0, 1))
+    )
 
 
 def _measured_pressures(plant: Plant, limits: Limits) -> tuple[tuple[Array, ...], tuple[Array, ...]]:

@@ -29,7 +29,6 @@ from mckibben.export.evaluation import find_function
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import Plant
 from mckibben.robot import RobotScenario, TimedReference, TrackingControl
 from mckibben.robot.simulate import setpoints_over
 from mckibben.scenario import Scenario
