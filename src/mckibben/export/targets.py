@@ -57,7 +57,7 @@ class Exported(Result):
         return f"{len(self.contents)} file{'s' * (len(self.contents) > 1)}"
 
     def remarks(self) -> Iterator[Remark]:
-        """Severe ones for margins below their floor and steps longer than the period; a warning for each omitted part."""
+        """Severe ones for low margins and steps longer than the period; a warning for each part that is left out."""
         if self.margins is not None:
             yield from margin_remarks(float(self.margins.disk.min()), f", {self.margins.limit()}")
         if self.period and self.step_time > self.period / 2:
