@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -63,9 +63,9 @@ def transmissions(geometry: Geometry) -> tuple[Transmission, ...]:
     return tuple(_transmission(lambda x, i=i: geometry.path_lengths(x)[i], ends[i]) for i in (0, 1))
 
 
-def path_transmission(path: MusclePath, side: Literal[1, -1]) -> Transmission:
+def path_transmission(path: MusclePath, side: int) -> Transmission:
     """Transmission over a path; `side` is the sign of its moment arm."""
-    return _transmission(lambda angle: path.length(angle, side), path.anchors(0.0))
+    return _transmission(lambda angle: path.length(angle, 1 if side > 0 else -1), path.anchors(0.0))
 
 
 def _transmission(length: Callable[[ArrayLike], Array], ends: Ends | None) -> Transmission:

@@ -71,7 +71,7 @@ class TendonParts(NamedTuple):
 
     over: tuple[OverJoint, ...]
     through: tuple[BodyPoint, ...]
-    connector_length: ArrayLike
+    connector_length: float
 
 
 class MuscleUnit(Component):
@@ -81,8 +81,8 @@ class MuscleUnit(Component):
     `routed` has neither of them, unless it gives its own.
     """
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
         for name in {"pair", "tendon_parts"} - vars(cls).keys() if "routed" in vars(cls) else ():
             setattr(cls, name, vars(MuscleUnit)[name])
 

@@ -525,7 +525,8 @@ def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -
     narrow = np.angle(turning) + np.multiply.outer(_WIDTHS, 1 - np.abs(turning))
     dense = np.unique(np.concatenate([[_STILL], angles, narrow[(narrow > _STILL) & (narrow < np.pi)]]))
     sensitivity = triangular.sensitivity(np.broadcast_to(dense, (radius.size, dense.size)))
-    responses, even = np.linalg.eigvals(sensitivity - np.eye(sensitivity.shape[-1])), np.searchsorted(dense, angles)
+    responses = np.linalg.eigvals(sensitivity - np.eye(sensitivity.shape[-1])).astype(np.complex128)
+    even = np.searchsorted(dense, angles)
     gain, phase, delay = _crossings(responses, dense, period)
     sensitivity, responses = sensitivity[:, even], responses[:, even]
     with np.errstate(divide="ignore", invalid="ignore"):  # of an integrator
