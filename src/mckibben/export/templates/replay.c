@@ -82,13 +82,13 @@ int main(int count, char **arguments)
 <% for part, member in columns if part == "commands" %>
         compare((double)commands.${member}, (double)changed.${member}, row[${first_command + loop.index0}]);
 <% endfor %>
-        wrong = wrong || !(deviation <= fmax(TOLERANCE * largest, rounding));
+        wrong = wrong || !(deviation <= fmax(TOLERANCE * largest, fmin(rounding, 1e-3 * largest)));
     }
     printf("%d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", ROWS - 1, deviation,
            deviation / largest);
     if (deviation > TOLERANCE * largest)
         printf("a change of the measurements by %.0e of their size changes a command by %.3g Pa: %s\n", TOLERANCE / 1000,
-               rounding, wrong ? "too little to explain that" : "without its plant this controller amplifies rounding");
+               rounding, wrong ? "the program is wrong, or the run too long" : "without its plant this controller amplifies rounding");
     if (held)
         printf("%d samples were not used: the limits in ${name}_defaults do not fit this run\n", held);
     start = clock();
