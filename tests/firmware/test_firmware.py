@@ -181,6 +181,18 @@ def test_commands_of_the_host_are_limited(session, digest):
     assert session.period(MessageKind.COMMAND, pack_numbers((np.nan, 0.0), "f")).values[3:] == (8e5, 0)
 
 
+def test_missing_commands_of_the_host_in_turn_vent(session, digest):
+    """Every second bad command counts, one of three does not."""
+    good, bad = pack_numbers((1e5, 2e5), "f"), pack_numbers((np.nan, 2e5), "f")
+    for _ in range(100):
+        session.period(MessageKind.COMMAND, good)
+    session.arm(digest, CommandSource.COMMANDS)
+    seldom = [session.period(MessageKind.COMMAND, bad if k % 3 == 0 else good).state for k in range(300)]
+    assert FirmwareState.VENTED not in seldom and FirmwareState.HOLDING in seldom
+    often = [session.period(MessageKind.COMMAND, bad if k % 2 == 0 else good).state for k in range(120)]
+    assert often.index(FirmwareState.VENTED) in range(90, 110) and often[-1] == FirmwareState.VENTED
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
 @pytest.mark.skipif(shutil.which(QEMU[0]) is None, reason="no qemu-system-arm")

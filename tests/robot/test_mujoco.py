@@ -13,6 +13,7 @@ from mckibben import robot as robots
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
 from mckibben.export.compliance import compliance
+from mckibben.export.drives import Transmission, path_transmission
 from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.export.muscle_plugin import plugin_files
@@ -20,6 +21,7 @@ from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.units import bar, deg
 from tests.robot.conftest import limb, over_two, pair_over
+from tests.robot.test_control import ONE
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")]
 PERIOD, SUBSTEPS = 1e-3, 4
@@ -325,3 +327,43 @@ def test_a_robot_of_a_file_is_written_under_a_name_of_c(tmp_path):
     with pytest.raises(ParameterError) as caught:
         export(scenario, "mjcf", tmp_path, name="two legs")
     assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])
+
+
+BLOCK = """    - name: on a block
+      class: halved
+      connector_length: 46 mm
+      through: [{body: thigh, place: [30 mm, 0 mm, 185 mm]}, {body: shank, place: [30 mm, 0 mm, -185 mm]}]
+      muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+"""
+
+
+class HalvedPath(robots.PathMuscle):
+    """A muscle on a block: it moves half as far as its path."""
+
+    short_name = "halved"
+
+    def routed(self, skeleton):
+        (whole,) = super().routed(skeleton)
+        slopes = {joint: slope / 2 for joint, slope in whole.slopes.items()}
+        bends = lambda: {joints: bend / 2 for joints, bend in whole.bends().items()}  # noqa: E731
+        return [whole._replace(path=whole.path / 2, slopes=slopes, bends=bends)]
+
+
+class LooserPulley(Pulley):
+    """A pulley whose arm grows with the angle."""
+
+    short_name = "looser"
+
+    def length(self, angle, side):
+        return super().length(angle, side) + 0.01 * angle**2
+
+
+def test_a_class_with_its_own_path_is_not_exported_as_that_of_its_base(tmp_path):
+    """What MuJoCo cannot have is an error that names it, or a torque of the joint."""
+    robot = robots.RobotScenario.parse(ONE.replace("valve:", BLOCK + "valve:").split("reference:")[0])
+    assert list(robot.robot.pairs) == [0]
+    with pytest.raises(ExportError) as caught:
+        export(robot, "mjcf", tmp_path / "out")
+    assert caught.value.field == "muscles" and "on a block" in caught.value.message
+    plain, looser = (path_transmission(kind(radius=0.03, rest_length=0.16), 1) for kind in (Pulley, LooserPulley))
+    assert plain == Transmission(0.16, coefficient=0.03) and not looser.has_tendon

@@ -53,6 +53,9 @@ def export(
     with keeping(folder):
         read = read_scenario(scenario)
         parts = None if hardware is None else Hardware.read(hardware)
+        if to in CONTROLLERS and not isinstance(read, Scenario):
+            count = len(read.robot.all_muscles)
+            echo(f"a controller of {count} muscles takes about {count**2 / 15:.0f} s of processor time", err=True)
         exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
     if to in CONTROLLERS and isinstance(read, Scenario):
         exported = replace(exported, margins=read.margins())

@@ -24,8 +24,9 @@ from mckibben.export.targets import Exported, filled
 from mckibben.joint import Load
 from mckibben.numerics.spatial import Vector, X, Z
 from mckibben.plant import JointPlant
-from mckibben.robot import Body, Joint, MusclePair, PathMuscle, RobotPlant, RobotScenario
+from mckibben.robot import Body, Joint, RobotPlant, RobotScenario
 from mckibben.robot.dynamics import SLIDES, TURNS, Posture, Velocity
+from mckibben.robot.muscles import TendonParts
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
@@ -152,10 +153,10 @@ class Assembly:
             driven = "" if moved.has_tendon else joint.name
             self.drives.append(muscle_drive(name, first + place, unit_of, place, moved.offset, driven))
 
-    def add_path(self, unit_of: UnitOf, muscle: PathMuscle, first: int) -> None:
+    def add_path(self, unit_of: UnitOf, name: str, muscle: TendonParts, first: int) -> None:
         """Add a muscle over joints and through points; parameters as of `add_pair`."""
         names = [joint.name for joint in self.joints]
-        numbers, name = [names.index(part.joint) for part in muscle.over], muscle.name
+        numbers = [names.index(part.joint) for part in muscle.over]
         moved = [path_transmission(part.path, part.side) for part in muscle.over]
         offset = sum(transmission.offset for transmission in moved) - float(muscle.connector_length)
         if all(transmission.points for transmission in moved):
@@ -345,12 +346,13 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
         def unit_of(plant: RobotPlant, number: int = number) -> PyTree:
             return plant.robot.muscles[number]
 
-        if isinstance(unit, MusclePair):
-            made.add_pair(unit_of, unit.names, robot.index(unit.over), first)
-        elif isinstance(unit, PathMuscle):
-            made.add_path(unit_of, unit, first)
+        if unit.pair is not None:
+            made.add_pair(lambda plant, of=unit_of: of(plant).pair, unit.names, robot.index(unit.joint_names[0]), first)
+        elif (parts := unit.tendon_parts) is not None:
+            made.add_path(unit_of, unit.names[0], parts, first)
         else:
-            raise _cannot("muscles", f"a {type(unit).__name__}", "give it a path through points")
+            remedy = "give it a path through points; a class with its own `routed` also needs `tendon_parts`"
+            raise _cannot("muscles", f"{unit.names[0]} (a {type(unit).__name__})", remedy)
         first += len(unit.names)
     made.left_out.append(f"stops of the joints: MuJoCo's, with our restitution at {LIMIT_SPEED:g} rad/s")
     if robot.spheres:

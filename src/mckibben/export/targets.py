@@ -17,6 +17,7 @@ from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
 from mckibben.storage.files import atomic_write, check_free, make_folder
+from mckibben.units import ms
 
 if TYPE_CHECKING:
     from mckibben.firmware import Hardware
@@ -36,21 +37,34 @@ class Exported(Result):
         Operations of a step of a controller by kind, at most.
     margins
         Stability margins of the loop of a controller, if they were computed.
+    period
+        Control period [s] of a program for a board; 0 for others.
     """
 
     contents: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
     worst_case: Mapping[str, int] | None = None
     margins: Margins | None = None
+    period: float = 0.0
+
+    @property
+    def step_time(self) -> float:
+        """Time [s] of the worst step of a controller on the processor of `PROCESSOR`, estimated."""
+        return sum((self.worst_case or {}).values()) * _INSTRUCTIONS / _CLOCK
 
     def verdict(self) -> str:
         """Number of files."""
         return f"{len(self.contents)} file{'s' * (len(self.contents) > 1)}"
 
     def remarks(self) -> Iterator[Remark]:
-        """A severe one for margins below their floor, and a warning for each part that is left out."""
+        """Severe ones for low margins and steps longer than the period; a warning for each part that is left out."""
         if self.margins is not None:
             yield from margin_remarks(float(self.margins.disk.min()), f", {self.margins.limit()}")
+        if self.period and self.step_time > self.period / 2:
+            remark = Remark.severe if self.step_time > self.period else Remark.warning
+            text = f"the worst step takes about {self.step_time / ms:.2g} ms on {PROCESSOR}; the control period is "
+            remedy = "take a longer control_period or a faster processor, and measure the step there"
+            yield remark("control_period", f"{text}{self.period / ms:.4g} ms", remedy)
         for part in self.left_out:
             yield Remark.warning("left_out", f"left out: {part}")
 
@@ -61,7 +75,8 @@ class Exported(Result):
         yield Listing("files", columns)
         if self.worst_case:
             columns = {"operations": (Column(), [*self.worst_case]), "at most": (Column(), [*self.worst_case.values()])}
-            yield Listing("worst case of a step", columns)
+            on = f", {self.step_time / ms:.2g} ms on {PROCESSOR}" if self.period else ""
+            yield Listing(f"worst case of a step{on}", columns)
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> list[str]:
         """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set."""
@@ -74,6 +89,10 @@ class Exported(Result):
                 temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
         return list(self.contents)
 
+
+PROCESSOR = "a Cortex-M7 at 600 MHz"
+"""Processor of the estimated time of a step; see docs/deploy.md."""
+_CLOCK, _INSTRUCTIONS = 600e6, 10  # of that processor [1/s], and of it for an operation
 
 TARGETS = {
     "c": ("mckibben.export.controller_files:c_files", "controller"),

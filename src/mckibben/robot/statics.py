@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import ArrayLike
 
-from mckibben.component.checks import check_count, check_within
+from mckibben.component.checks import check_count, check_positive
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.result import Column, Result, column
 from mckibben.robot.attainable import JointRange, attainable_statics
@@ -171,7 +171,7 @@ def pressures_for_joint_stiffness(
     free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
     rows = [(place, stiffness[index]) for place, index in enumerate(free) if stiffness[index] is not None]
     for _, number in rows:
-        check_within("stiffness", 0.0, np.inf, "N*m/rad", remedy="give a positive one", stiffness=float(number or 0.0))
+        check_positive("stiffness", "N*m/rad", stiffness=number)
     offset, slopes = setting.stiffness()
     places, wanted = [place for place, _ in rows], np.array([number for _, number in rows], float)
     factors = slopes[places, places] / wanted[:, None]

@@ -158,7 +158,8 @@ static void follow_host(const controller_measurement *measurement, controller_co
         controller_hold(&joint, commands, telemetry);
         return;
     }
-    joint.state.held = 0;
+    if (joint.state.status != STATE_HOLDING) /* as the step counts them */
+        joint.state.held = (${real})fmax((double)joint.state.held - ${period}, 0);
     joint.state.status = telemetry->status = STATE_RUNNING;
     telemetry->fault = CODE_NONE;
     commands->pressure1 = (${real})fmin(fmax(asked[0], (double)limits->limits_lowest_commands_0), (double)limits->limits_highest_commands_0);
