@@ -26,11 +26,11 @@ WORKFLOWS: Mapping[str, tuple[Mapping[str, Box], Sequence[tuple[str, str]]]] = {
             "c": (2, 0, "controller\nas C99", FILE),
             "js": (2, 1, "controller\nas JavaScript", FILE),
             "fmu": (2, 2, "FMUs", FILE),
-            "mjcf": (2, 3, "MJCF, Warp,\nOSIM", FILE),
+            "mjcf": (2, 3, "MJCF", FILE),
             "board": (3, 0, "microcontroller", OTHER),
             "page": (3, 1, "browser", OTHER),
             "simulink": (3, 2, "Simulink,\nOpenModelica", OTHER),
-            "mujoco": (3, 3, "MuJoCo,\nOpenSim", OTHER),
+            "mujoco": (3, 3, "MuJoCo", OTHER),
         },
         [
             ("scenario", "export"),

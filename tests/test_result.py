@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 
 from mckibben.cli.command import command
 from mckibben.errors import FileError
-from mckibben.result import Column, Listing, Remark, Result, Severity, column
+from mckibben.result import Column, Listing, Remark, Result, Severity, WritingResult, column
+from mckibben.storage.store import STUDY
 
 
 class Swing(Result):
@@ -126,6 +127,53 @@ def test_existing_files_are_kept_unless_forced(swing, tmp_path):
     swing.save(tmp_path, force=True)
 
 
+class Parts(WritingResult):
+    """Files that the object knows."""
+
+
+def parts(*names):
+    return Parts(writers={name: lambda path: path.write_text("new") for name in names})
+
+
+def test_force_leaves_what_this_run_wrote_and_what_others_did(tmp_path):
+    first = parts("fit.yaml", "fits/a.yaml", "fits/b.yaml", "more/c.yaml")
+    listed = first.save(tmp_path)
+    assert json.loads((tmp_path / "results.json").read_text())["files"] == listed
+    (tmp_path / "fits" / "mine.yaml").write_text("mine")
+    (tmp_path / "ranking.png").write_text("mine")
+    assert parts("fit.yaml", "ranking.yaml").save(tmp_path, force=True) == ["results.json", "fit.yaml", "ranking.yaml"]
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == {"results.json", "fit.yaml", "ranking.yaml", "fits/mine.yaml", "ranking.png"}
+    assert not (tmp_path / "more").exists()
+
+
+def test_a_file_that_stays_is_not_listed_as_written(tmp_path):
+    silent = Parts(writers={"muscle.yaml": lambda path: None})
+    (tmp_path / "muscle.yaml").write_text("mine")
+    assert silent.save(tmp_path, force=True) == ["results.json"]
+    parts("fit.yaml").save(tmp_path, force=True)
+    assert (tmp_path / "muscle.yaml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"files": ["../precious", "/PRECIOUS", "link/precious", "", ".", 5, null, "a\\u0000b"]}',
+        "[1]",
+        "{",
+        '{"files": 5}',
+    ],
+)
+def test_a_foreign_list_removes_nothing_outside_of_the_folder(tmp_path, content):
+    precious, folder = tmp_path / "precious", tmp_path / "kept"
+    precious.write_text("mine")
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    (folder / "results.json").write_text(content.replace("/PRECIOUS", str(precious)))
+    parts("fit.yaml").save(folder, force=True)
+    assert precious.read_text() == "mine" and (folder / "fit.yaml").is_file()
+
+
 @pytest.fixture
 def run(swing):
     app = typer.Typer(pretty_exceptions_enable=False)
@@ -152,3 +200,5 @@ def test_a_command_does_not_overwrite(run, tmp_path):
     run("--out", str(tmp_path))
     assert isinstance(run("--out", str(tmp_path)).exception, FileError)
     assert run("--out", str(tmp_path), "--force").exit_code == 0
+    (tmp_path / STUDY).write_bytes(b"")
+    assert isinstance(run("--out", str(tmp_path), "--force").exception, FileError)

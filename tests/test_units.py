@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import UnitError
-from mckibben.units import UNITS, Percent, Quantity, factor, quantity, show
+from mckibben.units import UNITS, Percent, Quantity, factor, justified, quantity, show
 
 
 @pytest.mark.parametrize(
@@ -91,3 +91,11 @@ def test_every_float_is_written_in_the_unit_shown(mark):
         text = mark.write(value)
         assert text.endswith(f" {mark.shown}")
         assert quantity(text, mark.unit) == value
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-6, 1e2))
+def test_digits_that_an_error_justifies_move_a_quantity_by_little(value, error):
+    moved = abs(quantity(justified(f"{value!r} mm", error * 1e-3), "m") - value * 1e-3)
+    assert moved <= (0.0501 * min(error, value) + 1e-12 * value) * 1e-3
+    assert quantity(justified(f"{value!r} mm"), "m") == pytest.approx(value * 1e-3, rel=1e-5)
+    assert justified("0 N", error) == "0 N"

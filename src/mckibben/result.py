@@ -33,10 +33,11 @@ import dataclasses
 import importlib
 import itertools
 import math
+import os
 import re
 import textwrap
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from html import escape
@@ -44,7 +45,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, dataclass_transform
 
 from mckibben.errors import McKibbenError, ParameterError, Suggesting, printable
-from mckibben.storage.files import check_free, json_ready, make_folder, write_json
+from mckibben.storage.files import check_free, json_ready, make_folder, remove_results, write_json
 from mckibben.units import factor
 
 if TYPE_CHECKING:
@@ -351,6 +352,20 @@ def _plain(values: object) -> object:
     return json_ready(values) if isinstance(values, str | int | float | None) else str(values)
 
 
+def _modified(path: Path) -> int | None:
+    """Time of the last change of a file [ns], None without one."""
+    return path.lstat().st_mtime_ns if os.path.lexists(path) else None
+
+
+def figure_files(*figures: str) -> list[str]:
+    """Names of the files of figures.
+
+    >>> figure_files("fit")
+    ['fit.png', 'fit.svg']
+    """
+    return [f"{name}.{end}" for name in figures for end in ("png", "svg")]
+
+
 def draw(figure: str, *shown: object) -> Figure:
     """Return a figure of `mckibben.report`, which is above all objects that it draws."""
     return getattr(importlib.import_module("mckibben.report"), figure)(*shown)
@@ -447,7 +462,7 @@ class Result(Suggesting):
     def to_dict(self) -> dict[str, object]:
         """Return verdict, remarks, scalars, columns and tables as plain data in SI; NaN and infinities are None.
 
-        It is what `--json` prints and `results.json` holds.
+        It is what `--json` prints; `results.json` has the names of all files, `files`, too.
         """
         scalars, columns = {}, {}
         for name, (column, value) in self.declared().items():
@@ -489,25 +504,55 @@ class Result(Suggesting):
     def save(self, folder: str | Path, *, force: bool = False) -> list[str]:
         """Write results.json, the figures as PNG and SVG, and further files to a folder; return their names.
 
-        Raises `FileError` if a file exists and `force` is not set.
+        Raises `FileError` if a file exists and `force` is not set; otherwise the files of an earlier result, which its
+        results.json lists, are removed.
         """
-        folder = make_folder(folder)
-        names = self.file_names()
-        if not force:
+        folder, names, drawings = make_folder(folder), self.saved_names(), figure_files(*self.figures)
+        if force:
+            remove_results(folder)
+        else:
             check_free(folder, names)
+        before = {name: _modified(folder / name) for name in names}
         self.write(folder)
-        write_json(folder / "results.json", self.to_dict())
+        certain = "results.json", *drawings
+        names = [name for name in names if name in certain or _modified(folder / name) != before[name]]
+        write_json(folder / "results.json", self.saved(names))
         for name in self.figures:  # last: they need the most time
             importlib.import_module("mckibben.report").save(draw(name, self), folder, name)
-        return [name for name in names if (folder / name).exists()]
+        return names
+
+    def saved(self, names: Sequence[str]) -> dict[str, object]:
+        """Return the content of results.json beside files of these names."""
+        return {**self.to_dict(), "files": list(names)}
+
+    def saved_names(self) -> list[str]:
+        """Names of the files that `save` may write for this object."""
+        return self.file_names()
 
     @classmethod
     def file_names(cls) -> list[str]:
         """Names of the files that `save` may write."""
-        return ["results.json", *cls.files, *(f"{name}.{end}" for name in cls.figures for end in ("png", "svg"))]
+        return ["results.json", *cls.files, *figure_files(*cls.figures)]
 
     def _sorted_remarks(self, *, details: bool) -> list[Remark]:
         """Remarks by severity, without notes unless details are shown."""
         order = list(Severity)
         shown = [r for r in self.remarks() if details or r.severity is not Severity.NOTE]
         return sorted(shown, key=lambda remark: order.index(remark.severity))
+
+
+class WritingResult(Result):
+    """Base of results with files that are known to the object alone."""
+
+    writers: Mapping[str, Callable[[Path], None]] = field(default_factory=dict, kw_only=True)
+    """Functions that write further files, by their path in the folder."""
+
+    def write(self, folder: Path) -> None:
+        """Write the files."""
+        for name, write in self.writers.items():
+            make_folder((folder / name).parent)
+            write(folder / name)
+
+    def saved_names(self) -> list[str]:
+        """Names of the files that `save` writes."""
+        return ["results.json", *self.writers, *figure_files(*self.figures)]

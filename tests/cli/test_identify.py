@@ -116,6 +116,11 @@ def test_every_law_is_ranked_with_reasons_and_kept(cli, tmp_path):
     assert kept == {f"{law}Law" for law in values(numbers, "laws", "law")}
     assert Recipe.read(folder / "recipe.yaml") == Recipe()
     assert (folder / "ranking.png").stat().st_size > 20_000
+    (folder / "fits" / "mine.yaml").write_text("mine")
+    again = cli("identify", "dmsp-10-250-martens2017", "--out", "kept", "--force", "--json")
+    left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    assert left == {*json.loads(again.out)["files"], "fits/mine.yaml"}
+    assert "bands.png" in left and "ranking.png" not in left and "ranking.png" not in again.err
 
 
 def test_outliers_can_be_kept(cli, tmp_path):

@@ -32,10 +32,14 @@ def files(tmp_path, shortened):
         "no-muscle.yaml": SIZING.replace("supply: 6 bar", "supply: 6 bar\nmuscles: [missing.yaml]"),
         "wrong-rig.yaml": "rig:\n  simulated: {angle_step: 5 bar}\n",
         "no-rig.yaml": "name: none\n",
+        "indented.yaml": text.replace("\nload:", "\n  load:"),
+        "uneven.yaml": "joint: {}\nvalve: {}\n  load: {}\n",
         "good.py": "from mckibben.control import Sine\n\nclass Wave(Sine):\n    pass\n\nWAVE = Wave(0.1, 2.0)\n",
     }
     for name, content in texts.items():
         (tmp_path / name).write_text(content, encoding="utf-8")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "knee-tuned.yaml").write_text(text, encoding="utf-8")
     return tmp_path
 
 
@@ -45,6 +49,13 @@ def files(tmp_path, shortened):
         (("run", "joint.yaml"), "simulate"),
         (("stiffnes", "joint.yaml"), "stiffness"),
         (("export", "joint.yaml"), "--to"),
+        (("export", "joint.yaml", "--to", "arduino"), "did you mean firmware?"),  # before --out
+        (("robot", "redd", "joint.yaml"), "did you mean 'read'?"),
+        (("identify", FESTO, "--of", "torqe"), "did you mean 'torque'?"),
+        (("simulate", "sub/scenario.yaml"), "is it 'knee-tuned.yaml'?"),
+        (("simulate", "indented.yaml"), "joint.load: is indented too far"),
+        (("simulate", "uneven.yaml"), "is indented otherwise"),
+        (("tune", "s.yaml", "--iterations", "-3"), "iterations is -3"),
         (("simulate", "short-connector.yaml"), "a longer connector_length"),
         (("identify", "nowhere.csv"), "nowhere.csv: 1 problem\n  there is no such file; "),
         (("identify", "dmsp-10-250-martens207"), "did you mean 'dmsp-10-250-martens2017'?"),
@@ -62,7 +73,7 @@ def files(tmp_path, shortened):
         (("sweep", "s.yaml", *MASS), "--out DIR"),
         (("sweep", "s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"), "did you mean 'load.mass2'?"),
         (("sweep", "s.yaml", "--out", "x", "--resume"), "there is no study to continue"),
-        (("sweep", "s.yaml", "--out", "x", "--force", *MASS), "continue it with --resume"),
+        (("sweep", "s.yaml", "--out", "x", "--resume", "--force", *MASS), "leave --force out"),
         (("sweep", "s.yaml", "--out", "/proc/x", *MASS), "/proc/x: 1 problem\n  it cannot be made"),
         (START[:-2], "--out DIR"),
         (("tune", "s.yaml", "--over", "controller.positon.kp"), "did you mean 'controller.position.kp'"),  # before --out
@@ -87,7 +98,7 @@ def files(tmp_path, shortened):
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_error_and_nothing_is_in_the_way_of_the_next_try(cli, files, arguments, words):
-    before = {path: path.read_bytes() for path in files.iterdir()}
+    before = {path: path.read_bytes() for path in files.rglob("*") if path.is_file()}
     found = cli(*arguments)
     assert (found.code, found.out) == (2, ""), found
     assert re.search("^error: ", found.err, re.MULTILINE)  # after warnings

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from mckibben.errors import FileError, McKibbenWarning
 from mckibben.scenario import Scenario, list_parameters
-from mckibben.storage.store import STUDY
+from mckibben.storage.store import STUDY, Job, Store, open_store
+from mckibben.study.scenarios import begun_settings
 from mckibben.study.sweep import sweep
 from mckibben.study.tune import read_trials
 
@@ -89,6 +91,51 @@ def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, stop
     for name in ("sweep.nc", "results.json"):
         files = [(tmp_path / folder / name).read_bytes() for folder in ("kept", "undisturbed")]
         assert files[0] == files[1]
+
+
+class FirstRecordError(BaseException):
+    """A study has begun to record."""
+
+
+ROBOT = str(Path(__file__).parents[2] / "examples" / "robot" / "lei-leg.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [(), ("--resume",), ("--force",)])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("sweep", "s.yaml", *MASS),
+        ("tune", "s.yaml"),
+        ("compare", "s.yaml", "--quick"),
+        ("robot", "land", ROBOT),
+        ("robot", "jump", ROBOT),
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_a_study_killed_before_its_first_record_goes_on_in_every_way(
+    cli, scenario, tmp_path, monkeypatch, command, how
+):
+    def begun(*_):
+        raise FirstRecordError
+
+    monkeypatch.setattr(Job, "add", begun)
+    (tmp_path / "kept").mkdir()
+    Store(tmp_path / "kept" / STUDY).close()  # what a kill leaves while programs compile
+    with pytest.raises(FirstRecordError):
+        cli(*command, "--out", "kept", *how)
+    with pytest.raises(FirstRecordError):  # the settings are recorded now
+        cli(*command, "--out", "kept", *how)
+
+
+def test_what_was_not_recorded_is_said_and_other_studies_are_not_continued(tmp_path):
+    Store(tmp_path / STUDY).close()
+    with pytest.warns(McKibbenWarning, match="nothing was recorded"):
+        assert begun_settings(tmp_path, "mckibben tuning", resume=True) == {}
+    with open_store(tmp_path / STUDY, resume=True) as store:
+        store.job({"format": "another"}).add({0: b"x"})
+    with pytest.raises(FileError, match="another kind"):
+        begun_settings(tmp_path, "mckibben tuning", resume=True)
 
 
 CHANGES = (

@@ -164,6 +164,37 @@ def test_a_frozen_sensor_vents_until_it_moves_again(scenarios):
         assert not np.any(outputs(frozen)[:, 3])
 
 
+DUTY = {(48, 1): 0.06, (3, 1): 0.2, (1, 1): 0.12, (20, 20): 1.3, (1, 2): None, (2, 3): None, (1, 9): None}
+"""Periods of bad and good samples in turn, and the time [s] within which they vent."""
+
+
+@pytest.mark.slow
+def test_a_fault_that_comes_and_goes_vents_if_it_takes_half_of_the_samples(board, scenarios, tmp_path):
+    scenario = scenarios["PID"]
+    export(scenario, "c", tmp_path, name="knee")
+    samples = np.genfromtxt(tmp_path / "replay.csv", delimiter=",", skip_header=2)[:, : len(INPUTS)]
+    period, outputs = scenario.control_period, program_in_python(controller_functions(scenario))
+    times, draw = np.arange(round(2.0 / period)) * period, np.random.default_rng(1)
+    faulty_rows = []
+    for bad, good in DUTY:
+        rows = np.column_stack([np.resize(samples, (len(times), samples.shape[1])), np.zeros(len(times))])
+        wrong = np.flatnonzero((np.arange(len(times)) % (bad + good) < bad) & (times > 0) & (times < 1.5))
+        for kinds in (wrong[::2], wrong[1::2]):  # any fault counts, also in turns
+            which = draw.integers(2, 6)
+            rows[kinds, which] = 1 if which == 5 else np.nan
+        faulty_rows.append(rows)
+    for rows, within in zip(faulty_rows, DUTY.values(), strict=True):
+        status, commands = (found := outputs_in_c(tmp_path, period, board.STRICT, rows, "double"))[:, 2], found[:, :2]
+        assert np.array_equal(found[:, 2:], np.asarray(outputs(rows))[:, 2:])
+        vented = times[status == VENTED]
+        if within is None:
+            assert not vented.size
+            continue
+        assert vented[0] < within and np.all(commands[status == VENTED] == 0)
+        assert np.all(status[(times > vented[0]) & (times < 1.5)] == VENTED)  # no restart between two faults
+        assert status[times > 1.6][0] != VENTED
+
+
 def test_a_run_outside_the_limits_is_not_exported(scenarios, tmp_path):
     with pytest.raises(ExportError) as caught:
         export(scenarios["PID"], "c", tmp_path / "out", hardware=Hardware(limits=Limits(highest_pressure=1e5)))

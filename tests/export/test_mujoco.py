@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.actuator import SecondOrderValve
 from mckibben.codegen.c import write_c
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import build_plugin, import_mujoco, load_mujoco
 from mckibben.export.muscle_plugin import plugin_source
-from mckibben.muscle import MaxwellCreep, MaxwellSlip
+from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip
 from mckibben.scenario import run_scenario
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")
@@ -146,6 +147,10 @@ SPRING = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
 FLOW = mk.FlowValve(conductance=1e-9, supply=7e5)
 WARM = mk.FlowValve(conductance=1e-9, supply=7e5, wall_conductance=0.3)
 TUBE = mk.Tube(FLOW, volume=1e-5, conductance=5e-10)
+REGULATOR = mk.PressureRegulator(conductance=1e-9, supply=7e5, time_constant=0.02)
+CORRECTION = ForceCorrection((-20.0, 5.0), (1e-5, 0.0), 0.1, 0.05)
+GROWING = MaxwellSlip(12.0, 5e-4, growth=1e-5, tension_growth=0.02, viscous=20.0, elements=4)
+DELAYED = MaxwellCreep(900.0, 0.5, pressure_share=0.2, pressure_time_constant=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +161,7 @@ def runs(tmp_path_factory, knee):
         mk.Muscle(*parts, FRICTION),
         mk.Muscle(*parts, FRICTION, MaxwellCreep(900.0, 0.5, pressure_share=0.1)),
     )
+    growing = mk.Muscle(*parts, GROWING, DELAYED, correction=CORRECTION)
     plants = {
         "lags": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, creeping, creeping), LOAD, LAGS),
         "ideal": mk.JointPlant(mk.AntagonisticJoint(CAM, slipping, slipping), LOAD, mk.IdealValve()),
@@ -166,12 +172,22 @@ def runs(tmp_path_factory, knee):
         "unequal": mk.JointPlant(knee, LOAD, mk.UnequalValves(FLOW, TUBE)),
         "warm": mk.JointPlant(knee, LOAD, mk.UnequalValves(WARM, TUBE)),
         "rate": mk.JointPlant(knee, LOAD, mk.FirstOrderValve(0.02, rate=2e6)),
+        "regulator": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, slipping, knee.muscle2), LOAD, REGULATOR),
+        "second": mk.JointPlant(
+            mk.AntagonisticJoint(knee.geometry, growing, creeping), LOAD, SecondOrderValve(60.0, damping=0.5)
+        ),
         "stretch": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, knee.muscle1, knee.muscle2, SPRING), LOAD, FLOW),
     }
     return plants, build(tmp_path_factory.mktemp("runs"), plants)
 
 
-@pytest.mark.parametrize("name", ["lags", "ideal", "flow", "unequal", "warm", "rate", "stretch"])
+ACTIVATIONS = {
+    **{"lags": 6, "ideal": 0, "flow": 4, "unequal": 5, "warm": 6},
+    **{"rate": 2, "regulator": 4, "second": 8, "stretch": 4},
+}
+
+
+@pytest.mark.parametrize("name", ACTIVATIONS)
 @pytest.mark.slow
 def test_friction_creep_and_air_are_states_of_the_plugin(name, runs):
     """Against the plant's own integration: friction slips after the same steps."""
@@ -181,7 +197,7 @@ def test_friction_creep_and_air_are_states_of_the_plugin(name, runs):
     model = mujoco.MjModel.from_xml_string(models[name].xml)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    assert model.na == {"lags": 6, "ideal": 0, "flow": 4, "unequal": 5, "warm": 6, "rate": 2, "stretch": 4}[name]
+    assert model.na == ACTIVATIONS[name]
     wave = 1e5 * np.sin(12e-3 * np.arange(400))
     commands = np.stack([2.5e5 + wave, 3e5 - wave], -1)
     for now, angle in zip(commands, np.asarray(angles_of(plant, state, commands)), strict=True):

@@ -1,5 +1,6 @@
 """Controllers of all joints of a robot as C99: they repeat the recorded run."""
 
+import re
 import shutil
 import subprocess
 
@@ -7,14 +8,17 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
-from mckibben.containment.limits import Limits
+from mckibben.containment.limits import Limits, containment_of
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
 from mckibben.export.controller_files import c_files
+from mckibben.export.targets import Exported, filled
 from mckibben.firmware import Hardware
+from mckibben.result import Severity
 from mckibben.robot import RobotScenario
+from mckibben.scenario import Scenario
 from tests.codegen.test_javascript import NODE, run
-from tests.robot.test_control import DECOUPLING, ONE
+from tests.robot.test_control import DECOUPLING, ONE, TORQUE
 
 FILE = "examples/robot/lei-leg-control.yaml"
 
@@ -46,14 +50,117 @@ REPLAY = """const rows = given.trim().split("\\n").map(row => row.split(",")), n
             return [values(step), values(row => part(row, "commands"))];"""
 
 
+MANY = "".join(
+    f"""    - name: m{k}
+      connector_length: 208 mm
+      through:
+        - {{body: thigh, place: [{x} mm, {5 * k} mm, 185 mm]}}
+        - {{body: shank, place: [{x} mm, {5 * k} mm, -185 mm]}}
+      muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}
+"""
+    for k, x in enumerate((30, -31, 29, -30, 31, -29, 30, -30, 31, -31))
+)
+TOY = """#include <stdbool.h>
+typedef struct { double y; } toy_measurement;
+typedef struct { double r; } toy_setpoint;
+typedef struct { double pressure1; } toy_commands;
+typedef struct { int fault; } toy_telemetry;
+typedef struct { double x; } toy;
+static void toy_defaults(toy *self) { self->x = 0; }
+static bool toy_init(toy *self, double period, const toy_measurement *m) { (void)period; self->x = m->y; return true; }
+static void toy_step(toy *self, const toy_setpoint *s, const toy_measurement *m, toy_commands *c, toy_telemetry *t)
+{
+    self->x = POLE * self->x + m->y + s->r;
+    c->pressure1 = self->x;
+    t->fault = 0;
+}
+"""
+"""A controller with a pole; above 1 it is unstable without its plant, and amplifies rounding."""
+
+
+def replayed(folder, duration, text):
+    """Names of the columns, result of the replay and its output, of the C of a robot of one joint."""
+    export(RobotScenario.parse(text).replace(duration=duration), "c", folder, name="robot", overwrite=True)
+    done = subprocess.run(["make", "-s", "replay"], cwd=folder, check=True)
+    done = subprocess.run(["./replay", "replay.csv", "0"], cwd=folder, capture_output=True, text=True)
+    return (folder / "replay.csv").read_text().splitlines(), done
+
+
+@pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
+@pytest.mark.slow
+def test_commands_of_twelve_muscles_are_in_their_order(tmp_path):
+    (head, *_), done = replayed(tmp_path, 0.1, ONE.replace("valve:", MANY + "valve:") + TORQUE)
+    names = [name.partition(".")[2] for name in head.split(",") if name.startswith("commands")]
+    assert names == [f"pressure{number}" for number in range(1, 13)]
+    assert done.returncode == 0, done.stdout
+    structure = re.search(r"typedef struct \{([^}]*)\} robot_commands;", (tmp_path / "robot.h").read_text())
+    assert re.findall(r"pressure\d+", structure[1]) == names
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no cc")
+@pytest.mark.parametrize(
+    ("pole", "rounding", "wrong", "passes"),
+    [
+        (0.5, 0.0, 0.0, True),
+        (0.5, 1e-4, 0.0, False),
+        (1.1, 1e-14, 0.0, True),
+        (1.1, 1e-9, 0.0, False),
+        (1.1, 0.0, 1e-5, False),
+    ],
+)
+def test_a_controller_that_amplifies_rounding_is_told_from_a_wrong_program(pole, rounding, wrong, passes, tmp_path):
+    """Rounding of the first sample grows in the replay as it does by a known change; another command does not pass."""
+    noise = 1e-3 * np.random.default_rng(1).normal(size=201)
+    state, rows = noise[0] * (1 + rounding), [[np.nan, noise[0], np.nan]]
+    for disturbance in noise[1:]:
+        y = (0.9 - pole) * state + disturbance  # the plant makes the loop stable
+        state = pole * state + y
+        rows.append([0.0, y, state])
+    table = np.array(rows)
+    table[20, 2] *= 1 + wrong
+    np.savetxt(tmp_path / "replay.csv", table, "%.17g", ",", header="setpoint.r,measurement.y,commands.pressure1")
+    columns = [("setpoint", "r"), ("measurement", "y"), ("commands", "pressure1")]
+    values = {"name": "toy", "rows": len(table), "columns": columns, "first_command": 2, "real": "double"}
+    (tmp_path / "replay.c").write_text(filled("replay.c", values | {"tolerance": "1e-9", "seconds": "0.001"}))
+    (tmp_path / "toy.h").write_text(TOY.replace("POLE", repr(pole)))
+    subprocess.run([compiler(), "-Wall", "-Werror", "-o", "replay", "replay.c", "-lm"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode == 0) == passes, done.stdout
+    assert ("amplifies rounding" in done.stdout) == (passes and rounding > 0)
+
+
+def test_a_stiffness_of_0_is_out_of_range():
+    limits = containment_of(RobotScenario.parse(ONE + TORQUE), Limits())
+    (low,), (high,) = (side.setpoint["stiffness"] for side in (limits.lowest, limits.highest))
+    assert 0 < low < 1 < 16 <= high < 200
+    assert 100 < limits.highest.measurement.ground_force < 1e5
+    (given,) = containment_of(RobotScenario.parse(ONE + TORQUE), Limits(highest_stiffness=30)).highest.setpoint[
+        "stiffness"
+    ]
+    assert given == 30
+
+
+@pytest.mark.parametrize(
+    ("operations", "severity"), [(30_000, []), (80_000, [Severity.WARNING]), (130_000, [Severity.SEVERE])]
+)
+def test_a_step_that_takes_the_period_is_reported(operations, severity):
+    """On a processor of 600 MHz, with ten instructions for an operation."""
+    exported = Exported({}, worst_case={"additions": operations}, period=2e-3)
+    assert exported.step_time == pytest.approx(operations / 60e6)
+    assert [remark.severity for remark in exported.remarks()] == severity
+    assert not list(Exported({}, worst_case={"additions": operations}).remarks())
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
     landing = RobotScenario.read("examples/robot/lei-leg.yaml")
     with pytest.raises(ExportError) as caught:
         export(landing, "c", tmp_path / "out")
     assert caught.value.field == "controller" and caught.value.remedy
-    with pytest.raises(ParameterError) as other:
-        export(landing, "osim", tmp_path / "out")
-    assert other.value.value == "osim" and "c or" in other.value.remedy
+    joint = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    for scenario, target, other in ((landing, "firmware", "mjcf"), (joint, "matlab", "firmware")):
+        with pytest.raises(ParameterError) as unknown:
+            export(scenario, target, tmp_path / "out")
+        assert (unknown.value.field, unknown.value.value) == ("to", target) and other in unknown.value.remedy
     assert not (tmp_path / "out").exists()
 
 

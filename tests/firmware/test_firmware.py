@@ -154,6 +154,13 @@ def test_a_bad_setpoint_is_held_and_then_vented_for_good(session, digest):
     assert session.period(MessageKind.SETPOINT, SETPOINT).state == FirmwareState.VENTED
 
 
+def test_a_sample_returns_the_number_of_the_last_message_that_was_heard(session):
+    for number in range(5):
+        assert session.period().heard == number
+    assert session.period(damage=True).heard == 4
+    assert session.period().heard == 6
+
+
 def test_damaged_messages_are_counted_and_silence_vents(session, digest):
     armed(session, digest)
     before = session.period(MessageKind.SETPOINT, SETPOINT)
@@ -174,6 +181,18 @@ def test_commands_of_the_host_are_limited(session, digest):
     assert session.period(MessageKind.COMMAND, pack_numbers((np.nan, 0.0), "f")).values[3:] == (8e5, 0)
 
 
+def test_missing_commands_of_the_host_in_turn_vent(session, digest):
+    """Every second bad command counts, one of three does not."""
+    good, bad = pack_numbers((1e5, 2e5), "f"), pack_numbers((np.nan, 2e5), "f")
+    for _ in range(100):
+        session.period(MessageKind.COMMAND, good)
+    session.arm(digest, CommandSource.COMMANDS)
+    seldom = [session.period(MessageKind.COMMAND, bad if k % 3 == 0 else good).state for k in range(300)]
+    assert FirmwareState.VENTED not in seldom and FirmwareState.HOLDING in seldom
+    often = [session.period(MessageKind.COMMAND, bad if k % 2 == 0 else good).state for k in range(120)]
+    assert often.index(FirmwareState.VENTED) in range(90, 110) and often[-1] == FirmwareState.VENTED
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
 @pytest.mark.skipif(shutil.which(QEMU[0]) is None, reason="no qemu-system-arm")
@@ -189,7 +208,7 @@ def test_an_emulated_cortex_m7_does_the_same(session, folder, digest):
             kind = {100: MessageKind.SETPOINT, 101: MessageKind.ARM}.get(number, MessageKind.HEARTBEAT)
             body = {100: SETPOINT, 101: b"\0" + digest}.get(number, b"")
             found, expected = emulated.period(kind, body), session.period(kind, body)
-            assert found[:5] == expected[:5]
+            assert found[:6] == expected[:6]
             assert found.values == pytest.approx(expected.values, rel=1e-6, abs=1e-6)
         assert found.values[3] > 0
     finally:

@@ -1,6 +1,7 @@
 """A law is fitted with friction where, and only where, loading and unloading differ."""
 
 import dataclasses
+import re
 import warnings
 from pathlib import Path
 
@@ -9,9 +10,11 @@ import pytest
 
 import mckibben as mk
 from mckibben import catalog
+from mckibben.component.schema import read_component
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import fit_law, identify_with_friction, shows_hysteresis
-from mckibben.muscle import ExponentialLaw, ReynoldsLaw
+from mckibben.muscle import ExponentialLaw, Muscle, ReynoldsLaw, forces
 from mckibben.result import Remark
 from mckibben.units import bar, mm
 
@@ -155,3 +158,21 @@ def test_a_wrong_force_in_a_slow_loop_is_an_outlier(tmp_path):
         warnings.simplefilter("ignore")
         data = mk.read_dataset(_slow_loop(tmp_path, wrong_row=100), initial_length=220 * mm, accept=["order"])
     assert [one.row for one in fit_law(ExponentialLaw, data).outliers] == [100]
+
+
+def test_a_saved_fit_has_the_muscle_for_scenarios(rig, tmp_path):
+    """As the command writes it, with law and friction of the fit; without an initial length there is none."""
+    fit = identify_with_friction(ExponentialLaw, rig)
+    assert {"fit.yaml", "muscle.yaml", "results.json", "fit.png"} <= {*fit.save(tmp_path)}
+    muscle = read_component(Muscle, tmp_path / "muscle.yaml")
+    contraction, pressure = np.linspace(0.0, 0.15, 4), 3.0 * bar
+    predicted = np.maximum(forces(muscle.law, contraction, pressure), 0.0)
+    np.testing.assert_array_equal(predicted, fit.predict(contraction, pressure))
+    for name in ("half_width", "presliding_length"):
+        moved = float(getattr(muscle.friction, name)) - float(getattr(fit.friction, name))
+        assert 0 < abs(moved) <= 0.05 * fit.hysteresis.standard_errors[name]
+    digits = re.search(r"half_width: ([0-9.]+) N", (tmp_path / "muscle.yaml").read_text(encoding="utf-8"))
+    assert len(digits[1]) <= 7  # 12.0014, of an error of 2.5 mN
+    unknown = IsobaricDataset(rig.table.assign_attrs(specimen="", initial_length=None))
+    bare = identify_with_friction(ExponentialLaw, unknown, friction=False)
+    assert "muscle.yaml" not in bare.save(tmp_path, force=True) and not (tmp_path / "muscle.yaml").exists()

@@ -1,5 +1,7 @@
 """Benches without a motor: an operator turns a screw, or hangs weights on the muscle."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +73,38 @@ def test_a_screw_is_turned_to_each_contraction(tmp_path):
     asked, data = run(tmp_path, SimulatedRig(MUSCLE, seed=1, patience=100.0), steps, ["", ""], weights=False)
     assert ["5 %" in asked[0], "2 %" in asked[1]] == [True, True]
     np.testing.assert_allclose(data.contraction, [0.05, 0.02], atol=1e-5)
+
+
+ASKED = """
+import sys, time
+from mckibben.rig.by_hand import HandBench
+class Inner:
+    rate, patience, paced, inputs = 1.0, 1.0, True, ()
+answer = HandBench(Inner()).ask("length")
+{then}
+"""
+
+
+@pytest.mark.slow
+def test_a_stop_while_the_operator_is_asked_ends_the_program_as_it_should():
+    """Python aborted with -6 at its end, as a thread held the lock of the buffer of standard input."""
+    for then, code in (("time.sleep(0.3); sys.exit(130)", 130), ("time.sleep(0.3); raise ValueError", 1)):
+        child = subprocess.Popen(
+            [sys.executable, "-c", ASKED.format(then=then)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        assert (child.wait(60), b"Fatal" in child.stderr.read()) == (code, False)
+        child.communicate()
+
+
+@pytest.mark.slow
+def test_answers_are_read_one_by_one_until_the_input_ends():
+    then = "print(answer.result()); print(HandBench(Inner()).ask('x').result())"
+    script = ASKED.format(then=f"{then}; print(HandBench(Inner()).ask('x').result())")
+    done = subprocess.run([sys.executable, "-c", script], input=b"16.3 cm\n\n", capture_output=True)
+    assert done.stdout == b"length: 16.3 cm\nx: \nx: " and b"RigError" in done.stderr
 
 
 CARD = "nidaqmx: {card: card.yaml, moved_by: weights}"

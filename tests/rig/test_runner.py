@@ -107,6 +107,19 @@ def test_plateaus_are_recorded_whole_and_the_way_between_thinned_out(tmp_path):
     assert [point.every for point in read_record(tmp_path).points] == [2, 2]
 
 
+class SlowRig(SimulatedRig):
+    """A rig on a line that takes as long as is allowed for a gap."""
+
+    latency = 1.01 * LIMITS.gap
+
+
+def test_a_slow_line_stops_a_test_before_there_is_pressure(tmp_path):
+    rig = faults.Spied(SlowRig(MUSCLE, seed=1))
+    with pytest.raises(StoppedError, match="slow"):
+        run(tmp_path, [Pressurise(pressure=2 * bar)], twin=rig)
+    assert "set_valves" not in rig.calls
+
+
 def test_a_fault_of_ours_vents_and_is_told(tmp_path):
     def report(progress):
         if progress.points:

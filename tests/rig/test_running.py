@@ -18,7 +18,7 @@ from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError,
 from mckibben.identification import identify_pressure_creep
 from mckibben.rig import running
 from mckibben.rig.document import RigTest, read_test
-from mckibben.rig.record import header_of, read_record, segments
+from mckibben.rig.record import Recorder, header_of, read_record, segments
 from mckibben.rig.running import check, gather, gather_recording, run_test
 from mckibben.units import bar
 
@@ -198,3 +198,12 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
         with pytest.raises(FileError, match="is running a test here"):
             run_test(checked(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"lock"}
+
+
+def test_the_folder_of_a_joint_is_named_with_what_reads_it(tmp_path):
+    with Recorder(tmp_path, {"what": "joint rig"}, running.columns_of(())):
+        pass
+    for read in (gather, gather_recording, lambda folder: run_test(checked(), folder, resume=True)):
+        with pytest.raises(FileError) as refused:
+            read(tmp_path)
+        assert "result.nc" in refused.value.problems[0].remedy

@@ -49,6 +49,17 @@ FULL = "examples/robot/lei-leg-control.yaml"
 KEPT = ("angle", "pressure", "command", "stiffness")
 
 
+@pytest.mark.parametrize("stiffness", ["0 N*m/rad", "{class: step, before: 14 N*m/rad, after: 0 N*m/rad, at: 0.2 s}"])
+def test_a_stiffness_of_0_is_refused(stiffness):
+    text = re.sub(r"stiffness: \{class: step.*\}", f"stiffness: {stiffness}", ONE)
+    with pytest.raises(ScenarioError) as caught:
+        run_tracking(RobotScenario.parse(text + TORQUE))
+    (problem,) = caught.value.problems
+    assert problem.field.endswith("stiffness") and (problem.value, problem.lower) == (0, 0)
+    with pytest.raises(RangeError):
+        pressures_for_joint_stiffness(RobotScenario.parse(ONE + TORQUE).robot, (0.0,), (0.0,))
+
+
 @pytest.mark.parametrize(("controllers", "valve"), [(PID, AIR), (DECOUPLING, LAG)], ids=["pid", "decoupling"])
 @pytest.mark.slow
 def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):

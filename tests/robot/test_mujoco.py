@@ -3,6 +3,7 @@
 import dataclasses
 import shutil
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -12,12 +13,15 @@ from mckibben import robot as robots
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
 from mckibben.export.compliance import compliance
+from mckibben.export.drives import Transmission, path_transmission
 from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.export.muscle_plugin import plugin_files
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
+from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.units import bar, deg
 from tests.robot.conftest import limb, over_two, pair_over
+from tests.robot.test_control import ONE
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")]
 PERIOD, SUBSTEPS = 1e-3, 4
@@ -251,6 +255,29 @@ def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
         assert found[joint.name].stiffness / joint.stop_stiffness == pytest.approx(mobility, rel=2e-3)
 
 
+def test_friction_creep_and_spools_are_those_of_each_muscle(tmp_path):
+    """A robot whose muscles differ, on its start in the air, with a plugin of its own."""
+    valve = mk.PressureRegulator(conductance=0.5e-8, supply=7 * bar, time_constant=0.01, dead_volume=5e-6)
+    plant, widths = plant_of("fixed", valve=valve), iter(range(5, 20))
+
+    def rough(part):
+        friction = MaxwellSlip(next(widths), 5e-4, viscous=30.0, elements=2)
+        return dataclasses.replace(part, friction=friction, creep=MaxwellCreep(900.0, 0.5))
+
+    is_muscle = lambda part: isinstance(part, mk.Muscle)  # noqa: E731
+    plant = jax.tree.map(lambda part: rough(part) if is_muscle(part) else part, plant, is_leaf=is_muscle)
+    start, commands = start_of(plant, 0.5, 0.0)
+    state = plant.begin(start)
+    plugin_files(mujoco_model(plant, "rough", PERIOD / SUBSTEPS, state), "a robot").save(tmp_path)
+    model = load_mujoco(tmp_path)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = commands
+    ours, _ = moved(plant, start, commands)
+    assert np.ptp(ours, axis=0).min() > 1e-3 and model.na == 3 * model.nu
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
+
+
 ROPES = Pulley(0.02, 0.1), Pulley(0.015, 0.072)
 OTHER = over_two(MUSCLE, ROPES, ("hip", "knee"), ("shortens", "lengthens"), "rope")
 
@@ -300,3 +327,43 @@ def test_a_robot_of_a_file_is_written_under_a_name_of_c(tmp_path):
     with pytest.raises(ParameterError) as caught:
         export(scenario, "mjcf", tmp_path, name="two legs")
     assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])
+
+
+BLOCK = """    - name: on a block
+      class: halved
+      connector_length: 46 mm
+      through: [{body: thigh, place: [30 mm, 0 mm, 185 mm]}, {body: shank, place: [30 mm, 0 mm, -185 mm]}]
+      muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+"""
+
+
+class HalvedPath(robots.PathMuscle):
+    """A muscle on a block: it moves half as far as its path."""
+
+    short_name = "halved"
+
+    def routed(self, skeleton):
+        (whole,) = super().routed(skeleton)
+        slopes = {joint: slope / 2 for joint, slope in whole.slopes.items()}
+        bends = lambda: {joints: bend / 2 for joints, bend in whole.bends().items()}  # noqa: E731
+        return [whole._replace(path=whole.path / 2, slopes=slopes, bends=bends)]
+
+
+class LooserPulley(Pulley):
+    """A pulley whose arm grows with the angle."""
+
+    short_name = "looser"
+
+    def length(self, angle, side):
+        return super().length(angle, side) + 0.01 * angle**2
+
+
+def test_a_class_with_its_own_path_is_not_exported_as_that_of_its_base(tmp_path):
+    """What MuJoCo cannot have is an error that names it, or a torque of the joint."""
+    robot = robots.RobotScenario.parse(ONE.replace("valve:", BLOCK + "valve:").split("reference:")[0])
+    assert list(robot.robot.pairs) == [0]
+    with pytest.raises(ExportError) as caught:
+        export(robot, "mjcf", tmp_path / "out")
+    assert caught.value.field == "muscles" and "on a block" in caught.value.message
+    plain, looser = (path_transmission(kind(radius=0.03, rest_length=0.16), 1) for kind in (Pulley, LooserPulley))
+    assert plain == Transmission(0.16, coefficient=0.03) and not looser.has_tendon

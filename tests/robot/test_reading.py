@@ -1,6 +1,7 @@
 """Robots from MJCF and URDF, and all examples against MuJoCo: lengths, moment arms, mass matrix and accelerations."""
 
 import dataclasses
+import os
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -147,3 +148,54 @@ def test_urdf_is_read_and_the_muscles_of_tendons_are_asked_for(tmp_path):
     with pytest.raises(ParameterError) as caught:
         read_mjcf(ARM).scenario()
     assert caught.value.field == "muscle"
+
+
+OUTSIDE = """<mujoco><worldbody><body name="b"><joint name="hinge" range="-10 10"/><geom size="0.1" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        '<include file="{}/other.xml"/>',
+        "<include\n file = '{}/other.xml' />",
+        '<include file="../other.xml"/>',
+        '<include file="inner.xml"/>',
+        '<asset><mesh name="m" file="{}/m.stl"/></asset>',
+        '<asset><texture name="t" type="cube" fileright="../t.png"/></asset>',
+        '<compiler meshdir="{}"/><asset><mesh name="m" file="m.stl"/></asset>',
+        '<compiler assetdir="link"/><asset><mesh name="m" file="m.stl"/></asset>',
+        '<a name="<!--"/><include file="../other.xml"/><a name="-->"/>',
+    ],
+)
+def test_a_confined_file_names_none_of_another_folder(tmp_path, named):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (tmp_path / "other.xml").write_text(OUTSIDE)
+    (mine / "inner.xml").write_text('<mujoco>\n<include file="../other.xml"/></mujoco>')
+    (mine / "link").symlink_to(tmp_path)
+    (mine / "robot.xml").write_text("<mujoco>\n" + named.format(tmp_path) + "</mujoco>")
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(mine / "robot.xml", confined=True)
+    problem = caught.value.problems[0]
+    assert "another folder" in problem.message and problem.line in (2, 3) and "command line" in problem.remedy
+
+
+def test_a_confined_file_may_name_those_beside_it_which_are_confined_as_well(tmp_path):
+    (tmp_path / "other.xml").write_text(OUTSIDE)
+    (tmp_path / "robot.xml").write_text('<mujoco><include file="other.xml"/></mujoco>')
+    assert read_mjcf(tmp_path / "robot.xml", confined=True).robot.joints[0].name == "hinge"
+    (tmp_path / "other.xml").write_text(OUTSIDE + " " * 300_000)
+    with pytest.raises(ScenarioError, match=r"other\.xml is longer"):
+        read_mjcf(tmp_path / "robot.xml", confined=True)
+    assert read_mjcf(tmp_path / "robot.xml").robot.joints[0].name == "hinge"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+@pytest.mark.parametrize("confined", [True, False])
+@pytest.mark.parametrize("element", ['<include file="{}"/>', '<asset><mesh name="m" file="{}"/></asset>'])
+def test_a_named_pipe_is_refused_without_waiting(tmp_path, confined, element):
+    os.mkfifo(tmp_path / "pipe.xml")
+    (tmp_path / "robot.xml").write_text(f"<mujoco>{element.format('pipe.xml')}</mujoco>")
+    with pytest.raises(ScenarioError, match="pipe"):
+        read_mjcf(tmp_path / "robot.xml", confined=confined)

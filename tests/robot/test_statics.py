@@ -275,8 +275,15 @@ def test_the_command_prints_and_keeps_the_pressures(tmp_path):
     found = pressures_for_point_stiffness(
         read_robot("lei-leg-planar"), (0.0, -17 * deg), stiffness_matrix((25, 800), -9 * deg)
     )
-    assert numbers["error"] == pytest.approx(found.error)
-    assert list(numbers["pressures_bar"].values()) == pytest.approx([one / bar for one in found.pressures])
+    assert numbers["scalars"]["error"]["value"] == pytest.approx(found.error)
+    columns = {name: entry["values"] for name, entry in numbers["columns"].items()}
+    assert columns["pressures"] == pytest.approx(found.pressures)
+    assert dict(zip(columns["muscles"], columns["limited_by"], strict=True)) == {
+        name: dict(found.limits).get(name, "") for name in found.muscles
+    }
+    np.testing.assert_allclose(columns["attained"], np.linalg.inv(found.stiffness.compliance), rtol=1e-9)
+    np.testing.assert_allclose(columns["wanted"], found.wanted, rtol=1e-9)
+    assert numbers["tables"][0]["columns"]["joint"]["values"] == ["hip", "knee"]
     assert json.loads((out / "results.json").read_text()) == numbers
     assert (out / "point_stiffness.svg").stat().st_size > 1000
     shown = CliRunner().invoke(app, ["robot", "stiffness", str(file)])

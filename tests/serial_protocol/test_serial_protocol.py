@@ -107,6 +107,16 @@ def test_a_board_that_starts_again_has_lost_nothing(in_c):
     assert in_python(line)[1] == in_c(line)[1] == (0, 0, 0)
 
 
+def test_what_was_overtaken_or_replayed_is_dropped_but_for_a_vent(in_c):
+    sent = [wire.Message(wire.MessageKind.COMMAND, n & 0xFFFF, n) for n in (65535, 65537, 65536, 65538, 65530)]
+    sent.append(wire.Message(wire.MessageKind.VENT, 65531, 65531))
+    line = b"".join(message.encode() for message in sent)
+    messages, counters = in_python(line)
+    assert [message.sequence for message in messages] == [65535, 1, 2, 65531]
+    assert counters == (0, 1, 2)
+    assert in_c(line) == (b"".join(message.encode() for message in messages), counters)
+
+
 def test_a_line_without_end_takes_no_memory(in_c):
     receiver = wire.Receiver()
     for _ in range(1000):
@@ -128,7 +138,7 @@ def test_bodies_come_back():
         "knee 1.0", 1000, bytes(range(32)), [("angle", "rad"), ("p", "Pa")], [("u", "Pa")], [("K", "N*m/rad")]
     )
     assert wire.Hello.unpack(hello.pack()) == hello
-    sample = wire.Sample(wire.FirmwareState.HOLDING, wire.FaultCode.FROZEN, 3, 2, 1, (0.5, 2.0**18))
+    sample = wire.Sample(wire.FirmwareState.HOLDING, wire.FaultCode.FROZEN, 3, 2, 1, 9, (0.5, 2.0**18))
     assert wire.Sample.unpack(sample.pack()) == sample
     assert wire.FaultReport.unpack(wire.FaultReport(wire.FaultCode.OUT_OF_RANGE, 2, -0.5).pack()) == (
         wire.FaultCode.OUT_OF_RANGE,
@@ -146,7 +156,7 @@ def test_bodies_come_back():
         (wire.Hello.unpack, bytes([wire.VERSION]) + bytes(10), "body"),
         (wire.Hello.unpack, bytes([wire.VERSION, 2]) + bytes(38) + b"knee\nangle rad", "body"),
         (wire.Sample.unpack, b"\0", "body"),
-        (wire.Sample.unpack, bytes(9), "body"),
+        (wire.Sample.unpack, bytes(11), "body"),
         (wire.FaultReport.unpack, b"\0", "body"),
     ],
 )

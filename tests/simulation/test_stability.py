@@ -102,9 +102,9 @@ def test_switching_valves_have_the_margins_of_their_mean_flow(loop):
         assert (result.outcome is not Outcome.LIMIT_CYCLE) == stable
 
 
-def margins_of(loop, period=1e-3):
+def margins_of(loop, period=1e-3, muscles=()):
     """The columns of `Margins` of one linear loop."""
-    columns = _margins_of(LinearLoop(*(leaf[None] for leaf in loop)), period)
+    columns = _margins_of(LinearLoop(*(leaf[None] for leaf in loop)), period, muscles)
     return SimpleNamespace(**{name: column[0] for name, column in columns.items()})
 
 
@@ -130,13 +130,14 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
 
 def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
     """A locus with a gain of 1.5 that falls below 1 late, where its phase has moved away from -180 degrees."""
-    angles, period = np.linspace(0.01, 1.0, 400), 1e-3
-    locus = (1.5 - 0.7 * angles**4) * np.exp(-1j * (np.pi - 0.2 - angles))
-    crossover = (0.5 / 0.7) ** 0.25
-    (gain,), (phase,), (delay,) = _crossings(np.stack([locus, 0.1 * locus], axis=1)[None], angles, period)
+    angles, period = np.linspace(1e-9, np.pi, 1500), 1e-3
+    ahead = angles + 0.2 * np.sin(angles)
+    locus, crossover = 1.5 * np.exp(-0.7 * angles**4) * np.exp(-1j * (np.pi - ahead)), (np.log(1.5) / 0.7) ** 0.25
+    loci = np.stack([locus, -0.1 * locus], axis=1)[None]
+    (gain,), (phase,), (delay,) = _crossings(-loci / (1 + loci), angles, period)
     assert gain == np.inf
-    assert phase == pytest.approx(0.2 + crossover, rel=1e-4)
-    assert delay == pytest.approx((0.2 + crossover) / crossover * period, rel=1e-4)
+    assert phase == pytest.approx(crossover + 0.2 * np.sin(crossover), rel=1e-4)
+    assert delay == pytest.approx((1 + 0.2 * np.sin(crossover) / crossover) * period, rel=1e-4)
 
 
 def test_margins_take_no_call_for_each_frequency():
@@ -144,7 +145,7 @@ def test_margins_take_no_call_for_each_frequency():
 
     def calls(points: int) -> int:
         events: list[str] = []
-        turn = np.array([[0.9, 0.3], [-0.3, 0.9]]) * np.linspace(0.8, 0.99, points)[:, None, None]
+        turn = np.array([[0.9, 0.3], [0.0, 0.7]]) * np.linspace(0.8, 0.99, points)[:, None, None]
         loops = LinearLoop(turn, *2 * [np.broadcast_to(0.1 * np.eye(2), turn.shape)])
         _margins_of(loops, 1e-3)
         sys.setprofile(lambda _, event, __: events.append(event))
@@ -202,6 +203,59 @@ def test_the_disk_margin_is_the_inverse_of_the_largest_response_however_narrow_i
     loop = LinearLoop(a, rng.normal(size=(10, 2)), 1e-3 * rng.normal(size=(2, 10)))
     found = 1 / margins_of(loop).disk
     assert norm_exceeds(loop, 0.999 * found) and not norm_exceeds(loop, 1.001 * found)
+
+
+def random_loop(seed):
+    """A stable loop of one or two commands, with narrow resonances and slow, fast and alternating real poles."""
+    rng, count = np.random.default_rng(seed), 1 + seed % 2
+    radii, turns = 1 - 10 ** rng.uniform(-4, -0.3, 3), np.exp(rng.uniform(np.log(1e-2), np.log(3), 3))
+    turned = [
+        r * np.array([[np.cos(v), -np.sin(v)], [np.sin(v), np.cos(v)]]) for r, v in zip(radii, turns, strict=True)
+    ]
+    a = scipy.linalg.block_diag(*turned, *rng.choice([0.999999, 0.99, 0.5, -0.5, -0.95], 2))
+    mixing = rng.normal(size=a.shape)
+    c = 10 ** rng.uniform(-4, -0.5) * rng.normal(size=(count, len(a)))
+    return LinearLoop(np.linalg.solve(mixing, a @ mixing), rng.normal(size=(len(a), count)), c)
+
+
+def least_unstable_factor(loop):
+    """Least of many factors of all commands at which the loop is unstable."""
+    factors = 1 + np.geomspace(1e-7, 1e4, 2500)
+    radii = np.abs(np.linalg.eigvals(loop.a + (factors - 1)[:, None, None] * (loop.b @ loop.c))).max(axis=1)
+    return factors[radii >= 1][0] if (radii >= 1).any() else np.inf
+
+
+def largest_pole_with_delay(loop, periods):
+    """Largest modulus of the poles of a loop whose commands arrive some periods later."""
+    (a, b, c), count = loop, len(loop.b.T)
+    sent = np.eye(periods * count, k=-count)
+    late = np.block([[a - b @ c, np.zeros((len(a), periods * count))], [np.zeros((periods * count, len(a))), sent]])
+    late[: len(a), -count:], late[len(a) : len(a) + count, : len(a)] = b, c
+    return np.abs(np.linalg.eigvals(late)).max()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_margins_are_those_by_brute_force_and_of_the_disk(seed):
+    loop, period = random_loop(seed), 1e-3
+    found = margins_of(loop, period, ("muscle",) * len(loop.c))
+    expected = least_unstable_factor(loop)
+    assert found.gain == pytest.approx(expected, rel=0.02) or min(found.gain, expected) > 5e3
+    assert found.gain - 1 >= 0.98 * (expected - 1) or expected > 5e3
+    assert found.gain >= (2 + found.disk) / (2 - found.disk)
+    assert found.phase >= 2 * np.arctan(found.disk / 2) * (1 - 1e-3)
+    unstable = [late for late in (1, 2, 3, 4) if largest_pole_with_delay(loop, late) >= 1]
+    assert not unstable or found.delay <= unstable[0] * period * 1.001
+
+
+@pytest.mark.parametrize(("gain", "margin"), [(0.5, 2.0), (0.95, 1 / 0.95)])
+def test_the_gain_margin_of_a_locus_that_ends_on_the_real_axis(gain, margin):
+    """L = k / z ends at -k; a locus of positive feedback begins there."""
+    late = LinearLoop(np.array([[-gain]]), np.array([[-gain]]), np.eye(1))
+    positive = LinearLoop(np.array([[0.5]]), np.eye(1), np.array([[0.5 / (margin - 1)]]))
+    for loop in (late, positive):
+        found = margins_of(loop, muscles=("muscle",))
+        assert found.gain == pytest.approx(margin, rel=1e-6)
+        assert (2 + found.disk) / (2 - found.disk) == pytest.approx(margin, rel=1e-3)
 
 
 @pytest.mark.parametrize(("direction", "loop"), [((1, 1), "stiffness"), ((1, -1), "angle")])

@@ -152,6 +152,42 @@ def test_a_new_study_and_a_continued_one_are_not_confused(path, tmp_path):
     assert not (tmp_path / "b").exists()
 
 
+KILLED_EARLY = """
+import os, sys, pathlib
+from mckibben.storage import store
+def end(*_, **__): os._exit(9)
+if sys.argv[2] == "tables": store.Store._prepare = end
+if sys.argv[2] == "job": store.Store.job = end
+with store.open_store(pathlib.Path(sys.argv[1])) as opened:
+    opened.job({"format": "test", "seed": 4})
+    end()
+"""
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("moment", ["tables", "job", "record"])
+def test_a_study_killed_before_its_first_record_is_begun_in_both_ways(tmp_path, moment, resume):
+    path = tmp_path / STUDY
+    assert subprocess.run([sys.executable, "-c", KILLED_EARLY, str(path), moment], check=False).returncode == 9
+    assert path.is_file()
+    with open_store(path, resume=resume) as store:
+        assert store.is_blank() and store.about() == (
+            {"format": "test", "seed": 4} if resume and moment == "record" else None
+        )
+        job = store.job({"format": "test", "seed": 4})
+        job.add({0: b"x"})
+    with pytest.raises(FileError, match="exists already"), open_store(path):
+        pytest.fail("replaced")
+    with open_store(path, resume=True) as store:
+        assert store.job({"format": "test", "seed": 4}).read(0) == b"x"
+
+
+def test_a_study_without_records_may_begin_with_other_settings(tmp_path):
+    for seed in (3, 4):
+        with open_store(tmp_path / STUDY) as store:
+            assert store.job(ABOUT | {"seed": seed}).about["seed"] == seed
+
+
 @pytest.mark.parametrize("content", [b"", b"angle,force\n1,2\n", b"SQLite format 3\0" + bytes(4096)])
 def test_another_file_is_refused(tmp_path, content):
     (tmp_path / STUDY).write_bytes(content)

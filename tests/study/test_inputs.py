@@ -76,9 +76,40 @@ def test_no_other_kind_is_guessed(name):
     assert caught.value.value == name
 
 
-@pytest.mark.parametrize("lead", ["", "geometry: "])
-def test_a_geometry_is_read_with_and_without_its_key(tmp_path, lead):
+PULLEY = "{class: Pulley, radius: 30 mm, rest_length: 160 mm}"
+PATHS = f"path1: {PULLEY}, path2: {PULLEY}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{{class: PairedPaths, {PATHS}}}",
+        f"{{{PATHS}}}",
+        f"geometry: {{{PATHS}}}",
+        f"geometry: {{class: PairedPaths, {PATHS}}}",
+        f"joint: {{geometry: {{{PATHS}}}}}",  # before there is a muscle
+        f"joint: {{geometry: {{class: PairedPaths, {PATHS}}}, muscle: {{specimen: MAS-10-180N-AA-MC-O}}}}",
+    ],
+)
+def test_a_geometry_is_read_with_and_without_its_keys_and_class(tmp_path, text):
     path = tmp_path / "geometry.yaml"
-    pulley = "{class: Pulley, radius: 30 mm, rest_length: 160 mm}"
-    path.write_text(f"{lead}{{class: PairedPaths, path1: {pulley}, path2: {pulley}}}\n")
+    path.write_text(f"{text}\n")
     assert geometry_named(str(path)).path1.radius == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        (f"path1: {PULLEY}\npth2: {PULLEY}\n", "pth2"),
+        (f"joint:\n  geometry:\n    path1: {PULLEY}\n    path2: {{class: Pulley, radius: 30}}\n", "path2.radius"),
+        ("joint_length: 370 mm\njoint_radius: 30 mm\n", "connector_length"),
+        ("", ""),
+        ("name: x\njoint: {}\nload: knee-table-2\n", "controller"),
+    ],
+)
+def test_a_mistake_in_a_geometry_is_one_of_the_geometry(tmp_path, text, field):
+    path = tmp_path / "geometry.yaml"
+    path.write_text(text)
+    with pytest.raises(FileError) as caught:
+        geometry_named(str(path))
+    assert field in {problem.field for problem in caught.value.problems}

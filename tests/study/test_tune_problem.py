@@ -173,6 +173,11 @@ def test_a_search_keeps_the_least_disk_margin_for_the_uncertainty_of_the_plant()
     risky, kept = (tune(at_the_edge, {name: RANGES[name]}, cost, **few) for cost in (free(TERMS), Cost(TERMS)))
     assert extremes_of(risky.scenarios[0]) < LEAST_DISK_MARGIN <= extremes_of(kept.scenarios[0])
     assert risky.cost < kept.cost and (risky.disk_margin, kept.disk_margin) == (0.0, LEAST_DISK_MARGIN)
+    assert kept.limit in kept.verdict() and f"{kept.least_disk:.3g}" in kept.verdict()
+    scalars, _, effect = kept.listings()  # two margins of two plants, each with its own name
+    nominal = dict(zip(*(effect.columns[name][1] for name in ("metric", "tuned")), strict=True))["least disk margin"]
+    assert "nominal plant" in effect.title and nominal > kept.least_disk
+    assert "least disk margin" not in [title for title, _ in scalars.header()]
     assert LEAST_DISK_MARGIN <= kept.least_disk <= extremes_of(kept.scenarios[0]) * 1.01 and kept.ok
     start = TuningProblem.of(
         (LIGHT,), sweep_parameters(LIGHT, {"start.stiffness": RANGES["start.stiffness"]}), Cost(TERMS)

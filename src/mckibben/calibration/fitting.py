@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, WritingResult
 from mckibben.units import factor, show
 
 if TYPE_CHECKING:
@@ -83,21 +82,14 @@ class JointEstimate:
         return f"{show(self.value, unit, 4)} with a standard deviation of {show(self.deviation, unit, 2)}"
 
 
-class Calibration(Result):
+class Calibration(WritingResult):
     """Base of calibrations: estimates by name, with their prior deviations."""
 
     quantities: dict[str, JointEstimate]
-    writers: Mapping[str, Callable[[Path], None]] = field(default_factory=dict, kw_only=True)
-    """Functions that write documents with the estimates, by file name."""
     disk_margins: Floats | None = field(default=None, kw_only=True)
     """Least disk margins of the scenario's loop on the calibrated plant, and on plants drawn from the estimates."""
 
     files = ("model.yaml", "valve.yaml", "scenario.yaml")
-
-    def write(self, folder: Path) -> None:
-        """Write the documents with the estimates."""
-        for name, write in self.writers.items():
-            write(folder / name)
 
     def deviations(self) -> dict[str, str]:
         """Return the standard deviation of each quantity with its unit; of forces in percent."""

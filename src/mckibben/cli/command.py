@@ -18,7 +18,7 @@ from mckibben.cli.options import echo, keeping, long_job, on_command_line, resul
 from mckibben.cli.reading import read_options
 from mckibben.errors import ParameterError
 from mckibben.result import Result
-from mckibben.storage.files import to_json
+from mckibben.storage.files import check_free, to_json
 from mckibben.storage.store import STUDY
 
 _HEADING, _OTHER = "\nParameters\n----------\n", "\nOther Parameters\n----------------\n"
@@ -75,7 +75,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
     The command gets the options `--details`, `--json`, `--out` and `--force`, prints the result, writes its files, and
     exits with 1 if the result is not `ok`. The function may have parameters of these names, too. With a parameter
 
-    - `resume`, the command is a study, which is continued by `--resume`, an option in place of `--force`;
+    - `resume`, the command is a study, which is continued by `--resume`, and never replaced by `--force`;
     - `reading`, it reads files, and has the options of `read_options`;
     - `progress`, it gets a progress bar; the computation can be interrupted.
 
@@ -98,19 +98,20 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
 
     @functools.wraps(function)
     def run(*, details: bool, json: bool, out: Path | None, force: bool = False, **values: Any) -> None:
-        if resumed and force:
-            remedy = "continue it with --resume, or give another folder"
-            raise ParameterError("a study is never replaced", field="--force", remedy=remedy)
+        if force and values.get("resume"):
+            raise ParameterError("a study is continued or begun", field="--force", remedy="leave --force out")
         passed: dict[str, object] = {"json": json, "out": out, "force": force}
         passed = {name: value for name, value in passed.items() if name in names}
-        if not resumed:  # a study looks for itself
-            results_folder(out, ("results.json",), force)  # before the computation
+        if out and not resumed:  # before the computation; a study looks for itself
+            check_free(out, (STUDY,), "choose another folder: a study is never replaced")
+            results_folder(out, ("results.json",), force)
         if reading:
             passed["reading"] = read_options(**{name: values.pop(name) for name in reading})
-        kept = f"what was finished is in {out}; continue with --resume" if resumed and out else ""
-        with long_job(quiet=json, kept=kept) if progresses else nullcontext() as progress:
+        study = out / STUDY if resumed and out else None
+        with long_job(quiet=json, study=study) if progresses else nullcontext() as progress:
             result = function(**values, **passed, **({"progress": progress} if progresses else {}))
-        present(result, details=details, json=json, out=out, force=force, resume=resumed)
+        continued = values.get("resume") or bool(study and study.exists())
+        present(result, details=details, json=json, out=out, force=force, resume=continued)
 
     return _described(run, text, own | reading | shared)
 
@@ -151,12 +152,13 @@ def present(
         if out:  # before printing: the reader of the output may be gone
             with keeping(out, "--resume" if resume else "--force"):
                 names = result.save(out, force=force or resume)
-                names += [STUDY] if resume and (out / STUDY).exists() else []
     finally:
         text = on_command_line(result.to_text(width=text_width(), details=details))
-        echo(to_json(result.to_dict()) if json else text)
+        echo(to_json(result.saved(names) if names else result.to_dict()) if json else text)
+    names += [STUDY] if out and resume and (out / STUDY).exists() else []
     if out:
         figure = next((f"; figure: {out / name}" for name in names if name.endswith(".png")), "")
-        echo(f"wrote {', '.join(names)} to {out}{figure}", err=json)
+        shown = dict.fromkeys(re.sub("/.*", "/", name) for name in names)
+        echo(f"wrote {', '.join(shown)} to {out}{figure}", err=json)
     if not result.ok:
         raise typer.Exit(1)

@@ -28,8 +28,8 @@ def export(
         Scenario or robot; see examples/.
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
-        for pages. fmu, fmu-controller, fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle.
-        mjcf, warp, osim: joint and muscles for MuJoCo, MuJoCo Warp and OpenSim. For a robot: c, js, mjcf or warp.
+        for pages. fmu, fmu-controller: FMUs, the joint with load and valves, or the controller. mjcf: joint and muscles
+        for MuJoCo. For a robot: c, js or mjcf.
     out : DIR
         Output folder.
     name : NAME
@@ -43,15 +43,19 @@ def export(
     """
     if not to:
         raise ParameterError("the export needs a format", remedy="give one with --to FORMAT, such as --to c --out DIR")
-    folder = required_folder(out, "export")
     from mckibben.export import export as write
-    from mckibben.export.targets import CONTROLLERS
+    from mckibben.export.targets import CONTROLLERS, check_target
     from mckibben.firmware import Hardware
     from mckibben.scenario import Scenario, read_scenario
 
+    check_target(to)
+    folder = required_folder(out, "export")
     with keeping(folder):
         read = read_scenario(scenario)
         parts = None if hardware is None else Hardware.read(hardware)
+        if to in CONTROLLERS and not isinstance(read, Scenario):
+            count = len(read.robot.all_muscles)
+            echo(f"a controller of {count} muscles takes about {count**2 / 15:.0f} s of processor time", err=True)
         exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
     if to in CONTROLLERS and isinstance(read, Scenario):
         exported = replace(exported, margins=read.margins())

@@ -40,8 +40,12 @@ class Helping:
         except _UsageError as error:
             if not given and getattr(self, "no_args_is_help", False):
                 raise  # prints the help
-            text = f"{ctx.command_path}: {error.format_message().replace('Value error, ', '').rstrip('.')}"
-            raise ParameterError(text, remedy=f"see {ctx.command_path} --help") from None
+            message = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
+            text = f"{ctx.command_path}: {message}"
+            typed, known = (re.findall(r"'([^']*)'", part) for part in text.rpartition(" is not one of ")[::2])
+            meant = closest(typed[-1], known) if typed else ""
+            did = f"did you mean {meant!r}? if not, " if meant else ""
+            raise ParameterError(text, remedy=f"{did}see {ctx.command_path} --help") from None
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write panels of arguments, options and commands."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,7 +13,6 @@ from mckibben.component.schema import write as write_component
 from mckibben.errors import ParameterError
 from mckibben.identification.with_friction import titled
 from mckibben.result import Remark
-from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.cli.reading import Reading
@@ -29,15 +28,18 @@ class Source(NamedTuple):
     recipe: Recipe
     volume: float | None
 
-    def write(self, folder: Path, fit: Fit) -> None:
-        """Write fit, recipe and points, and the muscle if its initial length is known."""
-        from mckibben.scenario import write_identified  # 0.3 s to import
-
-        self.recipe.to_yaml(folder / "recipe.yaml")
-        self.points.to_netcdf(folder / "data.nc")
+    def writers(self, fit: Fit) -> dict[str, Callable[[Path], None]]:
+        """Functions that write fit, recipe and points, and the muscle if its initial length is known."""
         common = os.path.commonprefix([Path(file).stem for file in self.files_read])  # noqa: RUF071, of characters
         common = common if len(self.files_read) == 1 else common.rstrip("0123456789.,+_- ")  # the numbers differ
-        write_identified(folder, fit, self.points.table.attrs, name=common, volume=self.volume)
+
+        def write(path: Path) -> None:
+            from mckibben.scenario import write_identified  # 0.3 s to import
+
+            write_identified(path, fit, self.points.table.attrs, name=common, volume=self.volume)
+
+        points = {"recipe.yaml": self.recipe.to_yaml, "data.nc": self.points.to_netcdf}
+        return {"fit.yaml": fit.to_yaml, "muscle.yaml": write, **points}
 
     def remarks(self) -> Iterator[Remark]:
         """Remarks on the data, and on a muscle that cannot be used in scenarios."""
@@ -51,15 +53,15 @@ class Source(NamedTuple):
 def identified(fitted: FitWithFriction, source: Source) -> Report:
     """Report of a law with friction."""
     loops = fitted.hysteresis
-
-    def write(folder: Path) -> None:
-        source.write(folder, fitted)
-        report.save(report.isobaric(fitted.points, fitted), folder, "fit")
-        report.save(report.force_bands(fitted.points, fitted), folder, "bands")
-        if loops:
-            report.save(report.loops(source.points, loops), folder, "loops")
-
-    return Report(fitted.verdict(), tuple(fitted.listings()), (*fitted.remarks(), *source.remarks()), write)
+    drawings = {
+        "fit": lambda: report.isobaric(fitted.points, fitted),
+        "bands": lambda: report.force_bands(fitted.points, fitted),
+        **({"loops": lambda: report.loops(source.points, loops)} if loops else {}),
+    }
+    remarks = (*fitted.remarks(), *source.remarks())
+    return Report(
+        fitted.verdict(), tuple(fitted.listings()), remarks, writers=source.writers(fitted), drawings=drawings
+    )
 
 
 def of_torque(files: list[str], law: str, reading: Reading) -> Report:
@@ -77,29 +79,27 @@ def of_torque(files: list[str], law: str, reading: Reading) -> Report:
         law_type_named(law), read_torques(files, recipe, geometry=geometry), geometry, initial_length=length
     )
 
-    def write(folder: Path) -> None:
+    def write(path: Path) -> None:
         from mckibben.scenario import write_muscle
 
-        recipe.to_yaml(folder / "recipe.yaml")
         name = recipe.specimen or Path(files[0]).stem
         section = {"class": type(fit.law).__name__, **write_component(fit.law)}
-        write_muscle(folder / "muscle.yaml", fit.law, specimen=name, initial_length=length, law=section)
+        write_muscle(path, fit.law, specimen=name, initial_length=length, law=section)
 
-    return Report(fit.verdict(), tuple(fit.listings()), tuple(fit.remarks()), write)
+    writers = {"recipe.yaml": recipe.to_yaml, "muscle.yaml": write}
+    return Report(fit.verdict(), tuple(fit.listings()), tuple(fit.remarks()), writers=writers)
 
 
 def ranked(ranking: Ranking, source: Source) -> Report:
     """Report of a ranking of laws."""
-
-    def write(folder: Path) -> None:
-        for entry in ranking.entries:
-            if entry.fit:
-                entry.fit.to_yaml(make_folder(folder / "fits") / f"{entry.law}.yaml")
-        best = ranking.best.fit
-        assert best is not None
-        source.write(folder, best)
-        report.save(report.ranking(ranking), folder, "ranking")
-        report.save(report.isobaric(source.points, best), folder, "fit")
-
+    best = ranking.best.fit
+    assert best is not None
+    fits = {f"fits/{entry.law}.yaml": entry.fit.to_yaml for entry in ranking.entries if entry.fit}
+    drawings = {
+        "ranking": lambda: report.ranking(ranking),
+        "fit": lambda: report.isobaric(source.points, best),
+    }
     tables, remarks = titled(ranking.listings(), "points"), (*ranking.remarks(), *source.remarks())
-    return Report(ranking.verdict(), tuple(tables), remarks, write)
+    return Report(
+        ranking.verdict(), tuple(tables), remarks, writers={**source.writers(best), **fits}, drawings=drawings
+    )

@@ -19,9 +19,8 @@ import typer
 from typer import Argument
 
 from mckibben.errors import ON_COMMAND_LINE, FileError, ParameterError, Problem, UnitError, printable, quoted
-from mckibben.result import Result
 from mckibben.storage.files import check_free, make_folder
-from mckibben.storage.store import STUDY
+from mckibben.storage.store import STUDY, check_study
 from mckibben.units import parse_range, quantity
 
 Progress = Callable[[str, float], None] | None
@@ -215,20 +214,21 @@ def job_progress(*, quiet: bool = False, width: int = 40) -> Iterator[Progress]:
 
 
 @contextmanager
-def long_job(*, quiet: bool, kept: str) -> Iterator[Progress]:
-    """Skeleton of a long command: progress, and after Ctrl-C exit code 130 with a message on the kept results."""
+def long_job(*, quiet: bool, study: Path | None) -> Iterator[Progress]:
+    """Skeleton of a long command: progress, and after Ctrl-C exit code 130 with a message on what its study keeps."""
     try:
         with job_progress(quiet=quiet) as report:
             yield report
     except KeyboardInterrupt as interrupt:
+        kept = f"what was finished is in {study.parent}; continue with --resume" if study and study.exists() else ""
         echo(f"interrupted: {str(interrupt) or kept or 'nothing is kept'}", err=True)
         raise typer.Exit(INTERRUPTED) from None
 
 
-def check_results(out: Path, kind: type[Result], resume: bool, *further: str) -> None:
-    """Raise `FileError` if a new study would replace results; an existing study is reported by the study itself."""
-    if not resume and not (out / STUDY).exists():
-        check_free(out, (*kind.file_names(), *further))
+def check_results(out: Path, names: Iterable[str], *, resume: bool, force: bool) -> None:
+    """Raise `FileError` as `check_study`, and if a new study would replace results and `force` is not set."""
+    check_study(out / STUDY, resume=resume)
+    results_folder(out, names, force or resume)
 
 
 def required_folder(out: Path | None, job: str) -> Path:

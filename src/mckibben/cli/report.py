@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import field
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING
 
-from mckibben.result import Listing, Remark, Result
+from mckibben.result import Listing, Remark, WritingResult, figure_files
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-class Report(Result):
-    """Verdict, remarks and tables of several parts, and a function that writes their files to a folder."""
-
-    files: ClassVar = (
-        *("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "fits"),
-        "robot.yaml",
-        *(
-            f"{name}.{end}"
-            for name in ("fit", "bands", "loops", "ranking", "posture", "point_stiffness")
-            for end in ("png", "svg")
-        ),
-    )
+class Report(WritingResult):
+    """Verdict, remarks and tables of several parts, and functions that write and draw their files."""
 
     text: str
     tables: tuple[Listing, ...]
     comments: tuple[Remark, ...]
-    write_files: Callable[[Path], None]
     numbers: dict[str, object] | None = None
     """Data for JSON in place of verdict, remarks and tables."""
+    drawings: Mapping[str, Callable[[], Figure]] = field(default_factory=dict, kw_only=True)
+    """Functions that draw figures, by name."""
 
     def verdict(self) -> str:
         """Return the verdict of the parts."""
@@ -46,5 +41,13 @@ class Report(Result):
         return super().to_dict() if self.numbers is None else dict(self.numbers)
 
     def write(self, folder: Path) -> None:
-        """Write the files of the parts."""
-        self.write_files(folder)
+        """Write and draw the files of the parts."""
+        from mckibben.report import save
+
+        super().write(folder)
+        for name, draw in self.drawings.items():
+            save(draw(), folder, name)
+
+    def saved_names(self) -> list[str]:
+        """Names of the files of the parts."""
+        return [*super().saved_names(), *figure_files(*self.drawings)]

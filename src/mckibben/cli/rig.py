@@ -71,13 +71,13 @@ def control(
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     if check:
         session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
-        _show_status(map(status_line, session.backend.status()))
+        _show_status(map(status_line, session.status()))
         return
     out = required_folder(out, "run")
     check_free(make_folder(out), (*JointRunResult.file_names(), "record-0001.mcap"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
-    if not session.reach.feasible:
-        echo(f"warning: {session.reach.verdict()}", err=True)
+    for warning in filter(None, ["" if session.reach.feasible else session.reach.verdict(), session.leniency]):
+        echo(f"warning: {warning}", err=True)
     with run_line(quiet=json) as progress:
         try:
             ran = session.run(out, progress=progress)

@@ -10,7 +10,6 @@ from typer import Argument
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_results, check_unused, required_folder
 from mckibben.cli.report import Report
-from mckibben.storage.store import STUDY, check_study
 
 if TYPE_CHECKING:
     from mckibben.result import Result
@@ -25,6 +24,7 @@ def robot(
     *,
     out: Path | None,
     resume: bool,
+    force: bool,
     progress: Progress = None,
 ) -> Result:
     """Study a robot: drop landings over stiffness, height and valve; the highest jumps; pressures for a stiffness of
@@ -39,8 +39,8 @@ def robot(
     """
     if study in ("stiffness", "read"):
         check_unused(f"robot {study}", resume=resume)
-    elif out or resume:
-        check_study(required_folder(out, "study to be continued") / STUDY, resume=resume)
+    elif resume:
+        required_folder(out, "study to be continued")
     if study == "read":
         return _read(file, muscle, out)
     check_unused(f"robot {study}", muscle=muscle)
@@ -50,7 +50,7 @@ def robot(
 
     kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, Report)
     if out:
-        check_results(out, kind, resume)
+        check_results(out, kind.file_names(), resume=resume, force=force)
     scenario = RobotScenario.read(file)
     if study == "stiffness":
         return _stiffness(scenario, str(file))
@@ -70,27 +70,22 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
 
 
 def _stiffness(read: RobotScenario, source: str) -> Report:
-    from mckibben import report
     from mckibben.report.robot import point_ellipses, posture
     from mckibben.robot.attainable import attainable_listing
     from mckibben.robot.statics import solve_statics
 
     attainable, solved = solve_statics(read, source=source)
     tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"
-    numbers: dict[str, object] = {"attainable": {name: row._asdict() for name, row in attainable.items()}}
     if read.stiffness is not None:
         text = "what is attainable in the posture of the file"
+    numbers = None if solved is None else solved.to_dict() | {"tables": [table.to_dict() for table in tables]}
     if solved is not None:
-        tables, text, numbers = (solved.listing(), *tables), solved.describe(), solved.record() | numbers
+        tables, text = (*solved.listings(), *tables), solved.verdict()
 
-    def write(folder: Path) -> None:
-        read.to_yaml(folder / "robot.yaml")
-        angles = read.robot.posture_angles({} if read.stiffness is None else read.stiffness.posture)
-        pressures, stiffness = (None, None) if solved is None else (solved.pressures, solved.joint_stiffness)
-        point = None if read.stiffness is None else read.stiffness.point
-        report.save(posture(read.robot, angles, pressures, stiffness=stiffness, point=point), folder, "posture")
-        if solved is not None and read.stiffness is not None and solved.stiffness is not None:
-            drawn = point_ellipses(read.robot, angles, found=solved, point=read.stiffness.point)
-            report.save(drawn, folder, "point_stiffness")
-
-    return Report(text, tables, (), write, numbers)
+    angles = read.robot.posture_angles({} if read.stiffness is None else read.stiffness.posture)
+    pressures, stiffness = (None, None) if solved is None else (solved.pressures, solved.joint_stiffness)
+    point = None if read.stiffness is None else read.stiffness.point
+    drawings = {"posture": lambda: posture(read.robot, angles, pressures, stiffness=stiffness, point=point)}
+    if solved is not None and solved.stiffness is not None:
+        drawings["point_stiffness"] = lambda: point_ellipses(read.robot, angles, found=solved, point=point)
+    return Report(text, tables, (), numbers, writers={"robot.yaml": read.to_yaml}, drawings=drawings)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, ScenarioFile, check_results, echo, keeping, required_folder
+from mckibben.cli.options import Progress, ScenarioFile, check_results, echo, required_folder
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, make_folder
 from mckibben.storage.store import STUDY
 
 if TYPE_CHECKING:
     from mckibben.result import Result
+    from mckibben.scenario import StudiedScenario
     from mckibben.study.compare import CompareResult
     from mckibben.study.compare.result import PooledResult
     from mckibben.study.compare.suite import ControllerSuite
@@ -36,6 +39,7 @@ def sweep(
     *,
     out: Path | None,
     resume: bool,
+    force: bool,
     progress: Progress = None,
 ) -> Result:
     """Run a scenario over ranges of its parameters; finished runs are kept, and the sweep can be resumed.
@@ -72,7 +76,7 @@ def sweep(
     from mckibben.study.sweep import SweepResult
     from mckibben.study.sweep import sweep as run
 
-    check_results(out, SweepResult, resume)
+    check_results(out, SweepResult.file_names(), resume=resume, force=force)
     return run(
         read,
         over or None,
@@ -104,6 +108,7 @@ def tune(
     *,
     out: Path | None,
     resume: bool,
+    force: bool,
     progress: Progress = None,
 ) -> TuneResult:
     """Minimise a cost over gains or other parameters of scenarios (default: all gains); a search can be resumed.
@@ -139,12 +144,15 @@ def tune(
     """
     from mckibben.scenario import read_scenario
     from mckibben.study.parameters import parse_sweeps, sample
+    from mckibben.study.parameters.sampling import check_count
     from mckibben.study.scenarios import begun_settings
     from mckibben.study.tune import TuneResult, parse_ranges
     from mckibben.study.tune import tune as run
     from mckibben.study.tune.tune import FORMAT, cost_of
 
+    check_count("iterations", iterations, 1, 10**9)
     read = [read_scenario(path) for path in scenarios]
+    texts = [path.read_text(encoding="utf-8-sig") for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)
     wanted = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
@@ -157,7 +165,7 @@ def tune(
             raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
     out = required_folder(out, "search")  # after the mistakes of other options
     names = _tuned_names(scenarios)
-    check_results(out, TuneResult, resume, *names)
+    check_results(out, (*TuneResult.file_names(), *names), resume=resume, force=force)
     tuned = run(
         read,
         ranges,
@@ -171,15 +179,15 @@ def tune(
         conditions=drawn,
         progress=progress,
     )
-    with keeping(out, "--resume"):
-        _write_tuned(tuned, scenarios, [out / name for name in names])
-    echo(f"wrote {', '.join(names)} to {out}", err=True)
-    return tuned
+    own = zip(tuned.scenarios, texts, scenarios, strict=True)
+    return replace(
+        tuned, writers={name: partial(_write_tuned, tuned, *of) for name, of in zip(names, own, strict=True)}
+    )
 
 
 @command
 def compare(
-    suite: Path, quick: bool = False, *, out: Path | None, resume: bool, progress: Progress = None
+    suite: Path, quick: bool = False, *, out: Path | None, resume: bool, force: bool, progress: Progress = None
 ) -> CompareResult | PooledResult:
     """Tune controllers with the same budget, and compare them on the same unseen runs.
 
@@ -199,10 +207,15 @@ def compare(
 
     suites = (_quick(read) if quick else read).each
     folders = {name: out / filename(name) if name else out for name in suites}
+    again = {name: resume and (folder / STUDY).exists() for name, folder in folders.items()}
     for name, folder in folders.items():
-        check_results(folder, CompareResult, resume)
-        if not (make_folder(folder) / "suite.yaml").exists():  # before the search, which may be interrupted
-            suites[name].to_yaml(folder / "suite.yaml")
+        file, text = make_folder(folder) / "suite.yaml", suites[name].dumps(folder=folder)
+        begun = file.is_file() and file.read_text(encoding="utf-8") == text  # by a run that was killed
+        check_results(
+            folder, {*CompareResult.file_names()} - ({file.name} if begun else set()), resume=again[name], force=force
+        )
+        if not file.exists():  # before the search, which may be interrupted
+            suites[name].to_yaml(file)
     results = {}
     for number, (name, setup) in enumerate(suites.items()):
 
@@ -210,8 +223,7 @@ def compare(
             if progress:
                 progress(f"{name}: {task}" if name else task, (number + part) / len(suites))
 
-        again = resume and (folders[name] / STUDY).exists()
-        results[name] = run(setup, out=folders[name], resume=again, progress=step)
+        results[name] = run(setup, out=folders[name], resume=again[name], progress=step)
     if "" in results:
         return results[""]
     for name, result in results.items():
@@ -230,18 +242,17 @@ def _tuned_names(paths: list[Path]) -> list[str]:
     return [f"{stem}-tuned{f'-{i}' if stem in stems[: i - 1] else ''}.yaml" for i, stem in enumerate(stems, start=1)]
 
 
-def _write_tuned(tuned: TuneResult, paths: list[Path], targets: list[Path]) -> None:
-    """Write the tuned scenarios, editing the user's text in place if its relative paths remain valid."""
+def _write_tuned(tuned: TuneResult, scenario: StudiedScenario, before: str, source: Path, target: Path) -> None:
+    """Write a tuned scenario, editing the user's text in place if its relative paths remain valid."""
     from mckibben.scenario import edit_scenario
 
-    for scenario, path, target in zip(tuned.scenarios, paths, targets, strict=True):
-        text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
-        with suppress(ScenarioError):
-            if type(scenario).parse(text, folder=target.parent) == scenario:
-                with atomic_write(target, overwrite=True) as part:
-                    part.write_text(text, encoding="utf-8")
-                continue
-        scenario.to_yaml(target)  # a relative path in the text is invalid in the new folder
+    text = edit_scenario(before, tuned.values, folder=source.parent)
+    with suppress(ScenarioError):
+        if type(scenario).parse(text, folder=target.parent) == scenario:
+            with atomic_write(target, overwrite=True) as part:
+                part.write_text(text, encoding="utf-8")
+            return
+    scenario.to_yaml(target)  # a relative path in the text is invalid in the new folder
 
 
 def _suite(file: Path) -> ControllerSuite:

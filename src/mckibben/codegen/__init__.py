@@ -1,4 +1,4 @@
-"""Code generation: JAX functions as programs in C99, CUDA, JavaScript and Warp.
+"""Code generation: JAX functions as programs in C99, CUDA and JavaScript.
 
 A function is traced to a jaxpr, lowered to scalar expressions in nested scopes (`lowering`, `graph`) and written in a
 language (`writer` and its subclasses). There are two kinds of programs: a module of functions with parameters and a

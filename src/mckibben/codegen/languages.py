@@ -14,17 +14,13 @@ _SAME = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "a
          "sqrt", "floor", "ceil", "cbrt", "pow")  # fmt: skip
 
 
-def literals(
-    nan: str, infinity: str, *, booleans: tuple[str, str] = ("false", "true"), single: bool = False, suffix: str = ""
-) -> Callable[[float, Kind], str]:
+def literals(nan: str, infinity: str, *, single: bool = False, suffix: str = "") -> Callable[[float, Kind], str]:
     """Text of a number of a kind; those of 32 bits have nine digits, and no subnormal ones.
 
     Parameters
     ----------
     nan, infinity
         Names of these numbers in the language.
-    booleans
-        Names of false and true.
     single, suffix
         Whether real numbers have 32 bits, and what follows their digits.
 
@@ -39,7 +35,7 @@ def literals(
 
     def literal(number: float, kind: Kind) -> str:
         if kind is not Kind.REAL:
-            return booleans[bool(number)] if kind is Kind.BOOLEAN else str(number)
+            return str(number) if kind is Kind.INTEGER else "true" if number else "false"
         if math.isnan(number):
             return nan
         if abs(number) > largest:

@@ -1,4 +1,4 @@
-"""Writer of the statements of a graph, in the syntax of C99 and JavaScript unless a subclass has another."""
+"""Writer of the statements of a graph, in the syntax of C99 and JavaScript."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Writer:
                 lines += self._value(statement, indent, stored)
         return lines
 
-    def prepared(self, scope: Scope, place_of: Callable[[str], str | None], store: str) -> tuple[list[str], list[int]]:
+    def prepared(self, scope: Scope, place_of: Callable[[str], str], store: str) -> tuple[list[str], list[int]]:
         """Lines that compute what follows from parameters alone, and how many numbers of each kind they store.
 
         Parameters
@@ -169,7 +169,7 @@ class Writer:
         scope
             The root of a graph, whose inputs are the parameters.
         place_of
-            Text of a parameter by the name of its input; None for one that is not used.
+            Text of a parameter by the name of its input.
         store
             Place of a stored number, such as ``self->prepared.{}[{}]``, of its kind and its index among those.
         """
@@ -180,8 +180,7 @@ class Writer:
             return store.format(value.kind.value, counts[value.kind] - 1)
 
         for value in inputs_of(scope):
-            if (place := place_of(value.data)) is not None:
-                self.name(value, place)
+            self.name(value, place_of(value.data))
         return self.scope(scope, stored=stored), list(counts.values())
 
     def function(self, scope: Scope, place_of: Callable[[str], str]) -> list[str]:
@@ -191,7 +190,7 @@ class Writer:
             if self.is_needed(value):
                 name, place = identifier(value.data), place_of(value.data)
                 self.name(value, name)
-                lines += [f"    {self.declared(self.constant(value), name, place)}"] if name != place else []
+                lines += [f"    {self.constant(value)} {name} = {place};"] if name != place else []
         return lines + self.scope(scope)
 
     def _value(self, value: Value, indent: str, stored: Callable[[Value], str] | None) -> list[str]:
@@ -199,13 +198,13 @@ class Writer:
         text = self._expression(value)
         if stored is not None and id(value) in self.shared:
             self.name(value, stored(value))
-            return [f"{indent}{self.assigned(self.text(value), text[0])}"]
+            return [f"{indent}{self.text(value)} = {text[0]};"]
         if self._uses[id(value)] < 2 and len(text[0]) <= _LONGEST:
             self._texts[id(value)] = text
             return []
         name = self.new_name("t", value.uniform)
         self.name(value, name)
-        return [f"{indent}{self.declared(self.constant(value), name, text[0])}"]
+        return [f"{indent}{self.constant(value)} {name} = {text[0]};"]
 
     def _loop(self, loop: ForLoop, indent: str) -> list[str]:
         """Lines of a loop with the variables and arrays that are needed."""
@@ -221,18 +220,18 @@ class Writer:
             name = self._carried[id(variable)] = self.new_name("x", variable.uniform)
             initial = self.converted(variable.initial, variable.uniform)
             kind = self.variable(variable.initial.kind, variable.uniform)
-            lines.append(f"{indent}{self.declared(kind, name, initial)}")
+            lines.append(f"{indent}{kind} {name} = {initial};")
         index, inside = self.new_name("i"), indent + "    "
         self.name(loop.index, index)
-        going = None if loop.going is None else self._carried[id(loop.going)]
-        lines += [f"{indent}{line}" for line in self.loop_head(index, loop.length, going)]
+        going = f"{index} < {loop.length}" if loop.going is None else self._carried[id(loop.going)]
+        lines.append(f"{indent}for ({self.language.types[Kind.INTEGER]} {index} = 0; {going}; ++{index}) {{")
         lines += self.scope(loop.scope, inside)
         for array in arrays:
             for place, element in enumerate(array.elements):
                 at = self._place(loop.row, len(array.elements), place)
-                lines.append(f"{inside}{self.store(array, at, element)}{self.end}")
+                lines.append(f"{inside}{self.store(array, at, element)};")
         lines += [f"{inside}{line}" for line in self._updates(variables)]
-        return lines + [f"{indent}{line}" for line in self.loop_end(index, going)]
+        return [*lines, f"{indent}}}"]
 
     def _updates(self, variables: Sequence[Carried]) -> list[str]:
         """Lines that set the variables of a loop to their next values; those that are exchanged by way of copies."""
@@ -242,12 +241,12 @@ class Writer:
             if following.operation == "carried" and self.text(following) != target:
                 copies[target] = self.new_name("t", variable.uniform)
                 kind = self.variable(following.kind, variable.uniform)
-                lines.append(self.declared(kind, copies[target], self.converted(following, variable.uniform)))
+                lines.append(f"{kind} {copies[target]} = {self.converted(following, variable.uniform)};")
         for variable in variables:
             target = self._carried[id(variable)]
             text = copies.get(target) or self.converted(variable.following, variable.uniform)
             if text != target:
-                lines.append(self.assigned(target, text))
+                lines.append(f"{target} = {text};")
         return lines
 
     def _branch(self, branch: Branch, indent: str) -> list[str]:
@@ -258,36 +257,15 @@ class Writer:
         lines = []
         for value in chosen:
             self.name(value, self.new_name("y", value.uniform))
-            lines.append(f"{indent}{self.declared(self.variable(value.kind, value.uniform), self.text(value))}")
-        for head, scope, values in zip(self.branch_heads, branch.scopes, branch.values, strict=True):
-            lines.append(indent + head.format(self.text(branch.condition)))
+            lines.append(f"{indent}{self.variable(value.kind, value.uniform)} {self.text(value)};")
+        heads = f"if ({self.text(branch.condition)}) {{", "} else {"
+        for head, scope, values in zip(heads, branch.scopes, branch.values, strict=True):
+            lines.append(indent + head)
             lines += self.scope(scope, indent + "    ")
             for value in chosen:
-                assigned = self.assigned(self.text(value), self.converted(values[value.data[1]], value.uniform))
-                lines.append(f"{indent}    {assigned}")
-        return lines + [f"{indent}{line}" for line in self.block_end]
-
-    of_integers: Mapping[str, str] = _OF_INTEGERS  # for which C has no functions
-    end = ";"
-    branch_heads = "if ({}) {{", "}} else {{"
-    block_end: Sequence[str] = ("}",)
-
-    def declared(self, kind: str, name: str, text: str | None = None) -> str:
-        """Declaration of a variable, with or without a value."""
-        return f"{kind} {name}{'' if text is None else f' = {text}'}{self.end}"
-
-    def assigned(self, target: str, text: str) -> str:
-        """Assignment to a variable or an element."""
-        return f"{target} = {text}{self.end}"
-
-    def loop_head(self, index: str, length: int, going: str | None) -> list[str]:
-        """First lines of a loop of a given length, or while a variable is true."""
-        further = f"{index} < {length}" if going is None else going
-        return [f"for ({self.language.types[Kind.INTEGER]} {index} = 0; {further}; ++{index}) {{"]
-
-    def loop_end(self, index: str, going: str | None) -> Sequence[str]:
-        """Last lines of a loop."""
-        return self.block_end
+                result = self.converted(values[value.data[1]], value.uniform)
+                lines.append(f"{indent}    {self.text(value)} = {result};")
+        return [*lines, f"{indent}}}"]
 
     def variable(self, kind: Kind, uniform: bool) -> str:
         """Declared type of a variable, which may be uniform over lanes."""
@@ -353,8 +331,8 @@ class Writer:
         if name == "select":
             condition, yes, no = texts
             return f"{_bound(condition, _CHOICE + 1)} ? {_bound(yes, _CHOICE + 1)} : {_bound(no, _CHOICE)}", _CHOICE
-        if name in self.of_integers and kind is Kind.INTEGER:
-            return f"({self.of_integers[name].format(*(_bound(text, ATOM) for text in texts))})", ATOM
+        if name in _OF_INTEGERS and kind is Kind.INTEGER:
+            return f"({_OF_INTEGERS[name].format(*(_bound(text, ATOM) for text in texts))})", ATOM
         if name in _BITWISE and kind is Kind.INTEGER:
             return f"{_bound(texts[0], ATOM)} {_BITWISE[name]} {_bound(texts[1], ATOM)}", _OR
         if name in _INFIX:

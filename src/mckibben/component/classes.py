@@ -131,9 +131,8 @@ def _is_from(kind: type, origin: str) -> bool:
 def default_class(base: type) -> type | None:
     """Return the class of a section without the key `class`; None if it needs one."""
     named = getattr(base, "default_class", "")
-    if named:
-        return find_class(base, named)
-    return None if is_abstract(base) else base
+    inherited = find_class(base, named) if named else None  # which may be another class of the base of this one
+    return inherited or (None if is_abstract(base) else base)
 
 
 class Keyed:

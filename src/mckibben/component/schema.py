@@ -529,7 +529,7 @@ def read_component(
     base
         Class of the component, or a base of it; the section then names the class.
     key
-        Key of the section, if the file has it; otherwise the whole file is the section.
+        Key of the section, or keys joined by points, each if the file has it; otherwise the whole file is the section.
     context
         Fields around the section, from which it may inherit.
     units
@@ -561,8 +561,9 @@ def parse_component(
     0.02
     """
     field, document = ComponentField(base, units), read_document(text)
-    if isinstance(document.data, dict) and key in document.data:
-        document = document.below(key)
+    for name in key.split("."):
+        if isinstance(document.data, dict) and name in document.data:
+            document = document.below(name)
     validate = TypeAdapter[Any](Annotated[Any, field]).validate_python
     inner, keys = {**(context or {}), "folder": folder}, field.section_keys(document.data)
     return validated(validate, document, source, inner, keys, f"a file with {', '.join(keys)}")

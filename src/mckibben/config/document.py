@@ -188,6 +188,9 @@ def _explain(error: Any, text: str, document: Document) -> None:
     if "\t" in written[: len(written) - len(written.lstrip())] or written[mark.column : mark.column + 1] == "\t":
         document.fail("a tab in the indentation", line=line, remedy="indent with spaces")
         return
+    if "<block end>, but found '<block mapping start>'" in problem:
+        document.fail("is indented otherwise than its section", line=line, remedy="indent keys of a section alike")
+        return
     remedy = "write `key: value`, one per line, indented with spaces, and quote text that contains ': ' or ' #'"
     document.fail(f"not YAML: {problem}", line=line, remedy=remedy)
 

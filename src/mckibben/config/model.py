@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, Self, TypeVar, cast, get_args, runtime_checkable
 
@@ -299,6 +300,9 @@ def _kind_of(data: object, known: Collection[str]) -> str:
     return next((what for marks, what in _KINDS if marks <= keys and not marks <= {*known}), "")
 
 
+_MISSING, _UNKNOWN = "is missing", "is not a known key here"
+
+
 class _Keys:
     """Keys of a section in a file: known ones, given ones, and for each unknown one the closest, or nothing."""
 
@@ -326,11 +330,11 @@ class _Keys:
         kind, place, value = detail["type"], detail["loc"], detail["input"]
         message, key = f"{described(value, of_file=True)} is given where ", str(place[0]) if len(place) == 1 else ""
         if key and kind == "missing":
-            return (None, "") if key in self.meant.values() else ("is missing", f"add it{self._example(key)}")
+            return (None, "") if key in self.meant.values() else (_MISSING, f"add it{self._example(key)}")
         if key and kind == "extra_forbidden":
             if key[0].isdigit() and value == "":
                 return "follows a comma", "write decimals with a point"
-            return "is not a known key here", self._remedy(key)
+            return _UNKNOWN, self._remedy(key)
         if key and kind == "dict_type" and value not in ("", None):
             remedy = f"give a mapping with one name per section{self._example(key)}"
             return f"{message}names and sections are expected", remedy
@@ -370,7 +374,19 @@ def _problems(error: ValidationError, document: Document) -> list[Problem]:
         )
         if not follows and not document.is_rejected(place):
             problems.append(_problem(detail, document))
-    return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+    return sorted([*document.problems, *_indented(problems)], key=lambda problem: problem.line or 0)
+
+
+def _indented(problems: list[Problem]) -> Iterator[Problem]:
+    """Yield the problems; a missing key of the file that stands in another section is indented too far."""
+    missing = {problem.field for problem in problems if problem.message == _MISSING}
+    keys = {problem.field: problem.field.rpartition(".")[2] for problem in problems if problem.message == _UNKNOWN}
+    deeper = {field: key for field, key in keys.items() if key in missing - {field}}
+    for problem in problems:
+        if problem.field in deeper:
+            yield replace(problem, message="is indented too far: it is a key of the file", remedy="indent it less")
+        elif problem.field not in deeper.values():
+            yield problem
 
 
 # message and remedy by pydantic's kind of error

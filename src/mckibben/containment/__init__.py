@@ -2,8 +2,10 @@
 
 Written once in scalar `jax.numpy`, and part of every generated controller. A sample is not used if a number is not
 finite or outside its limits, or if a sensor is frozen while the commands move. The state then stays as it is, and the
-last commands are held; after the time `tolerated` they are those of the vent. After as long a time of good samples the
-controller starts again from the measurement, its commands along a ramp.
+last commands are held, and the time of holding is counted; beyond the time `tolerated` they are those of the vent. The
+count falls with the good samples as it rose, but for the first one after a bad one: a fault that comes and goes vents
+if it takes at least half of the samples, and one of three in turn never does. After a time `tolerated` of good samples
+alone the controller starts again from the measurement, its commands along a ramp.
 """
 
 from __future__ import annotations
@@ -79,7 +81,8 @@ class ContainedState(NamedTuple):
     start, share
         Commands at the beginning of a ramp, and the share of it that has passed.
     held, good
-        Time [s] of holding, and of good samples since the vent.
+        Time [s] of holding less that of good samples which follow a good one, when vented since the last good sample;
+        and of good samples alone since the vent.
     status, fault
         A `FirmwareState` and a `FaultCode`.
     """
@@ -155,7 +158,8 @@ def check(
     start = tuple(jnp.where(again, *pair) for pair in zip(limits.clip(commands), state.start, strict=True))
     action = jnp.where(again, RESTART, jnp.where(right & ~vented, USE, HOLD))
     share = jnp.where(again, 0.0, state.share)
-    return state._replace(sensors=sensors, start=start, share=share, fault=fault, good=good), action
+    held = jnp.where(right & vented, 0.0, state.held)
+    return state._replace(sensors=sensors, start=start, share=share, held=held, good=good, fault=fault), action
 
 
 def _all(conditions: Iterable[Array]) -> Array:
@@ -182,7 +186,7 @@ def hold(limits: Containment, state: ContainedState, period: float) -> Contained
     status = jnp.where(vented, int(FirmwareState.VENTED), int(FirmwareState.HOLDING))
     commands = tuple(jnp.where(vented, vent, last) for vent, last in zip(limits.vent, state.commands, strict=True))
     fault = jnp.where((state.fault == 0) & ~was_vented, int(FaultCode.LATE), state.fault)
-    good = jnp.where(was_vented, state.good, 0.0)
+    good = jnp.where(was_vented & (state.held == 0), state.good, jnp.minimum(state.good, 0.0))
     return state._replace(commands=commands, held=held, good=good, status=status, fault=fault)
 
 
@@ -201,8 +205,8 @@ def send(
         for start, command in zip(state.start, within, strict=True)
     )
     status = jnp.where(ramping, int(FirmwareState.RAMPING), int(FirmwareState.RUNNING))
-    zero = jnp.zeros(())
-    done = state._replace(commands=sent, share=share, held=zero, status=status)
+    leak = jnp.where(state.status == int(FirmwareState.HOLDING), 0.0, period)
+    done = state._replace(commands=sent, share=share, held=jnp.maximum(state.held - leak, 0.0), status=status)
     broken = hold(limits, state._replace(fault=jnp.full((), int(FaultCode.NOT_FINITE))), period)
     finite = _all(map(jnp.isfinite, sent))
     choice = jax.tree.map(

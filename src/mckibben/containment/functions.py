@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -123,9 +124,11 @@ def functions_of(
         return answer(parameters, containment.hold(parameters["limits"], state, exported))
 
     def answer(parameters: PyTree, state: ContainedState) -> dict[str, PyTree]:
-        pressures = {f"pressure{number}": command for number, command in enumerate(state.commands, 1)}
+        commands = OrderedDict(
+            (f"pressure{number}", x) for number, x in enumerate(state.commands, 1)
+        )  # dicts are sorted
         telemetry = of(parameters).telemetry(state.controller) | {"status": state.status, "fault": state.fault}
-        return {"state": state, "commands": pressures, "telemetry": telemetry}
+        return {"state": state, "commands": commands, "telemetry": telemetry}
 
     exported = period
     measurement = plant.sample(initial, 0.0)[1]

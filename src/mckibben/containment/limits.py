@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from numpy.typing import NDArray
 
 from mckibben.config.model import ConfigModel
 from mckibben.containment import Containment, ControlSample
@@ -15,6 +16,7 @@ from mckibben.errors import ExportError, SimulationError
 from mckibben.joint import Measurement
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.robot import RobotMeasurement
+from mckibben.robot.tracking import joint_stiffness
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.units import Angle, PositiveTime, Pressure, Share, Stiffness, deg, ms
@@ -25,9 +27,9 @@ if TYPE_CHECKING:
 
 _BEYOND = 10 * deg  # of the angles beyond those of the reference, of the start, and of the vented joint
 _ABOVE = 0.05  # of measured pressures outside the rated ones, relative to the highest
-_ANGLES = 50  # at which the highest stiffness is sought
-FINITE = 1e30
-"""Bound of numbers that have no other."""
+_ANGLES = 50  # at which the highest stiffness is sought, of a robot for each of its joints
+_SOFTEST = 1e-3  # setpoint of the stiffness of a robot's joint, relative to the highest
+_IMPACT = 1000.0  # m/s^2: of the whole robot, by the highest measured force of the ground
 
 
 class Limits(ConfigModel):
@@ -40,7 +42,8 @@ class Limits(ConfigModel):
     lowest_pressure, highest_pressure
         Measured gauge pressures [Pa]. Default: 5 % of the rated pressure outside the rated ones.
     highest_stiffness
-        Highest setpoint [N*m/rad]. Default: that of the joint at the rated pressures, or of the reference.
+        Highest setpoint [N*m/rad]. Default: that of the joint at the rated pressures, or of the reference. The lowest
+        of a robot's joint is a thousandth of it.
     moved
         Change of a command, as a share of its range, beyond which its sensor has to change.
     frozen
@@ -76,15 +79,17 @@ class Limits(ConfigModel):
 def containment_of(scenario: Scenario | RobotScenario, limits: Limits) -> Containment:
     """Containment of a joint, or of the joints of a robot.
 
-    Those of a robot have as default limits of their angles 10 deg beyond their ranges, and any stiffness above 0.
+    Those of a robot have as default limits of their angles 10 deg beyond their ranges.
 
     Raises `ExportError` if the angle of the vented joint is unknown, and its limits are not given.
     """
     if isinstance(scenario, Scenario):
         return limits.containment(scenario.plant(), *_joint_bounds(scenario, limits))
     plant = scenario.plant()
-    pressures = _measured_pressures(plant, limits)
-    return limits.containment(plant, *(_robot_bounds(plant, limits, side, pressures[side]) for side in (0, 1)))
+    pressures, stiffest = _measured_pressures(plant, limits), _stiffest(scenario, limits)
+    return limits.containment(
+        plant, *(_robot_bounds(plant, limits, side, pressures[side], stiffest) for side in (0, 1))
+    )
 
 
 def _measured_pressures(plant: Plant, limits: Limits) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
@@ -124,14 +129,29 @@ def _joint_bounds(scenario: Scenario, limits: Limits) -> tuple[ControlSample, Co
     return lowest, highest
 
 
-def _robot_bounds(plant: RobotPlant, limits: Limits, side: int, pressures: tuple[Array, ...]) -> ControlSample:
+def _stiffest(scenario: RobotScenario, limits: Limits) -> NDArray[np.float64]:
+    """Highest setpoint of the stiffness [N*m/rad] of each joint of a robot: at rated pressures, or of its reference."""
+    joints, references = scenario.robot.joints, scenario.references()
+    if limits.highest_stiffness is not None:
+        return np.full(len(joints), limits.highest_stiffness)
+    shape = len(joints), _ANGLES * len(joints)
+    lower, upper = (np.array([[getattr(joint, end)] for joint in joints], float) for end in ("lower", "upper"))
+    angles = lower + (upper - lower) * np.random.default_rng(0).uniform(size=shape)
+    rated = tuple(np.full(shape[1], muscle.domain.pressure_max) for muscle in scenario.robot.all_muscles)
+    times = scenario.run_duration, scenario.control_period
+    wanted = [np.max(np.asarray(sampled(references[joint.name], *times)[1].stiffness)) for joint in joints]
+    return np.fmax(np.nanmax(joint_stiffness(scenario.robot, (tuple(angles), rated)), axis=1), wanted)
+
+
+def _robot_bounds(
+    plant: RobotPlant, limits: Limits, side: int, pressures: tuple[Array, ...], stiffest: NDArray[np.float64]
+) -> ControlSample:
     """Lowest (side 0) or highest sample of a robot."""
     given = (limits.lowest_angle, limits.highest_angle)[side]
     ends = [joint.upper + _BEYOND if side else joint.lower - _BEYOND for joint in plant.robot.joints]
     angles = tuple(jnp.asarray(end if given is None else given) for end in ends)
-    stiffest = FINITE if limits.highest_stiffness is None else limits.highest_stiffness
-    stiffness = (jnp.asarray(stiffest if side else 0.0),) * len(angles)
-    force = jnp.asarray(FINITE if side else -FINITE)
+    stiffness = tuple(map(jnp.asarray, stiffest if side else _SOFTEST * stiffest))
+    force = plant.robot.total_mass * (_IMPACT if side else -_IMPACT)
     return ControlSample({"angles": angles, "stiffness": stiffness}, RobotMeasurement(angles, pressures, force))
 
 

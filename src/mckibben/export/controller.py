@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, PyTree
+from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import over_periods
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
 from mckibben.containment.functions import ControllerFunctions, functions_of
@@ -27,12 +28,11 @@ from mckibben.errors import ExportError
 from mckibben.export.evaluation import find_function
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw
-from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import jit_arrays, numeric
-from mckibben.plant import Plant
+from mckibben.numerics.compiled import numeric
 from mckibben.robot import RobotScenario, TimedReference, TrackingControl
 from mckibben.robot.simulate import setpoints_over
 from mckibben.scenario import Scenario
+from mckibben.simulation.engine import compiled
 from mckibben.simulation.problem import sampled, sampling_times
 from mckibben.units import SYMBOLS
 
@@ -126,7 +126,8 @@ def controller_module(
     structures = step.arguments | step.results
     parts = "setpoint", "measurement", "commands"
     columns = [column for part in parts for column in element_names(part, structures[part])]
-    first, *made = _recorded(source.plant, controller, rows, source.initial, source.period, substeps)
+    run = source.plant, controller, over_periods(rows), source.initial, source.period, substeps
+    first, *made = _recorded(run)
     joints = [rows] if isinstance(rows, Setpoint) else rows
     table = [[joint.angle for joint in joints] + [joint.stiffness for joint in joints], *made]
     start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
@@ -198,11 +199,10 @@ def _check_limits(source: ControllerFunctions, columns: Sequence[str], recording
         raise ExportError(message, field=name, value=value, remedy=remedy)
 
 
-@jit_arrays
-def _recorded(
-    plant: Plant, controller: PyTree, rows: PyTree, initial: PyTree, period: ArrayLike, substeps: int
-) -> tuple[PyTree, ...]:
+@compiled
+def _recorded(run: PyTree, _: None) -> tuple[PyTree, ...]:
     """First measurement; measurements and commands of a run, each of shape (periods,)."""
+    plant, controller, rows, initial, period, substeps = run
 
     def next_period(states: PyTree, rows: PyTree) -> PyTree:
         plant_state, measurement = plant.sample(states[0], period)
@@ -211,9 +211,8 @@ def _recorded(
         following = plant.follow(plant_state, commands, period, substeps)
         return (following, state), (tuple(jax.tree.leaves(measurement)), commands)
 
-    with batched_program():  # compiles a third faster
-        measured = plant.sample(initial, 0.0)[1]
-        return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
+    measured = plant.sample(initial, 0.0)[1]
+    return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
 
 
 def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:

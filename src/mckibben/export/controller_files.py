@@ -62,7 +62,7 @@ def c_files(
     }
     files = {f"{name}.h": sources.header, f"{name}.c": sources.source, "replay.csv": "\n".join(table) + "\n"}
     files |= {template: filled(template, values) for template in ("README.md", "replay.c", "Makefile")}
-    return Exported({**files, "scenario.yaml": text}, made.left_out, worst_case)
+    return Exported({**files, "scenario.yaml": text}, made.left_out, worst_case, period=scenario.control_period)
 
 
 def js_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, PyTree
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.muscle_plugin import MuscleFunctions, is_filter
-from mckibben.joint import Geometry, KneeGeometry, PairedPaths, Pulley, Tendon, TwoBonePath
+from mckibben.joint import Geometry, MusclePath, Tendon
+from mckibben.joint.geometry import Ends
 from mckibben.muscle import Muscle
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import numeric
+
+_COMPARED = -0.4, -0.1, 0.2, 0.5  # rad
+_SAME = 1e-9  # m
 
 Place = tuple[float, float]
 """Point [m] in the plane of a joint."""
@@ -41,28 +49,37 @@ class Transmission(NamedTuple):
         """Whether it is a tendon, or else drives the joint."""
         return bool(self.points or self.coefficient)
 
+    def length(self, angle: float) -> float:
+        """Length [m] of the path at an angle [rad] of the joint."""
+        straight = (
+            abs(complex(*self.points[0]) - complex(*self.points[1]) * cmath.exp(1j * angle)) if self.points else 0
+        )
+        return self.offset + self.coefficient * angle + straight
 
-def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
+
+def transmissions(geometry: Geometry) -> tuple[Transmission, ...]:
     """Transmissions of both muscles of a geometry."""
-    if isinstance(geometry, KneeGeometry):
-        height, radius = float(geometry.joint_length), float(geometry.joint_radius)
-        offset = -float(geometry.connector_length)
-        first, second = (Transmission(offset, ((x, height), (x, 0.0))) for x in (-radius, radius))
-        return first, second
-    if isinstance(geometry, PairedPaths):
-        return path_transmission(geometry.path1, 1), path_transmission(geometry.path2, -1)
-    return Transmission(), Transmission()
+    ends = geometry.anchors(0.0)
+    return tuple(_transmission(lambda x, i=i: geometry.path_lengths(x)[i], ends[i]) for i in (0, 1))
 
 
-def path_transmission(path: object, side: int) -> Transmission:
+def path_transmission(path: MusclePath, side: int) -> Transmission:
     """Transmission over a path; `side` is the sign of its moment arm."""
-    if isinstance(path, TwoBonePath):
-        fixed, moving = (path.proximal_x, path.proximal_y), (path.distal_x, path.distal_y)
-        points = tuple((float(x), float(y)) for x, y in (fixed, moving))
-        return Transmission(-float(path.connector_length), points)
-    if isinstance(path, Pulley):
-        return Transmission(float(path.rest_length), coefficient=float(side * path.radius))
-    return Transmission()
+    return _transmission(lambda angle: path.length(angle, 1 if side > 0 else -1), path.anchors(0.0))
+
+
+def _transmission(length: Callable[[ArrayLike], Array], ends: Ends | None) -> Transmission:
+    """Transmission of a path by its length [m] over the angle [rad], and its ends at the angle 0 if it is straight.
+
+    Neither points nor coefficient if a straight line between the ends, or on a pulley, has another length.
+    """
+    start, slope = (float(value) for value in value_and_derivative(length, jnp.zeros(())))
+    moved = Transmission(start, coefficient=slope)
+    if ends is not None:
+        fixed, moving = ((float(x), float(y)) for x, y in ends)
+        moved = Transmission(start - math.dist(fixed, moving), (fixed, moving))
+    same = all(math.isclose(moved.length(angle), float(length(angle)), abs_tol=_SAME) for angle in _COMPARED)
+    return moved if same else Transmission()
 
 
 class Drive(NamedTuple):
@@ -112,7 +129,7 @@ def muscle_drive(
 
 
 def muscle_functions(
-    plant: PyTree, name: str, drives: Sequence[Drive], start: PyTree, *, filters: bool = True
+    plant: PyTree, name: str, drives: Sequence[Drive], start: PyTree
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
     """The functions of all muscles of a plant in a module.
 
@@ -120,14 +137,12 @@ def muscle_functions(
     ----------
     start
         State of the plant at the start.
-    filters
-        Whether MuJoCo's own filter models first-order valves.
     """
     numbers, fixed = eqx.partition(numeric(plant), eqx.is_inexact_array_like)
     module, functions = SourceModule(name, {"plant": numbers}, "plant."), []
     for number, drive in enumerate(drives, 1):
         state = start.muscles[drive.index], start.pressures[drive.index], state_of_muscle(start.air, drive.index)
-        filtered = filters and is_filter(plant.valve.for_muscle(drive.index))
+        filtered = is_filter(plant.valve.for_muscle(drive.index))
         functions.append(MuscleFunctions(fixed, number, drive.muscle, drive.path, state, filtered))
         functions[-1].add_to(module)
     return module, functions

@@ -1,4 +1,4 @@
-"""Evaluation of a graph with the operations of a library, such as NumPy or CasADi, or as text."""
+"""Evaluation of a graph with the operations of a library, such as NumPy or CasADi."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def evaluate(
     Parameters
     ----------
     operations
-        Functions of numbers, symbols or texts by the name of their operation, and ``select``.
+        Functions of numbers or symbols by the name of their operation, and ``select``.
     inputs
         Values by the names of inputs, such as ``angle`` or ``pressures[0]``.
 
@@ -38,9 +38,8 @@ def evaluate(
     >>> module.add("force", "force [N]", lambda p, x: {"force": -p["stiffness"] * x}, {"x": np.array(0.0)})
     >>> evaluate(module, module.functions[0], FOLDED, {"x": 0.5})
     {'force': [-20.0]}
-    >>> text = {"mul": "({} * {})".format, "neg": "-{}".format}
-    >>> evaluate(module, module.functions[0], text, {"x": "x", "parameters.stiffness": "k"})
-    {'force': ['(-k * x)']}
+    >>> evaluate(module, module.functions[0], FOLDED, {"x": 0.5, "parameters.stiffness": 60.0})
+    {'force': [-30.0]}
     """
     results = [value for values in function.values.values() for value in values]
     evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))

@@ -1,4 +1,4 @@
-"""FMUs of the plant, of a muscle, and of the controller of a scenario.
+"""FMUs of the plant and of the controller of a scenario.
 
 Each is a `FunctionalUnit`: functions of a state and of inputs, from which `fmi` makes the archive.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
@@ -21,8 +20,6 @@ from mckibben.export.functional_unit import FunctionalUnit
 from mckibben.export.plant import plant_unit
 from mckibben.export.targets import Exported
 from mckibben.joint import Measurement
-from mckibben.muscle import Muscle, MuscleState
-from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 
@@ -46,56 +43,6 @@ def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
         left_out.append("delay of the commands: give one to the signals of the inputs")
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, (*left_out, *missing))
-
-
-def muscle_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ.
-
-    Its state is that of the friction. Creep and viscous friction, which follow the rate of the contraction, are
-    omitted.
-    """
-    joint = numeric(scenario.plant().joint)
-    muscles = {name: joint.muscle1}
-    if not eqx.tree_equal(joint.muscle1, joint.muscle2):
-        muscles = {f"{name}1": joint.muscle1, f"{name}2": joint.muscle2}
-    contents, left_out = {}, list[str]()
-    for title, muscle in muscles.items():
-        unit = _muscle_unit(muscle, title, scenario.control_period)
-        contents[f"{title}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder))
-        left_out += missing
-        if muscle.has_creep or muscle.friction.follows_rate:
-            left_out.append(f"{title}: creep and viscous friction, which follow the rate of the contraction")
-    return Exported(contents, tuple(dict.fromkeys(left_out)))
-
-
-def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
-    """Program of a muscle: its law and the friction of its threads."""
-    numbers, fixed = eqx.partition(muscle, eqx.is_inexact_array_like)
-    module = SourceModule(name, numbers)
-    inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
-    state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), muscle.init_state(0.0, 0.0)._replace(creep=()))
-
-    def of(parameters: PyTree) -> Muscle:
-        return eqx.combine(parameters, fixed)
-
-    def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        return {"state": of(parameters).init_state(inputs["contraction"], inputs["pressure"])._replace(creep=())}
-
-    def project(parameters: PyTree, state: MuscleState, inputs: PyTree) -> dict[str, PyTree]:
-        return {"state": of(parameters).update_state(state, inputs["contraction"], inputs["pressure"])}
-
-    def results(parameters: PyTree, state: MuscleState, inputs: PyTree) -> dict[str, PyTree]:
-        return {"results": {"force": of(parameters).force(inputs["contraction"], inputs["pressure"], state)}}
-
-    both = {"state": state, "inputs": inputs}
-    module.add("evaluate", "force", results, both)
-    if muscle.has_friction:
-        module.add("init", "state without stress of friction", init, {"inputs": inputs})
-        module.add("advance", "state after a move", project, both)
-        module.add("project", "state after a move", project, both)
-    start = {"contraction": 0.0, "pressure": 0.0}
-    title = f"Force of the pneumatic muscle {muscle.specimen.name}"
-    return FunctionalUnit(module, title, period, start, units_of(module), model_exchange=True)
 
 
 def controller_fmu(scenario: Scenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:

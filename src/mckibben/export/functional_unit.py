@@ -14,7 +14,7 @@ from mckibben.errors import ExportError
 
 @dataclass(frozen=True)
 class FunctionalUnit:
-    """Program of an FMU, with functions `evaluate` and possibly `init`, `differentiate`, `advance` and `project`.
+    """Program of an FMU, with functions `init`, `evaluate`, `advance` and possibly `differentiate` and `project`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""MuJoCo models of joints and robots: MJCF with tendons, and an engine plugin or callbacks for their muscles' forces.
+"""MuJoCo models of joints and robots: MJCF with tendons, and an engine plugin for their muscles' forces.
 
 x is forwards, y to the left, and z up; the joint of a scenario turns in the plane of x and z.
 """
@@ -24,14 +24,13 @@ from mckibben.export.targets import Exported, filled
 from mckibben.joint import Load
 from mckibben.numerics.spatial import Vector, X, Z
 from mckibben.plant import JointPlant
-from mckibben.robot import Body, Joint, MusclePair, PathMuscle, RobotPlant, RobotScenario
+from mckibben.robot import Body, Joint, RobotPlant, RobotScenario
 from mckibben.robot.dynamics import SLIDES, TURNS, Posture, Velocity
+from mckibben.robot.muscles import TendonParts
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
 _LIGHT = 1e-12  # mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass
-COMMAND_DELAY = "delay of the commands"
-"""Entry of the omitted parts for a plant with such a delay."""
 
 UnitOf = Callable[[PyTree], PyTree]
 """Selection of a muscle or a pair from a plant."""
@@ -44,8 +43,6 @@ def mujoco_model(
     name: str = "model",
     timestep: float = 2.5e-4,
     start: PyTree = None,
-    *,
-    plugin: bool = True,
 ) -> MuscleModel:
     """MJCF of a joint or a robot with its valves and muscles, and the functions of the muscles.
 
@@ -61,17 +58,14 @@ def mujoco_model(
     start
         State of the keyframe "start". Default: all angles as close to 0 as possible, without pressure, a foot on the
         ground.
-    plugin
-        Whether the actuators are those of the plugin; otherwise, callbacks set their forces, as in MuJoCo Warp.
     """
     made = assembled(plant, start)
     left_out = [*made.left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
-    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
+    left_out += [] if plant.command_delay is None else ["delay of the commands"]
     plant = dataclasses.replace(plant, command_delay=None)
-    module, functions = muscle_functions(plant, name, made.drives, made.start, filters=plugin)
-    xml = made.mjcf(name, timestep, functions, plugin=plugin)
-    kinds, names = (function.summary for function in functions), (drive.name for drive in made.drives)
-    return MuscleModel(xml, module, tuple(kinds), tuple(names), tuple(left_out))
+    module, functions = muscle_functions(plant, name, made.drives, made.start)
+    xml = made.mjcf(name, timestep, functions)
+    return MuscleModel(xml, module, tuple(function.summary for function in functions), tuple(left_out))
 
 
 def assembled(plant: JointPlant | RobotPlant, start: PyTree = None) -> Assembly:
@@ -159,10 +153,10 @@ class Assembly:
             driven = "" if moved.has_tendon else joint.name
             self.drives.append(muscle_drive(name, first + place, unit_of, place, moved.offset, driven))
 
-    def add_path(self, unit_of: UnitOf, muscle: PathMuscle, first: int) -> None:
+    def add_path(self, unit_of: UnitOf, name: str, muscle: TendonParts, first: int) -> None:
         """Add a muscle over joints and through points; parameters as of `add_pair`."""
         names = [joint.name for joint in self.joints]
-        numbers, name = [names.index(part.joint) for part in muscle.over], muscle.name
+        numbers = [names.index(part.joint) for part in muscle.over]
         moved = [path_transmission(part.path, part.side) for part in muscle.over]
         offset = sum(transmission.offset for transmission in moved) - float(muscle.connector_length)
         if all(transmission.points for transmission in moved):
@@ -210,21 +204,22 @@ class Assembly:
         self.bodies[body].sites[name] = place
         return name
 
-    def mjcf(
-        self, name: str, timestep: float, functions: Sequence[MuscleFunctions] = (), *, plugin: bool = True
-    ) -> str:
+    def mjcf(self, name: str, timestep: float, functions: Sequence[MuscleFunctions] = ()) -> str:
         """MJCF with the tendons of the muscles and, if there are `functions`, their actuators."""
         muscles = list(zip(self.drives, functions, strict=True)) if functions else []
-        plugin = plugin and bool(muscles)
-        actuators, activations = (self._plugin if plugin else self._callbacks)(muscles)
+        actuators = [
+            self._actuated(drive)
+            | function.summary.dynamics(self.plant.valve.for_muscle(drive.index))
+            | self._limits(drive)
+            for drive, function in muscles
+        ]
+        activations = [number for _, function in muscles for number in function.activations]
         commands = [0.0 if self.plant.valve.direct else function.pressure for _, function in muscles]
-        commands += [0.0] * (len(actuators) - len(commands))
         start = {"qpos": self.position, "qvel": self.velocity, "act": activations, "ctrl": commands}
         return filled(
             "model.xml",
             {
                 "name": name,
-                "plugin": plugin,
                 "timestep": repr(timestep),
                 "gravity": repr(-self.gravity),
                 "friction_ratio": repr(FRICTION_RATIO),
@@ -239,36 +234,6 @@ class Assembly:
             },
         )
 
-    def _plugin(self, muscles: Driven) -> tuple[list[Attributes], list[float]]:
-        """Actuators of the plugin, and their activations at the start."""
-        actuators = [
-            self._actuated(drive)
-            | function.summary.dynamics(self.plant.valve.for_muscle(drive.index))
-            | self._limits(drive)
-            for drive, function in muscles
-        ]
-        return actuators, [number for _, function in muscles for number in function.activations]
-
-    def _callbacks(self, muscles: Driven) -> tuple[list[Attributes], list[float]]:
-        """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
-        # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
-        integrates = {"dyntype": "integrator"}
-        actuators = [
-            self._actuated(drive)
-            | (integrates if len(function.activations) else {})
-            | {"gaintype": "user", "biastype": "user"}
-            | self._limits(drive)
-            for drive, function in muscles
-        ]
-        actuators += [
-            self._actuated(drive) | {"name": f"{drive.name}_state{place}"} | integrates | {"gainprm": "0"}
-            for drive, function in muscles
-            for place in range(1, len(function.activations))
-        ]
-        first = [function.activations[:1] for _, function in muscles]
-        rest = [function.activations[1:] for _, function in muscles]
-        return actuators, [number for activations in (*first, *rest) for number in activations]
-
     @staticmethod
     def _actuated(drive: Drive) -> Attributes:
         return {"name": drive.name} | ({"joint": drive.joint} if drive.joint else {"tendon": drive.name})
@@ -281,10 +246,6 @@ class Assembly:
         if low < high:
             return {"ctrllimited": "true", "ctrlrange": numbers_text((low, high))}
         return {"ctrllimited": "false"}
-
-
-Driven = Sequence[tuple[Drive, MuscleFunctions]]
-"""Muscles with their functions."""
 
 
 def numbers_text(numbers: Iterable[ArrayLike | SupportsFloat]) -> str:
@@ -385,12 +346,13 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
         def unit_of(plant: RobotPlant, number: int = number) -> PyTree:
             return plant.robot.muscles[number]
 
-        if isinstance(unit, MusclePair):
-            made.add_pair(unit_of, unit.names, robot.index(unit.over), first)
-        elif isinstance(unit, PathMuscle):
-            made.add_path(unit_of, unit, first)
+        if unit.pair is not None:
+            made.add_pair(lambda plant, of=unit_of: of(plant).pair, unit.names, robot.index(unit.joint_names[0]), first)
+        elif (parts := unit.tendon_parts) is not None:
+            made.add_path(unit_of, unit.names[0], parts, first)
         else:
-            raise _cannot("muscles", f"a {type(unit).__name__}", "give it a path through points")
+            remedy = "give it a path through points; a class with its own `routed` also needs `tendon_parts`"
+            raise _cannot("muscles", f"{unit.names[0]} (a {type(unit).__name__})", remedy)
         first += len(unit.names)
     made.left_out.append(f"stops of the joints: MuJoCo's, with our restitution at {LIMIT_SPEED:g} rad/s")
     if robot.spheres:

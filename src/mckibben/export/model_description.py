@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mckibben.errors import printable
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable
 from mckibben.export.targets import filled
 from mckibben.units import deg, dimensions
@@ -40,7 +39,7 @@ def model_description(
     states = [number for number, variable in enumerate(variables, 1) if variable.kind in "sc"]
     values = {
         "name": unit.module.name,
-        "title": printable(unit.title),
+        "title": unit.title,
         "token": token,
         "interfaces": interfaces,
         "sources": sources,

@@ -21,9 +21,6 @@ from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.rig.compiled import FlatTree
 
-NO_CONTROLLER = "controller and reference: set data.ctrl yourself"
-"""Entry of the omitted parts of a model for MuJoCo."""
-
 
 class Activations(NamedTuple):
     """Activations of an actuator; empty ones have no leaves."""
@@ -44,15 +41,12 @@ class PluginMuscle(NamedTuple):
         Whether friction or creep slip after each step.
     filtered
         Whether MuJoCo's own filter models the valve.
-    pressurized
-        Whether the last activation is the pressure [Pa].
     """
 
     activations: int
     anchors: int
     slips: bool
     filtered: bool
-    pressurized: bool = True
 
     def dynamics(self, valve: PyTree) -> dict[str, str]:
         """Attributes of the actuator in MJCF."""
@@ -65,12 +59,11 @@ class PluginMuscle(NamedTuple):
 
 
 class MuscleModel(NamedTuple):
-    """MJCF, the module of the forces of its muscles, their kinds and names, and the omitted parts."""
+    """MJCF, the module of the forces of its muscles, their kinds, and the omitted parts."""
 
     xml: str
     module: SourceModule
     muscles: tuple[PluginMuscle, ...]
-    names: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
@@ -114,13 +107,13 @@ class MuscleFunctions:
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
         self._layout = FlatTree.like(self._start)
         slips = bool(state.friction or state.creep)
-        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, filtered, valve.holds_pressure)
+        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, filtered)
         self.activations = self._layout.pack(self._start)
         """Activations at the start."""
 
     def add_to(self, module: SourceModule) -> None:
         """Add the functions to a module."""
-        number, (activations, anchors, slips, filtered, _) = self._number, self.summary
+        number, (activations, anchors, slips, filtered) = self._number, self.summary
         zero = np.zeros(())
         inputs = {"length": zero, "velocity": zero, "command": zero}
         inputs |= {"act": np.zeros(activations)} if activations else {}
@@ -217,7 +210,7 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
 def plugin_files(model: MuscleModel, title: str) -> Exported:
     """MJCF of a model, the plugin, and instructions, in which it has a title."""
     name = model.module.name
-    left_out = (NO_CONTROLLER, *model.left_out)
+    left_out = ("controller and reference: set data.ctrl yourself", *model.left_out)
     sources = write_c(model.module, f"Muscles of {title}, written by mckibben {mckibben.__version__}.")
     contents = {
         f"{name}.xml": model.xml,

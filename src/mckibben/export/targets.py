@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,12 @@ import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
-from mckibben.errors import ExportError, ParameterError, quoted
+from mckibben.errors import ExportError, ParameterError, closest, quoted
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
 from mckibben.storage.files import atomic_write, check_free, make_folder
+from mckibben.units import ms
 
 if TYPE_CHECKING:
     from mckibben.firmware import Hardware
@@ -36,21 +37,34 @@ class Exported(Result):
         Operations of a step of a controller by kind, at most.
     margins
         Stability margins of the loop of a controller, if they were computed.
+    period
+        Control period [s] of a program for a board; 0 for others.
     """
 
     contents: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
     worst_case: Mapping[str, int] | None = None
     margins: Margins | None = None
+    period: float = 0.0
+
+    @property
+    def step_time(self) -> float:
+        """Time [s] of the worst step of a controller on the processor of `PROCESSOR`, estimated."""
+        return sum((self.worst_case or {}).values()) * _INSTRUCTIONS / _CLOCK
 
     def verdict(self) -> str:
         """Number of files."""
         return f"{len(self.contents)} file{'s' * (len(self.contents) > 1)}"
 
     def remarks(self) -> Iterator[Remark]:
-        """A severe one for margins below their floor, and a warning for each part that is left out."""
+        """Severe ones for low margins and steps longer than the period; a warning for each part that is left out."""
         if self.margins is not None:
             yield from margin_remarks(float(self.margins.disk.min()), f", {self.margins.limit()}")
+        if self.period and self.step_time > self.period / 2:
+            remark = Remark.severe if self.step_time > self.period else Remark.warning
+            text = f"the worst step takes about {self.step_time / ms:.2g} ms on {PROCESSOR}; the control period is "
+            remedy = "take a longer control_period or a faster processor, and measure the step there"
+            yield remark("control_period", f"{text}{self.period / ms:.4g} ms", remedy)
         for part in self.left_out:
             yield Remark.warning("left_out", f"left out: {part}")
 
@@ -61,13 +75,14 @@ class Exported(Result):
         yield Listing("files", columns)
         if self.worst_case:
             columns = {"operations": (Column(), [*self.worst_case]), "at most": (Column(), [*self.worst_case.values()])}
-            yield Listing("worst case of a step", columns)
+            on = f", {self.step_time / ms:.2g} ms on {PROCESSOR}" if self.period else ""
+            yield Listing(f"worst case of a step{on}", columns)
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> list[str]:
         """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set."""
         folder = make_folder(folder)
         if not force:
-            check_free(folder, self.contents, "choose another folder, or overwrite it (command line: --force)")
+            check_free(folder, self.contents, "choose another folder, or give overwrite=True (command line: --force)")
         for path, content in self.contents.items():
             make_folder((folder / path).parent)
             with atomic_write(folder / path, overwrite=force) as temporary:
@@ -75,22 +90,38 @@ class Exported(Result):
         return list(self.contents)
 
 
+PROCESSOR = "a Cortex-M7 at 600 MHz"
+"""Processor of the estimated time of a step; see docs/deploy.md."""
+_CLOCK, _INSTRUCTIONS = 600e6, 10  # of that processor [1/s], and of it for an operation
+
 TARGETS = {
     "c": ("mckibben.export.controller_files:c_files", "controller"),
     "firmware": ("mckibben.firmware:firmware_files", "controller"),
     "js": ("mckibben.export.controller_files:js_files", "controller"),
     "fmu": ("mckibben.export.fmu:plant_fmu", "plant"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller"),
-    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "muscle"),
     "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint"),
-    "warp": ("mckibben.export.warp:warp_files", "joint"),
-    "osim": ("mckibben.export.osim:osim_files", "joint"),
 }
 """Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = "c", "js", "mjcf", "warp"
+ROBOT_TARGETS = "c", "js", "mjcf"
 """Formats of a robot."""
+
+
+_MEANT = {
+    **dict.fromkeys(("arduino", "teensy", "esp32", "stm32", "board", "sketch"), "firmware"),
+    **{"c99": "c", "javascript": "js", "simulink": "fmu", "fmi": "fmu", "mujoco": "mjcf"},
+}
+
+
+def check_target(target: str, targets: Collection[str] = TARGETS, owner: str = "joint") -> None:
+    """Raise `ParameterError` unless a format is one of these; the remedy names the one that is meant."""
+    if target not in targets:
+        names = {**_MEANT, **{name: name for name in targets}}
+        meant = names.get(closest(target, [*names]), "")
+        remedy = f"did you mean {meant}?" if meant in targets else f"give {' or '.join(targets)}"
+        raise ParameterError(f"{quoted(target)} is not a format of a {owner}", field="to", value=target, remedy=remedy)
 
 
 @checked_call
@@ -113,15 +144,13 @@ def export(
     target
         One of `TARGETS`, or of `ROBOT_TARGETS` for a robot.
     name
-        Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``muscle``, ``joint`` or
-        ``robot``, according to the format.
+        Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``joint`` or ``robot``,
+        according to the format.
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """
     targets, owner = (tuple(TARGETS), "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
-    if target not in targets:
-        message = f"{quoted(target)} is not a format of a {owner}"
-        raise ParameterError(message, field="to", value=target, remedy=f"give {' or '.join(targets)}")
+    check_target(target, targets, owner)
     place, default = TARGETS[target]
     name = check_name(name or (owner if default == "joint" else default))
     module, function = place.split(":")

@@ -179,7 +179,9 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
         files[f"{name}.ino"] = _filled(("board.ino",), values)["board.ino"]
     folder_name = f"{name}/" if hardware.board != "host" else ""  # a sketch stands in a folder of its name
     contents = {f"{folder_name}{path}": content for path, content in files.items()}
-    return Exported({**contents, "scenario.yaml": text}, left_out, module.worst_case("step"))
+    return Exported(
+        {**contents, "scenario.yaml": text}, left_out, module.worst_case("step"), period=scenario.control_period
+    )
 
 
 def _plant(scenario: Scenario, period: float) -> SourceModule:

@@ -93,7 +93,6 @@ class Fit(Result, metaclass=CheckedCalls):
         "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
         "summary": "to_text()",
         "parameters": "estimates",
-        "save": "to_yaml(path)",
         "muscle": "mk.Muscle(specimen, fit.law); a fit by `mk.identify` gives one",
     }
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable
 from dataclasses import field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -40,11 +42,18 @@ class FitWithFriction(Fit):
     """
 
     figures: ClassVar = ("fit",)
+    files: ClassVar = ("fit.yaml", "muscle.yaml")
     suggestions: ClassVar = {**Fit.suggestions, "joint": "mk.joint(fit.muscle(), 'pulley', radius='30 mm')"}
 
     hysteresis: HysteresisFit | None = None
     points: IsobaricDataset = field(kw_only=True)
     note: str = ""
+
+    def write(self, folder: Path) -> None:
+        """Write the fit and, with an initial length, the muscle for scenarios and protocols."""
+        self.to_yaml(folder / "fit.yaml")
+        scenario = importlib.import_module("mckibben.scenario")  # is above this package
+        scenario.write_identified(folder / "muscle.yaml", self, self.points.table.attrs)
 
     def verdict(self) -> str:
         """Return the verdict of the law, and that of the friction."""

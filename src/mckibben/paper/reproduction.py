@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib import resources
@@ -113,6 +113,10 @@ class Reproduction(Result):
                 "claims": [asdict(claim) | {"of_paper": claim.of_paper} for claim in self.claims],
             }
         )
+
+    def saved(self, names: Sequence[str]) -> dict[str, object]:
+        """Return the numbers alone."""
+        return self.to_dict()
 
     def write(self, folder: Path) -> None:
         """Write fits, datasets, scenarios and trajectories to a folder.

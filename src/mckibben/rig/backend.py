@@ -6,16 +6,22 @@ import abc
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 from numpy import asarray, float64
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ConfigDict, field_validator
+from pydantic import ConfigDict, field_validator, model_validator
 
 from mckibben.component.base import check_fields
 from mckibben.component.classes import Keyed
 from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.errors import RigError
 from mckibben.rig.bench import FASTEST
+from mckibben.units import bar, deg, mm, ms
+
+SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
+"""Units in messages by those of channels, with their scales."""
+_UNITS = {"angle": "rad", "force": "N", "pressure": "Pa", "valve": "Pa"}
 
 
 class Channel(NamedTuple):
@@ -51,7 +57,7 @@ class ScaledChannel(ConfigModel):
         Range of a working sensor, or of the commands of a valve, in SI.
     """
 
-    model_config = ConfigDict(strict=False)  # numbers of YAML are text
+    model_config = ConfigDict(strict=False, allow_inf_nan=False)  # numbers of YAML are text
 
     gain: float
     offset: float = 0.0
@@ -62,9 +68,13 @@ class ScaledChannel(ConfigModel):
     @field_validator("gain")
     @classmethod
     def _nonzero(cls, gain: float) -> float:
-        return (
-            gain if math.isfinite(gain) and gain else fail_validation("is no line", "give SI units per count or volt")
-        )
+        return gain or fail_validation("is no line", "give SI units per count or volt")
+
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        if not self.low < self.high:
+            fail_validation(f"is not below high, {self.high:g}", "give the lower end first", field="low")
+        return self
 
     def si(self, numbers: ArrayLike) -> NDArray[float64]:
         """Quantity in SI; any shape."""
@@ -188,9 +198,20 @@ class Backend(abc.ABC):
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Context in which it is open; closed if it cannot be opened, and vented and closed at the end."""
+        """Context in which it is open; closed if it cannot be opened, and vented and closed at the end.
+
+        Raises
+        ------
+        RigError
+            As `open`; or if a channel of a joint or a bench has another unit than limits and commands.
+        """
         try:
             self.open()
+            for channel in (*self.inputs, *self.outputs):
+                unit = _UNITS.get(channel.name.rstrip("12"), channel.unit)
+                if channel.unit != unit:
+                    message = f"{channel.name} is in {channel.unit}, and has to be in {unit}"
+                    raise RigError(message, field=channel.name, remedy="give its gain, offset and range in SI")
         except BaseException:
             self.close()
             raise
@@ -203,6 +224,11 @@ class Backend(abc.ABC):
                 self.close()
 
     @property
+    def latency(self) -> float:
+        """Longest time [s] by which `clock` can be behind, as a line delays the samples; 0 without one."""
+        return 0.0
+
+    @property
     def losses(self) -> str:
         """Losses on the way to the hardware so far, none of them fatal; empty if there are none."""
         return ""
@@ -213,13 +239,18 @@ class Backend(abc.ABC):
         yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
         with self.opened():
             block = self.read(max(1, round(0.1 * self.rate)))
+            if self.latency:
+                yield ChannelStatus("line", "", f"a message and its answer take {self.latency / ms:.3g} ms")
         for channel, read in zip(self.inputs, block.values.T, strict=True):
-            reading = f"{read.mean():.4g} {channel.unit} (noise {read.std():.2g})"
+            unit, scale = SHOWN.get(channel.unit, (channel.unit, 1.0))
+            reading = f"{read.mean() / scale:.4g} {unit} (noise {read.std() / scale:.2g})"
             works = ((read >= channel.low) & (read <= channel.high)).all()
             problem = "" if works else f"{reading}, lost: check its plug and its supply"
             yield ChannelStatus(channel.name, channel.where, reading, problem)
         for channel in self.outputs:
-            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} {channel.unit}")
+            unit, scale = SHOWN.get(channel.unit, (channel.unit, 1.0))
+            ends = f"{channel.low / scale:g}..{channel.high / scale:g} {unit}"
+            yield ChannelStatus(channel.name, channel.where, ends if channel.high < math.inf else "no known range")
 
 
 class MuscleRig(Keyed, abc.ABC):

@@ -58,7 +58,7 @@ class RigLimits(Checked):
     settling
         Time [s] that the pressure has to reach the set one.
     gap
-        Highest age of the newest sample, and longest time without one [s].
+        Highest age of the newest sample, with the latency of its line, and longest time without one [s].
     frozen
         Longest time [s] for which a sensor may read the same value; only for sensors with noise.
     deviation
@@ -103,7 +103,7 @@ class JointLimits(Checked):
     silence
         Longest wait for a sample that is due [s].
     late
-        Highest age of the newest sample, and longest time without one [s].
+        Highest age of the newest sample, with the latency of its line, and longest time without one [s].
 
     Raises
     ------

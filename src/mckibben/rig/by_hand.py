@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 
 import numpy as np
 
-from mckibben.errors import UnitError
+from mckibben.errors import RigError, UnitError
 from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend
 from mckibben.units import quantity
 
@@ -31,8 +33,8 @@ class HandBench(MovingBackend):
 
     by_hand = True
 
-    def __init__(self, backend: Backend, *, weights: bool = False, ask: Callable[[str], str] = input) -> None:
-        self.inner, self.weights, self._ask = backend, weights, ask
+    def __init__(self, backend: Backend, *, weights: bool = False, ask: Callable[[str], str] | None = None) -> None:
+        self.inner, self.weights, self._ask = backend, weights, ask or typed
         self.rate, self.patience, self.paced = backend.rate, backend.patience, backend.paced
         self.position, self.weight = 0.0, 0.0  # [m], [N]
         self._weighs = weights and "force" not in [channel.name for channel in backend.inputs]
@@ -48,6 +50,10 @@ class HandBench(MovingBackend):
     @property
     def description(self) -> Mapping[str, str]:
         return {**self.inner.description, "moved": "by weights" if self.weights else "by hand"}
+
+    @property
+    def latency(self) -> float:
+        return self.inner.latency
 
     def status(self) -> Iterator[ChannelStatus]:
         return self.inner.status()
@@ -99,6 +105,23 @@ class HandBench(MovingBackend):
 
     def stop(self) -> None:
         """Nothing moves by itself."""
+
+
+def typed(text: str) -> str:
+    """Line that an operator types after a text; `RigError` at the end of the input.
+
+    Standard input is read without its buffer: Python aborts if it ends while a thread waits with the lock of that.
+    """
+    try:
+        number = sys.stdin.fileno()
+    except OSError:  # not a file
+        return input(text)
+    sys.stdout.write(text)
+    sys.stdout.flush()
+    line = io.FileIO(number, closefd=False).readline()
+    if not line:
+        raise RigError("the input has ended, and an answer is needed", remedy="run it on a terminal")
+    return line.decode(errors="replace").strip()
 
 
 def length_of(answer: str) -> float | None:

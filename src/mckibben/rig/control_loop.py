@@ -243,7 +243,7 @@ def control(
             with contextlib.suppress(McKibbenError):
                 loop.record_venting(block)
 
-        found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1, timeout=limits.silence)
+        found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1)
         outcome = RunOutcome(kind, text, error, found.duration, found.pressure)
         _note(recorder, "vented" if found.duration is not None else "not vented", outcome.venting)
         return outcome
@@ -451,6 +451,7 @@ class ControlLoop:
                 )
             block = self.backend.read(self._waiting(), timeout=self.monitor.limits.silence)
             rows = self._rows(block, self.backend.clock())
+            self.monitor.check_latency()
             self.monitor.heartbeat()
             self._next = self._begun = block.first + len(block.time)
             self.recorder.append(rows)
@@ -477,6 +478,7 @@ class ControlLoop:
         self._delay = min(self._delay, clock - times[last])
         for i, (time, signals) in enumerate(zip(times, block.values.tolist(), strict=True)):
             monitor.check_sample(time, signals, self._commands, clock if i == last else None)
+        monitor.check_latency(clock - times[last])
         number = self._next - 1 - self._begun
         if number >= plan.periods:  # the last samples were dropped
             return

@@ -14,7 +14,7 @@ import numpy as np
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
 from mckibben.result import Column, Listing, Remark, Result
-from mckibben.rig.backend import Backend
+from mckibben.rig.backend import Backend, ChannelStatus
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
@@ -26,7 +26,7 @@ from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
-from mckibben.units import deg
+from mckibben.units import deg, ms
 
 _BEYOND = 10 * deg  # of the angle limits beyond the reference
 _ABOVE = 1.05  # pressure limit over the rated pressure
@@ -56,9 +56,12 @@ class JointRunResult(Result):
     priority: str
 
     def verdict(self) -> str:
-        """The outcome of the run, and that of the venting."""
+        """The outcome of the run, its missed deadlines, and the outcome of the venting."""
         text = self.result.verdict() if self.result is not None and self.outcome.completed else self.outcome.kind
-        return f"{text}; {self.outcome.venting}"
+        missed = f"; {self.timing.missed} of {self.timing.periods} deadlines missed" * (
+            self.paced and self.timing.missed > 0
+        )
+        return f"{text}{missed}; {self.outcome.venting}"
 
     def remarks(self) -> Iterator[Remark]:
         """The reason of a stop, and the remarks on the motion."""
@@ -111,6 +114,26 @@ class JointSession:
     plan: RunPlan
     program: ControlProgram
     header: Mapping[str, Any]
+
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of each channel, and of the line; limits in time that allow too much."""
+        yield from self.backend.status()
+        if (latency := self.backend.latency) > self.limits.late:
+            slow = f"a message and its answer take {latency / ms:.3g} ms, limits.late is {self.limits.late / ms:g} ms"
+            yield ChannelStatus("line", "", "", f"{slow}: connect it directly")
+        if self.leniency:
+            yield ChannelStatus("limits", "", self.leniency)
+
+    @property
+    def leniency(self) -> str:
+        """Warning if a physical joint can cross its range of angles in the time for which samples may be late."""
+        limits, wait = self.limits, max(self.limits.late, self.limits.silence)
+        travel, room = wait * limits.angle_rate, limits.highest_angle - limits.lowest_angle
+        if not self.backend.physical or travel < room:
+            return ""
+        allowed = f"late: {limits.late / ms:g} ms and silence: {limits.silence / ms:g} ms hide a slow line"
+        moved = f"meanwhile the joint may move by {travel / deg:.0f} deg, and its range is {room / deg:.0f} deg"
+        return f"{allowed}: {moved}; by default they are {JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
 
     def run(
         self,

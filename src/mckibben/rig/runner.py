@@ -395,7 +395,9 @@ class Runner(StepInterpreter):
         try:
             with monitor.guard():
                 block = self.backend.read(count or bench.samples_per_cycle, timeout=bench.limits.gap)
-                self._latest = latest = monitor.check_block(block, self.backend.clock())
+                clock = self.backend.clock()
+                self._latest = latest = monitor.check_block(block, clock)
+                monitor.check_latency(clock - latest.time)
                 monitor.heartbeat()
         except BaseException:
             if block is not None:
@@ -446,7 +448,6 @@ class Runner(StepInterpreter):
             threshold=bench.vented,
             duration=_OBSERVED,
             samples=bench.samples_per_cycle,
-            timeout=bench.cycle,
         )
         if found.pressure is None:
             vented = "the valve was commanded to vent, but no sensor confirms it"

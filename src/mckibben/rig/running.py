@@ -239,7 +239,11 @@ def _kept_test(folder: Path) -> RigTest:
     """Test of a folder: that of its record, or of its protocol if nothing is recorded yet."""
     path = folder / PROTOCOL
     if segments(folder):
-        return RigTest.parse(header_of(folder)[0]["protocol"], source=f"the record in {folder}", folder=folder)
+        protocol = header_of(folder)[0].get("protocol")
+        if protocol is None:
+            remedy = f"give a folder of `rig run`; {folder / 'result.nc'} is for `mckibben calibrate --recording`"
+            raise FileError(str(folder), [Problem("contains a run of `rig control`, and no test", remedy=remedy)])
+        return RigTest.parse(protocol, source=f"the record in {folder}", folder=folder)
     if not path.exists():
         raise FileError(str(folder), [Problem("contains no test", remedy="give the folder of `rig run --out`")])
     return RigTest.read(path)

@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import RigError, SignalledError, StoppedError
-from mckibben.rig.backend import Backend, Block, Channel, MovingBackend
+from mckibben.rig.backend import SHOWN, Backend, Block, Channel, MovingBackend
 from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.storage.files import handle_signals
-from mckibben.units import bar, deg, mm, ms
+from mckibben.units import bar, ms
 
 _BUSY = "find out what delayed the device or the host"
+_SLOW = "connect it directly, and find out what else delays the line, the device or this computer"
 _PLUG = "check its plug and its supply"
-_SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
 
 class SignalLimits(NamedTuple):
@@ -218,7 +218,7 @@ class SafetyMonitor:
             raise
 
     def observe_venting(
-        self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int, timeout: float
+        self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int
     ) -> VentResult:
         """Read and record after `stop` until all pressures are below a threshold, by samples taken after it.
 
@@ -231,9 +231,7 @@ class SafetyMonitor:
         duration
             Longest observation [s].
         samples
-            Samples per block.
-        timeout
-            Longest wait for a block [s].
+            Samples per block, for which it waits longer than before the vent: a late one costs nothing now.
         """
         backend, rate, found = self.backend, self.backend.rate, VentResult()
         pressures = [one for one in self.signals if one.name.startswith("pressure")]
@@ -243,7 +241,7 @@ class SafetyMonitor:
             left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even if its clock stands still
             while left > 0:
                 waiting = int((backend.clock() - newest) * rate)
-                block = backend.read(min(max(waiting, samples), MOST_READ), timeout=timeout)
+                block = backend.read(min(max(waiting, samples), MOST_READ))
                 backend.vent()
                 record(block)
                 newest, left = float(block.time[-1]), left - len(block.time)
@@ -289,6 +287,13 @@ class SafetyMonitor:
             message = f"the newest sample is {clock - last:.3g} s old"
             raise StoppedError(message, value=clock - last, upper=self._maximum_age, unit="s", remedy=_BUSY)
 
+    def check_latency(self, age: float = 0.0) -> None:
+        """Check how old a sample can be that arrived an age [s] ago; `StoppedError` beyond the limit."""
+        latency = self.backend.latency
+        if not age + latency <= self._maximum_age:
+            message = f"the line is slow: a message and its answer take {latency:.3g} s"
+            raise StoppedError(message, value=latency, upper=self._maximum_age, unit="s", remedy=_SLOW)
+
     def _check_rates(self, time: float, values: Sequence[float]) -> None:
         """Check the rates of change between the means over two consecutive windows."""
         self._window.append([time, *values])
@@ -318,7 +323,7 @@ PROBED = 0.5 * bar
 def _exceeded(
     name: str, value: float, lower: float, upper: float, unit: str, *, per: str = "", remedy: str = ""
 ) -> StoppedError:
-    shown, scale = _SHOWN.get(unit, (unit, 1.0))
+    shown, scale = SHOWN.get(unit, (unit, 1.0))
     limits = (
         "not a number"
         if math.isnan(value)

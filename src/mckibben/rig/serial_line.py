@@ -26,6 +26,8 @@ from mckibben.serial_protocol import (
 )
 from mckibben.units import ms
 
+_ARMED = FirmwareState.RAMPING, FirmwareState.RUNNING, FirmwareState.HOLDING
+_CABLE = "check cable and supply of the board, and what else keeps it or this computer busy"
 _REMEDIES = {
     FaultCode.NOT_FINITE: "check the sensor's wiring and supply",
     FaultCode.OUT_OF_RANGE: "check the sensor, its calibration and the stops of the rig",
@@ -34,6 +36,7 @@ _REMEDIES = {
     FaultCode.HOST_SILENT: "check the cable, and find what kept the host busy",
     FaultCode.OTHER_DIGEST: "export and flash the firmware again, or use the scenario that it was made from",
     FaultCode.REFUSED: "export and flash the firmware again",
+    FaultCode.VENT_ASKED: "find out what else uses the port, or repeats old messages on the line",
     FaultCode.WATCHDOG: "find out what hangs in the firmware",
 }
 
@@ -68,17 +71,21 @@ class SerialBackend(Backend):
         self.port, self.baud, self.muscle = port, baud, muscle
         self._digest, self._period = digest, period
         self._line: Any = None
+        self._sequence = time.monotonic_ns() & 0xFFFF  # not a number that an earlier host has sent
         self._forget()
         with self.opened():  # the firmware says its channels and its period
             pass
 
     def _forget(self) -> None:
-        self._receiver, self._sequence = Receiver(), 0
+        self._receiver = Receiver()
+        self._sent: dict[int, float] = {}  # times [s] by number, of messages that the board has not returned
+        self._returned: tuple[float, int] | None = None  # when one was sent [s], and a later time of the board [us]
         self._samples: deque[tuple[int, float, tuple[float, ...]]] = deque()  # number, time, values
         self._newest: Sample | None = None
         self._answer: Hello | None = None
         self._begun: int | None = None  # time of the board at sample 0 [us]
-        self._device, self._latest = 0, -1  # time [us] and number of its latest sample
+        self._device: int | None = None  # time of its latest sample [us]
+        self._latest = -1  # number of that sample
         self._arrived = (0.0, 0.0)  # times of the latest sample, by host and board [s]
         self._report: FaultReport | None = None  # the latest one since it was armed
         self._armed = False
@@ -124,6 +131,8 @@ class SerialBackend(Backend):
         self.vent()
         if not self._until(lambda: self._state in (FirmwareState.DISARMED, FirmwareState.VENTED)):
             raise SilentError(f"no sample of a vented board comes from {self.port}", remedy="flash the board again")
+        if not self._until(lambda: self._returned is not None, (MessageKind.HEARTBEAT, b"")):
+            raise SilentError(f"the board at {self.port} returns no message of this host", remedy=_CABLE)
         self._begun = None
         self._samples.clear()
         self._until(lambda: bool(self._samples))
@@ -180,15 +189,28 @@ class SerialBackend(Backend):
                 value=hello.digest.hex(),
                 remedy=_REMEDIES[FaultCode.OTHER_DIGEST],
             )
-        if self._period and abs(hello.period * 1e-6 - self._period) > 1e-6:
+        needed, period = self._period or self.patience, hello.period * 1e-6
+        if period > needed + 1e-6 or (self._period and period < needed - 1e-6):
+            limit = "exactly" if self._period else "at most"
             raise RigError(
-                f"the firmware samples every {hello.period * 1e-3:g} ms, and {self._period / ms:g} ms are needed",
+                f"the firmware samples every {period / ms:g} ms, and {limit} {needed / ms:g} ms are needed",
                 field="period",
-                value=hello.period * 1e-6,
+                value=period,
                 unit="s",
                 remedy=_REMEDIES[FaultCode.OTHER_DIGEST],
             )
         self.rate = 1e6 / hello.period
+
+    @property
+    def latency(self) -> float:
+        """Longest time [s] that the latest sample can have taken: since the message that the board returned in one.
+
+        The board had that message before it took the sample, and its clock says how long ago that was.
+        """
+        if self._returned is None or self._device is None:
+            return 0.0
+        sent, device = self._returned
+        return self._arrived[0] - sent - (self._device - device) * 1e-6
 
     def clock(self) -> float:
         """Time since it was opened [s]: that of the board's latest sample, and of the host since it arrived."""
@@ -197,21 +219,24 @@ class SerialBackend(Backend):
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
         self._check_open()
-        latest = self._samples[0][0] + count if self._samples else 0
-        end = time.monotonic() + count / self.rate + timeout
-        while len(self._samples) < count and not (self._samples and self._samples[-1][0] >= latest - 1):
-            self._take(self._received())
-            if time.monotonic() > end:
-                raise SilentError(
-                    f"no sample from {self.port} for {timeout:g} s", remedy="check its cable and supply, and reopen it"
-                )
-            latest = self._samples[0][0] + count if self._samples else 0
+        end, repeated = time.monotonic() + count / self.rate + timeout, self._receiver.repeated
+        while not self._has(count):
+            ended = time.monotonic() > end
+            self._take(self._received())  # also what came while this computer was busy
+            if ended and not self._has(count):
+                older = ", but older ones, as after a reset" if self._receiver.repeated > repeated else ""
+                raise SilentError(f"no sample from {self.port} for {timeout:g} s{older}", remedy=_CABLE)
             time.sleep(min(0.2 / self.rate, 1 * ms))
         first = self._samples[0][0]
         rows = [self._samples.popleft() for _ in range(len(self._samples)) if self._samples[0][0] < first + count]
         times = np.array([row[1] for row in rows])
         values = np.array([row[2][: len(self._known.measurements)] for row in rows], np.float64)
         return Block(first, times, values, np.zeros(len(rows)))
+
+    def _has(self, count: int) -> bool:
+        """Whether a number of samples came, less those that were lost."""
+        samples = self._samples
+        return bool(samples) and (len(samples) >= count or samples[-1][0] >= samples[0][0] + count - 1)
 
     def set_valves(self, pressures: Sequence[float]) -> None:
         """Send commands [Pa], and arm the board after the first ones."""
@@ -226,18 +251,14 @@ class SerialBackend(Backend):
 
     def _arm(self, command: tuple[MessageKind, bytes]) -> None:
         """Arm the board, with its first command; messages are repeated until its samples show the state."""
-        ready = FirmwareState.RAMPING, FirmwareState.RUNNING, FirmwareState.HOLDING
         arm = MessageKind.ARM, bytes([CommandSource.COMMANDS]) + self._known.digest
         for sent, states in (
             (((MessageKind.DISARM, b""),), (FirmwareState.DISARMED,)),
-            ((command, arm), ready),
+            ((command, arm), _ARMED),
         ):
             if not self._until(lambda states=states: self._state in states, *sent):
-                fault = FaultCode(self._newest.fault) if self._newest is not None else FaultCode.NONE
-                raise RigError(
-                    f"the board does not follow {sent[-1][0].name}: {fault.name.lower().replace('_', ' ')}",
-                    remedy=_REMEDIES.get(fault, "check its cable and supply"),
-                )
+                text, remedy = _fault(self._newest.fault if self._newest is not None else FaultCode.NONE)
+                raise RigError(f"the board does not follow {sent[-1][0].name}: {text}", remedy=remedy)
         self._armed, self._report = True, None
 
     def heartbeat(self) -> None:
@@ -272,10 +293,10 @@ class SerialBackend(Backend):
             raise RigError("the rig is not open", remedy="open it first")
 
     def _send(self, kind: MessageKind, body: bytes = b"") -> None:
-        self._sequence += 1
-        stamp = int(time.monotonic() * 1e6)
+        self._sequence = (self._sequence + 1) & 0xFFFF
+        now = self._sent[self._sequence] = time.monotonic()
         with self._translated():
-            self._line.write(Message(kind, self._sequence, stamp, body).encode())
+            self._line.write(Message(kind, self._sequence, int(now * 1e6), body).encode())
 
     def _received(self) -> list[Message]:
         with self._translated():
@@ -286,56 +307,66 @@ class SerialBackend(Backend):
         try:
             yield
         except (OSError, AttributeError, TypeError) as error:  # pyserial raises all of them for a lost port
-            raise RigError(
-                f"the port {self.port} is lost: {error}", remedy="plug it in again; the board vents by itself"
-            ) from error
+            remedy = f"{_CABLE}; the board vents by itself"
+            raise RigError(f"the port {self.port} does not work: {error}", remedy=remedy) from error
 
     def _take(self, messages: Sequence[Message]) -> None:
         """Take samples and faults of the board."""
         for message in messages:
-            if message.kind == MessageKind.HELLO:
+            if message.kind == MessageKind.HELLO and self._answer is None:
                 self._answer = Hello.unpack(message.body)
             if message.kind == MessageKind.FAULT and self._armed:
                 report = FaultReport.unpack(message.body)
                 if report.code != FaultCode.REFUSED:  # such as of a repeated message
                     self._report = report  # it stops when a sample shows that the board vented, and with which values
             if message.kind == MessageKind.SAMPLE and self._answer is not None:
-                self._keep(message)
+                self._keep(message, self._answer)
 
-    def _keep(self, message: Message) -> None:
-        sample = Sample.unpack(message.body)
-        assert self._answer is not None
-        if len(sample.values) != len(self._answer.measurements) + len(self._answer.commands):
+    def _keep(self, message: Message, hello: Hello) -> None:
+        sample, now = Sample.unpack(message.body), time.monotonic()
+        if len(sample.values) != len(hello.measurements) + len(hello.commands):
             raise RigError("a sample has another number of channels", remedy=_REMEDIES[FaultCode.OTHER_DIGEST])
-        if self._begun is None:
-            self._begun = self._device = message.time
-            self._latest = -1
-        self._device += (message.time - self._device + (1 << 31)) % (1 << 32) - (1 << 31)
-        elapsed = (self._device - self._begun) * 1e-6
-        number = round(elapsed * 1e6 / self._answer.period)
-        if number < self._latest:
+        before = message.time if self._device is None else self._device
+        self._device = before + (message.time - before + (1 << 31)) % (1 << 32) - (1 << 31)
+        if self._device < before:
             raise RigError(
                 "the clock of the board jumps back: it was reset", remedy="check its supply and cable, and reopen"
             )
-        self._newest, self._arrived = sample, (time.monotonic(), elapsed)
+        if sample.heard in self._sent:
+            while (number := next(iter(self._sent))) != sample.heard:
+                del self._sent[number]
+            self._returned = self._sent.pop(sample.heard), self._device
+        if self._begun is None:
+            self._begun, self._latest = self._device, -1
+        elapsed = (self._device - self._begun) * 1e-6
+        number = round(elapsed * 1e6 / hello.period)
+        self._newest, self._arrived = sample, (now, elapsed)
         if number > self._latest:
             self._samples.append((number, elapsed, sample.values))
         self._latest = number
-        if self._armed and sample.state in (FirmwareState.VENTED, FirmwareState.DISARMED):
+        if self._armed and sample.state not in _ARMED:
             self._refuse(self._report or FaultReport(sample.fault, 255, float("nan")))
 
     def _refuse(self, report: FaultReport) -> None:
         """Raise the fault for which the board has vented."""
         self._armed = False
-        fault = FaultCode(report.code) if report.code in {*FaultCode} else FaultCode.REFUSED
+        fault, remedy = _fault(report.code)
         names = [name for name, _ in (*self._known.measurements, *self._known.commands)]
         where = f" at {names[report.channel]}: {report.value:g}" if report.channel < len(names) else ""
         if not where and self._newest is not None:
             shown = zip(self._known.measurements, self._newest.values, strict=False)
             where = ", with " + ", ".join(f"{name} {value:.4g} {unit}" for (name, unit), value in shown)
         raise RigError(
-            f"the board vented: {fault.name.lower().replace('_', ' ')}{where}",
+            f"the board vented: {fault}{where}",
             field=names[report.channel] if report.channel < len(names) else "",
             value=report.value,
-            remedy=_REMEDIES.get(fault, "see its messages"),
+            remedy=remedy,
         )
+
+
+def _fault(code: int) -> tuple[str, str]:
+    """Name of a fault, and what to check."""
+    if code not in {*FaultCode}:
+        return f"fault {code}, which is unknown here", "export and flash the firmware again, by this version"
+    fault = FaultCode(code)
+    return fault.name.lower().replace("_", " "), _REMEDIES.get(fault, _CABLE)

@@ -278,8 +278,9 @@ def study_jump(
     """Find the highest jumps of a scenario, with constant and with timed pressures.
 
     They are searched by differential evolution of the nominal height over many runs at once; of its last generation,
-    the jump is chosen whose height 95 % of the draws reach. Constant pressures change all commands at the start, timed
-    ones each twice. Constant pressures are searched also from the lowest posture of the timed jump.
+    the jump is chosen whose height 95 % of the draws reach; its results are those of fresh draws. Constant pressures
+    change all commands at the start, timed ones each twice. Constant pressures are searched also from the lowest
+    posture of the timed jump.
 
     Parameters
     ----------
@@ -298,9 +299,9 @@ def study_jump(
     jump, source = scenario.jump, source or scenario.name
     if jump is None:
         raise ScenarioError(source, [Problem("lacks the section `jump`", remedy="see examples/robot/lei-leg.yaml")])
-    plant, drawn = scenario.plant(), drawn_plant(scenario)
+    plant, drawn, fresh = scenario.plant(), drawn_plant(scenario), drawn_plant(scenario, fresh=True)
     start = _squat(scenario, plant.robot.posture_angles(jump.squat), plant, source)
-    standing = _standing_heights(plant, drawn)
+    standing = _standing_heights(plant, fresh)
     fixed = scenario.timing_over(jump.duration)["duration"], scenario.control_period
     searches = [
         JumpRuns(plant, drawn, scenario.uncertainty.draws, start, variables, *fixed, 1)
@@ -324,7 +325,7 @@ def study_jump(
 
             best = highest(runs, guess, seed, evaluations, report)
             schedule = runs.variables.schedule([float(x) for x in best])
-            return best, _jump(scenario, runs, schedule, standing)
+            return best, _jump(scenario, runs._replace(drawn=fresh), schedule, standing)
 
         best, constant = search(searches[0], None, 0, "constant")
         # The constant jump is one of the timed ones.

@@ -24,7 +24,7 @@ from mckibben.robot.metrics import RobotMetrics
 from mckibben.robot.plant import RobotPlant, RobotStart
 from mckibben.robot.scenario import RobotScenario
 from mckibben.robot.simulate import simulate_robots
-from mckibben.robot.uncertainty import drawn_plant, take
+from mckibben.robot.uncertainty import drawn_plant, quantile_interval, take
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job, software
@@ -55,7 +55,8 @@ class LandingStudy(Result):
         File of the robot.
     table
         `RobotMetrics`, ``substeps``, ``error_estimate`` [rad] and ``chaotic`` as in a `Batch`, over ``valve``, ``drop``
-        [m], ``stiffness`` [N*m/rad] and ``draw``, of which 0 is nominal.
+        [m], ``stiffness`` [N*m/rad] and ``draw``, of which 0 is nominal. Of fresh draws, at the robust and at the
+        nominal best stiffness (``choice``), ``fresh_trunk_weights`` and ``fresh_stop_torque`` over ``fresh``.
     pressures
         Commands [Pa] for each stiffness, shape (stiffness, muscles).
     """
@@ -107,23 +108,31 @@ class LandingStudy(Result):
     def declared(self) -> dict[str, tuple[Column, Any]]:
         """Return columns with a row for each valve and drop, at the robust and at the nominal best stiffness.
 
-        Forces are 95 % quantiles on the trunk in its weights, shares those of the draws in which the joint meets a
-        stop; of the nominal best stiffness there are 5 and 95 % of the draws.
+        Forces are 95 % quantiles on the trunk in its weights with their 95 % interval, shares those of the draws in
+        which the joint meets a stop, all of fresh draws, which did not choose the stiffness; of the nominal best
+        stiffness there are 5 and 95 % of the draws.
         """
         best, levels, stopped = self.best(), self.table["stiffness"].to_numpy(), self.bottoms_out()
-        quantile, share = self.trunk_quantile(), stopped[..., 1:].mean(axis=-1)
+        weights, fresh_stops = (self.table[f"fresh_{name}"].to_numpy() for name in ("trunk_weights", "stop_torque"))
+        ends = quantile_interval(weights, EDGES[1])
         valve, drop = np.meshgrid(self.table["valve"], self.table["drop"], indexing="ij")
         columns: dict[str, tuple[Column, Any]] = {
             "valve": (Column(), valve),
             "drop": (Column("m", "drop", "mm", digits=3), drop),
         }
-        for kind, title, at in (("robust", "robust", self.robust()), ("best", "nominal best", best[..., 0])):
-            force, meets = (np.take_along_axis(values, at[..., None], axis=-1) for values in (quantile, share))
+        choices = ("robust", "robust", self.robust()), ("best", "nominal best", best[..., 0])
+        for choice, (kind, title, at) in enumerate(choices):
             columns[f"{kind}_stiffness"] = Column("N*m/rad", f"{title} stiffness", digits=3), levels[at]
+            force = np.percentile(weights[..., choice, :], EDGES[1], axis=-1)
             columns[f"{kind}_force"] = Column("1", "95 % trunk force", digits=3), force
-            columns[f"{kind}_share"] = Column("1", "bottoms out", "%", digits=3), meets
-        ends = np.percentile(levels[best[..., 1:]], EDGES, axis=-1)
-        for name, edge, own in zip(("low", "high"), EDGES, ends, strict=True):
+            for end, word, bounds in zip(("low", "high"), ("from", "to"), ends, strict=True):
+                columns[f"{kind}_force_{end}"] = Column("1", word, digits=3), bounds[..., choice]
+            columns[f"{kind}_share"] = (
+                Column("1", "bottoms out", "%", digits=3),
+                (fresh_stops[..., choice, :] > 0).mean(axis=-1),
+            )
+        percentiles = np.percentile(levels[best[..., 1:]], EDGES, axis=-1)
+        for name, edge, own in zip(("low", "high"), EDGES, percentiles, strict=True):
             columns[f"best_{name}"] = Column("N*m/rad", f"nominal best, {edge:g} % of draws", dims=("landing",)), own
         nominal = np.take_along_axis(stopped[..., 0], best[..., :1], axis=-1)[..., 0]
         remark = np.where(nominal, "the nominal best bottoms out", "")
@@ -189,7 +198,9 @@ def study_landing(
         raise ScenarioError(source, [Problem("lacks the section `landing`", remedy="see examples/robot/lei-leg.yaml")])
     study = Landings.of(scenario, source).with_known_engine(engine)
     records = study.run(out, resume=resume, progress=progress)
-    return LandingStudy(scenario, study.table(records.columns), study.pressures)
+    result = LandingStudy(scenario, study.table(records.columns), study.pressures)
+    chosen = np.stack([result.robust(), result.best()[..., 0]], axis=-1)
+    return replace(result, table=result.table.assign(study.fresh(chosen)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +291,21 @@ class Landings(Study):
         for name, mass in {"weight": robot.total_mass, "trunk_weight": robot.bodies[0].mass}.items():
             found[name] = ("draw", np.broadcast_to(np.asarray(mass), self._shape[-1:]) * gravity, {"units": "N"})
         return xr.Dataset(found, coords=coords, attrs={"engine": self.software["engine"], "gravity": gravity})
+
+    def fresh(self, chosen: NDArray[np.int64]) -> dict[str, tuple[Any, ...]]:
+        """Return the columns of fresh draws at chosen places of the stiffness, of shape (valve, drop, choice)."""
+        landings = replace(self, drawn=drawn_plant(self.scenario, fresh=True))
+        shape = (*chosen.shape, self.scenario.uncertainty.draws)
+        valve, drop, _, draw = np.indices(shape)
+        places = valve, drop, np.broadcast_to(chosen[..., None], shape), draw + 1
+        columns = landings.compute(dict(zip(_AXES, map(np.ravel, places), strict=True)))
+        force, torque = (columns[name].reshape(shape) for name in ("peak_trunk_force", "stop_torque"))
+        weight = np.broadcast_to(landings.drawn.robot.bodies[0].mass * landings.drawn.gravity, shape[-1] + 1)[1:]
+        axes = *_AXES[:2], "choice", "fresh"
+        return {
+            "fresh_trunk_weights": (axes, force / weight, {"units": "1"}),
+            "fresh_stop_torque": (axes, torque, attributes("stop_torque")),
+        }
 
     @property
     def _landing(self) -> Any:

@@ -24,7 +24,7 @@ from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, difference, total
 from mckibben.robot.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
-from mckibben.robot.muscles import MusclePair, MuscleUnit, Skeleton, check_contractions
+from mckibben.robot.muscles import MuscleUnit, Skeleton, check_contractions
 from mckibben.robot.tree import Frame, Hinge, frames_of
 from mckibben.units import deg
 
@@ -275,8 +275,8 @@ class Robot(Component):
         """Joints with a pair of muscles by their numbers, and the number of muscle 1 of each."""
         first, found = 0, {}
         for unit in self.muscles:
-            if isinstance(unit, MusclePair):
-                found[self.index(unit.over)] = first
+            if unit.pair is not None:
+                found[self.index(unit.joint_names[0])] = first
             first += len(unit.names)
         return dict(sorted(found.items()))
 
@@ -289,8 +289,8 @@ class Robot(Component):
         """Return the pair of muscles of a joint; `RangeError` without one."""
         name = self.joints[index].name
         for unit in self.muscles:
-            if isinstance(unit, MusclePair) and unit.over == name:
-                return unit.joint
+            if name in unit.joint_names and (pair := unit.pair) is not None:
+                return pair
         remedy = "give it one (a muscle with `over` and `geometry`), or name a joint that has one"
         raise RangeError(f"{name}: it has no pair of muscles", field="muscles", remedy=remedy)
 

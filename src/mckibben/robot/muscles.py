@@ -50,8 +50,35 @@ class Skeleton(NamedTuple):
         return length, {body - 1: slope for body, slope in slopes.items()}, by_joints
 
 
+class TendonParts(NamedTuple):
+    """Parts of a path: paths over joints, straight lines through points, and what is taken from its length [m]."""
+
+    over: tuple[OverJoint, ...]
+    through: tuple[BodyPoint, ...]
+    connector_length: float
+
+
 class MuscleUnit(Component):
-    """A muscle with its path, or a pair of muscles over a joint."""
+    """A muscle with its path, or a pair of muscles over a joint.
+
+    `pair` and `tendon_parts` describe what `routed` computes, for joints and other simulators. A subclass with its own
+    `routed` has neither of them, unless it gives its own.
+    """
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name in {"pair", "tendon_parts"} - vars(cls).keys() if "routed" in vars(cls) else ():
+            setattr(cls, name, vars(MuscleUnit)[name])
+
+    @property
+    def pair(self) -> AntagonisticJoint | None:
+        """The muscles as a joint, if they are a pair over one; None by default."""
+        return None
+
+    @property
+    def tendon_parts(self) -> TendonParts | None:
+        """Parts whose lengths add up to the path; None by default."""
+        return None
 
     @classmethod
     def from_file(cls, value: object) -> object:
@@ -118,8 +145,7 @@ class MusclePair(MuscleUnit):
     tendon: Tendon = RigidTendon()
 
     @property
-    def joint(self) -> AntagonisticJoint:
-        """The muscles and their geometry as a joint."""
+    def pair(self) -> AntagonisticJoint:
         return AntagonisticJoint(self.geometry, self.muscle1, self.muscle2, self.tendon)
 
     @property
@@ -226,6 +252,10 @@ class PathMuscle(MuscleUnit):
     @property
     def points(self) -> tuple[BodyPoint, ...]:
         return self.through
+
+    @property
+    def tendon_parts(self) -> TendonParts:
+        return TendonParts(self.over, self.through, self.connector_length)
 
     def routed(self, skeleton: Skeleton) -> Sequence[Route]:
         over = [(skeleton.number(part.joint), part) for part in self.over]

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
+from mckibben.joint import Geometry
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.dynamics import at_rest, frames, posture_of
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.muscles import MusclePair
+from mckibben.robot.muscles import MuscleUnit
 from mckibben.robot.point_stiffness import point_stiffness
 from mckibben.robot.tree import Frame
 
@@ -111,8 +112,8 @@ def outline(robot: Robot, angles: Sequence[float], base: Sequence[float] = ()) -
         beyond[number] = lines[0][1] if lines else beyond[carried[0]] if carried else at[number]
     muscles: dict[str, Floats] = {}
     for unit in robot.muscles:
-        if isinstance(unit, MusclePair):
-            muscles |= _pair(unit, robot, angles, placed, beyond)
+        if (pair := unit.pair) is not None:
+            muscles |= _pair(pair.geometry, unit, robot, angles, placed, beyond)
         elif unit.points:
             muscles[unit.names[0]] = np.stack([point_of(point, robot, placed) for point in unit.points])
     return Outline(bodies, at[1:], muscles)
@@ -124,10 +125,15 @@ def point_of(point: BodyPoint | Foot, robot: Robot, placed: Sequence[Frame]) -> 
 
 
 def _pair(
-    unit: MusclePair, robot: Robot, angles: Sequence[float], placed: Sequence[Frame], tips: Sequence[Floats]
+    geometry: Geometry,
+    unit: MuscleUnit,
+    robot: Robot,
+    angles: Sequence[float],
+    placed: Sequence[Frame],
+    tips: Sequence[Floats],
 ) -> dict[str, Floats]:
     """Lines beside the bodies at the moment arms: muscle 1 where turning lengthens it. None along the axis."""
-    index = robot.index(unit.over)
+    index = robot.index(unit.joint_names[0])
     frame, above = placed[index + 1], placed[robot.parents[index]]
     at, axis, beyond = _numbers(frame.position), _numbers(frame.axis), tips[index + 1]
     side = np.cross(beyond - at, axis)
@@ -138,7 +144,7 @@ def _pair(
     start = _numbers(above.position)
     if not np.linalg.norm(at - start):  # the hinge is at the origin of the body above
         start = at - part
-    arms = (float(arm) for arm in unit.geometry.paths_and_arms(angles[index])[1])
+    arms = (float(arm) for arm in geometry.paths_and_arms(angles[index])[1])
     offsets = (arm * side * sign for arm, sign in zip(arms, (1, -1), strict=True))
     return {name: np.stack([start, at + part]) + offset for name, offset in zip(unit.names, offsets, strict=True)}
 

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.errors import ParameterError, Problem, ScenarioError
+from mckibben.config.document import LONGEST_TEXT
+from mckibben.errors import ParameterError, Problem, ScenarioError, quoted
 from mckibben.muscle import Muscle
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.result import Column, Listing, Remark, Result
@@ -101,7 +102,7 @@ class ReadRobot(Result):
         self.scenario().to_yaml(folder / "robot.yaml")
 
 
-def read_mjcf(path: Path, muscle: Muscle | None = None) -> ReadRobot:
+def read_mjcf(path: Path, muscle: Muscle | None = None, *, confined: bool = False) -> ReadRobot:
     """Return the robot of a file of MJCF or URDF.
 
     Carried over are bodies with their inertias, hinges with range, damping, armature and friction, spatial tendons
@@ -113,14 +114,18 @@ def read_mjcf(path: Path, muscle: Muscle | None = None) -> ReadRobot:
     muscle
         Muscle of all tendons. Its connectors have the length with which it has its initial length where its path is
         longest within the ranges of the joints.
+    confined
+        Whether the file may name only files of its folder.
 
     Raises
     ------
     ScenarioError
-        If MuJoCo cannot load the file, or for joints that we do not have; with the line.
+        If MuJoCo cannot load the file, it names files that it must not, or for joints that we do not have; with the
+        line.
     RangeError
         If the muscle does not permit the paths.
     """
+    _check_named_files(path, confined=confined)
     reader = _Reader(path)
     robot = reader.robot()
     tendons = dict(reader.tendons())
@@ -133,6 +138,35 @@ def read_mjcf(path: Path, muscle: Muscle | None = None) -> ReadRobot:
         )
         robot = dataclasses.replace(robot, muscles=tuple(units))
     return ReadRobot(reader.name, robot, tendons, paths, tuple(reader.left_out))
+
+
+_NAMED_FILE = re.compile(rb"""\b(?:file\w*|(?:mesh|texture|asset)dir)\s*=\s*(["'])([^\0]*?)\1""")
+
+
+def _check_named_files(path: Path, *, confined: bool) -> None:
+    """Raise `ScenarioError` for names of pipes and devices, where MuJoCo would wait; if `confined`, of other folders.
+
+    Any text that MuJoCo could take for an attribute that names a file counts, in comments, too.
+    """
+    files, problems = [path.resolve()], list[Problem]()
+    for file in files:  # which grow
+        content = file.read_bytes() if file.is_file() else b""
+        if confined and len(content) > LONGEST_TEXT:
+            problems.append(Problem(f"{file.name} is longer than {LONGEST_TEXT} bytes", remedy="give a shorter one"))
+            continue
+        for match in _NAMED_FILE.finditer(content):
+            name = match[2].decode("utf-8", "replace")
+            target = (file.parent / name).resolve()
+            message = "is a pipe or device" if target.exists() and not (target.is_file() or target.is_dir()) else ""
+            if confined and not target.is_relative_to(files[0].parent):
+                message = "is in another folder"
+            if message:
+                line, remedy = content.count(b"\n", 0, match.start()) + 1, "leave it out, or run it on the command line"
+                problems.append(Problem(f"{quoted(name)} {message}", line, remedy=remedy))
+            elif target.is_file() and target not in files and (confined or target.suffix == ".xml"):
+                files.append(target)
+    if problems:
+        raise ScenarioError(path.name, problems)
 
 
 def _range_of(robot: Robot, points: tuple[BodyPoint, ...]) -> tuple[float, float]:

@@ -41,12 +41,13 @@ class DrawSettings(ConfigModel):
     """Relative standard deviations of the strength of each muscle and of the mass of each body, independent.
 
     The inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors of the fit as well,
-    those with the same file identically. Fewer than 20 draws have no 5th and 95th percentiles.
+    those with the same file identically. Fewer than 20 draws have no 5th and 95th percentiles. What is chosen on the
+    draws is judged by as many fresh ones.
     """
 
     strength: Spread = 0.05
     mass: Spread = 0.03
-    draws: Annotated[int, BoundedInt(20, 10_000)] = 64
+    draws: Annotated[int, BoundedInt(20, 10_000)] = 400
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
 

@@ -8,14 +8,15 @@ otherwise the nearest, with a certificate.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from mckibben.component.checks import check_count, check_within
+from mckibben.component.checks import check_count, check_positive
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
-from mckibben.result import Column, Listing
+from mckibben.result import Column, Result, column
 from mckibben.robot.attainable import JointRange, attainable_statics
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.mechanism import Robot
@@ -41,7 +42,7 @@ _SURE = 0.01
 """Relative difference of error and bound below which the error is called the least possible."""
 
 
-class StaticPressures(NamedTuple):
+class StaticPressures(Result):
     """Pressures for a stiffness of joints or of a point.
 
     Attributes
@@ -69,12 +70,12 @@ class StaticPressures(NamedTuple):
         Static force [N] on the point.
     """
 
-    muscles: tuple[str, ...]
-    pressures: tuple[float, ...]
-    tensions: tuple[float, ...]
-    joint_stiffness: Floats
-    error: float
-    least: float
+    muscles: tuple[str, ...] = column(title="muscle")
+    pressures: tuple[float, ...] = column("Pa", "pressure", "bar")
+    tensions: tuple[float, ...] = column("N", "tension")
+    joint_stiffness: Floats = column("N*m/rad", "stiffness of the joints", dims=("joint", "other_joint"))
+    error: float = column("1", "relative error", digits=3)
+    least: float = column("1", "lower bound of the error", digits=3)
     limits: tuple[tuple[str, str], ...]
     stiffness: PointStiffness | None = None
     wanted: Floats | None = None
@@ -85,41 +86,26 @@ class StaticPressures(NamedTuple):
         """Whether the stiffness is that wanted."""
         return self.error <= EXACT
 
-    def record(self) -> dict[str, Any]:
-        """Return the results as plain data."""
-        found: dict[str, Any] = {
-            "pressures_bar": dict(zip(self.muscles, (one / bar for one in self.pressures), strict=True)),
-            "tensions": dict(zip(self.muscles, self.tensions, strict=True)),
-            "exact": self.exact,
-            "error": self.error,
-            "least_error": self.least,
-            "limits": dict(self.limits),
-            "joint_stiffness": self.joint_stiffness.tolist(),
-        }
-        if self.stiffness is not None and self.wanted is not None:
-            found |= {
-                "principal": list(self.stiffness.principal),
-                "direction_deg": self.stiffness.direction / deg,
-                "wanted_direction_deg": stiffness_of(np.linalg.inv(self.wanted)).direction / deg,
-                "axes": self.stiffness.axes.T.tolist(),
-                "wanted": self.wanted.tolist(),
-                "attained": np.linalg.inv(self.stiffness.compliance).tolist(),
+    def declared(self) -> dict[str, tuple[Column, object]]:
+        """Columns and values of the fields, the limit of each muscle, and the stiffness of the point."""
+        columns, limits, point = super().declared(), dict(self.limits), self.stiffness
+        columns["limited_by"] = Column(), [limits.get(name, "") for name in self.muscles]
+        if point is not None and self.wanted is not None:
+            matrix = "direction", "other_direction"
+            attained = np.linalg.inv(point.compliance)
+            columns |= {
+                "principal": (
+                    Column("N/m", "stiffness along the main axes", dims=("axis",)),
+                    np.array(point.principal),
+                ),
+                "axes": (Column("1", "main axes", dims=("axis", "direction")), point.axes.T),
+                "attained": (Column("N/m", "stiffness of the point", dims=matrix), attained),
+                "wanted": (Column("N/m", "desired stiffness of the point", dims=matrix), self.wanted),
             }
-        return found
+        return columns
 
-    def listing(self) -> Listing:
-        """Table of the muscles."""
-        limits = dict(self.limits)
-        columns: dict[str, tuple[Column, Any]] = {
-            "muscle": (Column(), list(self.muscles)),
-            "pressure": (Column("Pa", "pressure", "bar"), list(self.pressures)),
-            "tension": (Column("N", "tension"), list(self.tensions)),
-            "limit": (Column("", "limited by"), [limits.get(name, "") for name in self.muscles]),
-        }
-        return Listing("Muscles", columns)
-
-    def describe(self) -> str:
-        """Return stiffness and error as text."""
+    def verdict(self) -> str:
+        """Stiffness and error."""
         text = "stiffness of the joints: "
         if self.stiffness is not None and self.wanted is not None:
             found, wanted = _axes_text(self.stiffness), _axes_text(stiffness_of(np.linalg.inv(self.wanted)))
@@ -185,7 +171,7 @@ def pressures_for_joint_stiffness(
     free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
     rows = [(place, stiffness[index]) for place, index in enumerate(free) if stiffness[index] is not None]
     for _, number in rows:
-        check_within("stiffness", 0.0, np.inf, "N*m/rad", remedy="give a positive one", stiffness=float(number or 0.0))
+        check_positive("stiffness", "N*m/rad", stiffness=number)
     offset, slopes = setting.stiffness()
     places, wanted = [place for place, _ in rows], np.array([number for _, number in rows], float)
     factors = slopes[places, places] / wanted[:, None]
@@ -294,7 +280,7 @@ def pressures_for_point_stiffness(
     else:
         inverse, at = _settled(setting, moved, bent, problem)
         found = _solved(setting, *problem(inverse), at, **others)
-    return found._replace(stiffness=stiffness_through(jacobian, geometric, free, found.joint_stiffness))
+    return replace(found, stiffness=stiffness_through(jacobian, geometric, free, found.joint_stiffness))
 
 
 def _settled(

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Array, PyTree
 
+from mckibben.component.checks import check_positive
 from mckibben.errors import McKibbenError
 from mckibben.result import Column, Remark
 from mckibben.robot.attainable import attainable_statics
@@ -88,20 +89,21 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
             "desired_angle": np.stack([np.asarray(setpoints.angle) for _, setpoints in parts]),
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
+        check_positive("reference", "N*m/rad", stiffness=desired["desired_stiffness"])
         found = _unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"])
         notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
     lanes = tuple(run["angle"]), tuple(run["pressure"])
-    stiffness = _stiffness(scenario.robot, lanes)
+    stiffness = joint_stiffness(scenario.robot, lanes)
     columns = dict(run.columns) | desired | {"stiffness": np.stack(stiffness)}
     given = {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}  # type: ignore[arg-type]
     return TrackingResult(**given | {"columns": columns, "scenario": scenario.dumps(), "notes": notes})
 
 
 @compiled
-def _stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
-    """Stiffness of the joints at one sample."""
+def joint_stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
+    """Return the stiffness [N*m/rad] of the joints at angles [rad] and pressures [Pa], many along the last axis."""
     return robot.stiffness(*lane)
 
 

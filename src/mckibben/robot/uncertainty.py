@@ -18,10 +18,13 @@ from mckibben.robot.plant import RobotPlant
 from mckibben.robot.scenario import RobotScenario
 
 
-def drawn_plant(scenario: RobotScenario) -> RobotPlant:
-    """Return the plant of a scenario with arrays over draws in place of uncertain numbers; the first is nominal."""
+def drawn_plant(scenario: RobotScenario, *, fresh: bool = False) -> RobotPlant:
+    """Return the plant of a scenario with arrays over draws in place of uncertain numbers; the first is nominal.
+
+    `fresh` draws are others: what was chosen on the first ones is judged by these.
+    """
     spec, plant = scenario.uncertainty, scenario.plant()
-    rng = np.random.default_rng(spec.seed)
+    rng = np.random.default_rng([spec.seed, 1] if fresh else spec.seed)
     count = spec.draws + 1
 
     def factors(spread: float) -> NDArray[np.float64]:
@@ -69,3 +72,20 @@ def with_mass(body: Body, factors: NDArray[np.float64]) -> Body:
 def take(tree: Any, index: NDArray[np.int64]) -> Any:
     """Return a tree with arrays over runs in place of draws; each run has the index of its draw."""
     return jax.tree.map(lambda x: x[index] if eqx.is_array(x) and np.ndim(x) else x, tree)
+
+
+def quantile_interval(draws: NDArray[np.float64], percent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the 95 % interval of a quantile over draws, which are along the last axis.
+
+    Its ends are order statistics, so that it holds for any distribution; infinite where the draws are too few for one.
+
+    >>> [float(end) for end in quantile_interval(np.arange(400.0), 95)]
+    [370.0, 388.0]
+    """
+    from scipy.stats import binom
+
+    count = draws.shape[-1]
+    low, high = np.add(binom.ppf([0.025, 0.975], count, percent / 100), (-1, 0)).astype(int)
+    beyond = np.full((*draws.shape[:-1], 1), np.inf)
+    ordered = np.concatenate([-beyond, np.sort(draws, axis=-1), beyond], axis=-1)
+    return ordered[..., low + 1], ordered[..., high + 1]

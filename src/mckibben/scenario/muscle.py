@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from math import nan
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from mckibben import catalog
@@ -15,7 +17,7 @@ from mckibben.errors import UnitError
 from mckibben.muscle import ForceLaw, MaxwellSlip, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.storage.files import atomic_write
-from mckibben.units import quantity
+from mckibben.units import justified, quantity
 
 if TYPE_CHECKING:
     from mckibben.identification import Fit, FitWithFriction
@@ -51,6 +53,7 @@ def write_muscle(
     volume: float | None = None,
     law: str | dict[str, str] = "fit.yaml",
     friction: MaxwellSlip | None = None,
+    errors: Mapping[str, float] = MappingProxyType({}),
     undetermined: Mapping[str, float] | None = None,
 ) -> bool:
     """Write the muscle file of an identified law, replacing a file.
@@ -73,8 +76,9 @@ def write_muscle(
         known.
     law
         Reference to the law, relative to the file, or its section.
-    friction, undetermined
-        Friction of the muscle, and upper bounds [m] of its lengths that the data do not determine, by name.
+    friction, errors, undetermined
+        Friction of the muscle, standard errors of its parameters by name, which give them their digits, and upper
+        bounds [m] of its lengths that the data do not determine.
     """
     name = specimen or "my muscle"
     known = catalog.specimen(name) if name in catalog.names("specimens") else None
@@ -87,10 +91,12 @@ def write_muscle(
     head = _HEAD + "".join(map(_UNDETERMINED.format, undetermined or ()))
     if initial_length and volume is not None:
         terms = volume_terms(identified, initial_length, volume)
-        section |= {"volume_terms": write(Specimen(name, initial_length, volume_terms=terms))["volume_terms"]}
+        written = write(Specimen(name, initial_length, volume_terms=terms))["volume_terms"]
+        section |= {"volume_terms": [*map(justified, written)]}
         head += _VOLUME
     data = {"specimen": name if section == {"from": name} else section, "law": law}
-    data |= {} if friction is None else {"friction": write(friction)}
+    if friction is not None:
+        data["friction"] = {name: justified(text, errors.get(name, nan)) for name, text in write(friction).items()}
     with atomic_write(path, overwrite=True) as part:
         part.write_text(head + to_text(data), encoding="utf-8")
     return True
@@ -117,28 +123,32 @@ def air_volume(text: str, length: float | None) -> float | None:
 
 
 def write_identified(
-    folder: Path, fit: Fit | FitWithFriction, attributes: Mapping[str, Any], *, name: str = "", volume: float | None
-) -> Path | None:
-    """Write fit.yaml and, with an initial length, muscle.yaml to a folder, replacing files; return that of the muscle.
+    path: Path,
+    fit: Fit | FitWithFriction,
+    attributes: Mapping[str, Any],
+    *,
+    name: str = "",
+    volume: float | None = None,
+) -> bool:
+    """Write the muscle of a fit, whose file fit.yaml is in the same folder; arguments and answer as `write_muscle`.
 
     Parameters
     ----------
-    folder, fit
-        Folder, and law, with friction where it was identified.
+    path, fit
+        File to write, and law, with friction where it was identified.
     attributes
         Those of the points of the fit, with name and initial length [m] of the specimen.
     name, volume
         Name of a specimen that has none, and volume of the air at contraction 0 [m^3] if it is known.
     """
-    loops, path = getattr(fit, "hysteresis", None), folder / "muscle.yaml"
-    fit.to_yaml(folder / "fit.yaml")
-    written = write_muscle(
+    loops = getattr(fit, "hysteresis", None)
+    return write_muscle(
         path,
         fit.law,
         specimen=attributes["specimen"] or name,
         initial_length=attributes.get("initial_length"),
         volume=volume,
         friction=loops.friction if loops else None,
+        errors=loops.standard_errors if loops else {},
         undetermined=loops.undetermined if loops else None,
     )
-    return path if written else None

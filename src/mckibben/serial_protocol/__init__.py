@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 from mckibben.errors import ParameterError, RigError
 
-VERSION = 1
+VERSION = 2
 """Version of the protocol, in the first byte of `Hello`."""
 LONGEST = 244
 """Most bytes in the body of a message."""
 _HEADER = struct.Struct("<BHI")  # kind, sequence number, time in us
 _HELLO = struct.Struct("<BBBBI32s")  # version, numbers of measurements, commands and setpoints, period in us, digest
-_SAMPLE = struct.Struct("<BBHHH")  # state, fault, held, missed, lost
+_SAMPLE = struct.Struct("<BBHHHH")  # state, fault, held, missed, lost, heard
 _FAULT = struct.Struct("<BBf")  # code, channel, value
 
 
@@ -37,6 +37,10 @@ class MessageKind(IntEnum):
     HEARTBEAT = 7
     SAMPLE = 8
     FAULT = 9
+
+
+_ANEW = MessageKind.HELLO, MessageKind.VENT
+"""Messages that are taken with any number, from which the count goes on: a vent is never too late."""
 
 
 class FirmwareState(IntEnum):
@@ -104,7 +108,7 @@ class Receiver:
     lost
         Messages that are missing by their sequence numbers; those of corrupted frames are among them.
     repeated
-        Messages received twice in a row, of which the second is dropped.
+        Messages whose number is not above the last one, which were repeated or overtaken on the way: they are dropped.
 
     Examples
     --------
@@ -142,12 +146,13 @@ class Receiver:
             return None
         kind, sequence, time = _HEADER.unpack_from(data)
         message = Message(kind, sequence, time, data[_HEADER.size : -2])
-        if self._last == (message.sequence, message.time):
-            self.repeated += 1
-            return None
-        restarted = message.kind == MessageKind.HELLO  # counts from an arbitrary number
-        if self._last is not None and not restarted:
-            self.lost += (message.sequence - self._last[0] - 1) & 0xFFFF
+        if self._last is not None:
+            ahead = (message.sequence - self._last[0]) & 0xFFFF
+            anew = message.kind in _ANEW
+            if self._last == (message.sequence, message.time) or not (anew or 0 < ahead < 0x8000):
+                self.repeated += 1
+                return None
+            self.lost += 0 if anew else ahead - 1
         self._last = message.sequence, message.time
         return message
 
@@ -182,17 +187,21 @@ class Hello(NamedTuple):
 
     @classmethod
     def unpack(cls, body: bytes) -> Hello:
-        """Description in a body; `RigError` for another version of the protocol, or a malformed body."""
+        """Description in a body; `RigError` for another version of the protocol, or a malformed body.
+
+        Malformed are also texts that are not printable, equal names of a group, and a period of 0.
+        """
         if body[:1] != bytes([VERSION]):
             message = f"the firmware speaks version {body[0] if body else 'none'} of the protocol, not {VERSION}"
             raise RigError(message, field="version", remedy="export and flash the firmware again")
         _, *sizes, period, digest = _fields(_HELLO, body)
         firmware, *lines = body[_HELLO.size :].decode(errors="replace").split("\n")
         channels = [(name, unit) for name, _, unit in (line.partition(" ") for line in lines)]
-        if len(channels) != sum(sizes):
-            raise _malformed()
         first, second, _ = sizes
         groups = channels[:first], channels[first : first + second], channels[first + second :]
+        printable = all(line.isprintable() and "\ufffd" not in line for line in (firmware, *lines))
+        if len(channels) != sum(sizes) or not printable or not period or any(len(dict(g)) < len(g) for g in groups):
+            raise _malformed()
         return cls(firmware, period, digest, *groups)
 
 
@@ -206,6 +215,8 @@ class Sample(NamedTuple):
     held, missed, lost
         Since the start and modulo 2**16: samples that were not used, periods that were missed, and messages of the host
         that were lost.
+    heard
+        Sequence number of the last message of the host that was received before this sample was taken.
     values
         Measurements and commands in the order of `Hello`, in SI.
     """
@@ -215,17 +226,18 @@ class Sample(NamedTuple):
     held: int
     missed: int
     lost: int
+    heard: int
     values: tuple[float, ...]
 
     def pack(self) -> bytes:
         """Body of the message."""
-        return _SAMPLE.pack(*self[:5]) + struct.pack(f"<{len(self.values)}f", *self.values)
+        return _SAMPLE.pack(*self[:6]) + struct.pack(f"<{len(self.values)}f", *self.values)
 
     @classmethod
     def unpack(cls, body: bytes) -> Sample:
         """Sample in a body; `RigError` for a malformed one."""
-        state, fault, held, missed, lost = _fields(_SAMPLE, body)
-        return cls(state, fault, held, missed, lost, unpack_numbers(body[_SAMPLE.size :], "f"))
+        state, fault, held, missed, lost, heard = _fields(_SAMPLE, body)
+        return cls(state, fault, held, missed, lost, heard, unpack_numbers(body[_SAMPLE.size :], "f"))
 
 
 class FaultReport(NamedTuple):

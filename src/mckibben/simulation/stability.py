@@ -46,6 +46,9 @@ _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _MOST_NUMBERS = 2**19  # of the responses of several loops at once
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
+_STILL = 1e-9  # angle of a control period [rad] at which a loop is as at rest
+_ROUNDING = 1e-9  # of responses of loops, which are open below
+_WIDTHS = np.array([-4, -2, -1, -0.5, 0, 0.5, 1, 2, 4])  # about resonances, at which their responses are followed
 
 LEAST_DISK_MARGIN = 0.2
 """Disk margin below which a loop must not be used as it is: gains off by 1.2, phases by 11 deg."""
@@ -467,14 +470,14 @@ class _Triangular(NamedTuple):
         largest local maxima, the `tops`, are refined by a factor of four in each round, so that narrow peaks are met
         to well below 1 %.
         """
-        lowest, poles, half = 2 * np.pi * _LOWEST_FREQUENCY * period, self.poles, np.eye(self.b.shape[2]) / 2
+        poles, half = self.poles, np.eye(self.b.shape[2]) / 2
         turning = poles.imag > 0
         some = np.argsort(~turning, axis=1, kind="stable")[:, : turning.sum(axis=1).max()]
         resonance, width = np.where(turning, np.angle(poles), np.pi), 1 - np.abs(poles)
         resonance, width = (np.take_along_axis(values, some, axis=1) for values in (resonance, width))
-        even = np.tile(2 * np.pi * _frequencies(period, few) * period, (len(poles), 1))
+        even = np.tile([_STILL, *(2 * np.pi * _frequencies(period, few) * period)], (len(poles), 1))
         angles = np.concatenate([even, resonance, resonance - width, resonance + width], axis=1)
-        angles = np.sort(angles.clip(lowest, np.pi), axis=1)
+        angles = np.sort(angles.clip(_STILL, np.pi), axis=1)
         sizes = _largest_singular(self.sensitivity(angles) - half)
         between = np.array([0.25, 0.5, 0.75])
         for _ in range(rounds):
@@ -517,19 +520,24 @@ def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
 
 def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -> dict[str, NDArray]:
     """Columns of `Margins` of linear loops, leaves (loops, ...), of a joint or of a robot with these muscles."""
-    triangular = _Triangular.of(loops)
-    radius, angles = _radii(triangular.poles), 2 * np.pi * _frequencies(period) * period
-    sensitivity = triangular.sensitivity(np.broadcast_to(angles, (radius.size, angles.size)))
-    size = np.eye(sensitivity.shape[-1])
-    opened = size - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
-    loci = -np.linalg.eigvals(opened).astype(np.complex128)
-    gain, phase, delay = _crossings(loci, angles, period)
+    triangular, angles = _Triangular.of(loops), 2 * np.pi * _frequencies(period) * period
+    radius, turning = _radii(triangular.poles), triangular.poles[triangular.poles.imag > 0]
+    narrow = np.angle(turning) + np.multiply.outer(_WIDTHS, 1 - np.abs(turning))
+    dense = np.unique(np.concatenate([[_STILL], angles, narrow[(narrow > _STILL) & (narrow < np.pi)]]))
+    sensitivity = triangular.sensitivity(np.broadcast_to(dense, (radius.size, dense.size)))
+    responses = np.linalg.eigvals(sensitivity - np.eye(sensitivity.shape[-1])).astype(np.complex128)
+    even = np.searchsorted(dense, angles)
+    gain, phase, delay = _crossings(responses, dense, period)
+    sensitivity, responses = sensitivity[:, even], responses[:, even]
+    with np.errstate(divide="ignore", invalid="ignore"):  # of an integrator
+        loci = -responses / (1 + responses)
     disk, peak, directions = triangular.peaks(period)
     if muscles:
         loop = np.array(muscles)[np.abs(directions).argmax(axis=1)]
     else:  # that of the angle drives the pressures apart, that of the stiffness both up and down
         common, difference = np.abs(directions @ [[1, 1], [1, -1]]).T
         loop = np.where(difference > common, "angle", "stiffness")
+    gain = np.maximum(gain, np.divide(2 + disk, 2 - disk, out=np.full_like(disk, np.inf), where=disk < 2))  # its bound
     alone = 1 / np.abs(np.diagonal(sensitivity, axis1=2, axis2=3) - 0.5).max(axis=1)
     margins: dict[str, NDArray] = {"gain": gain, "phase": phase, "delay": delay, "disk": disk, "alone": alone.T}
     margins = {name: np.where(radius < 1, values, 0.0).T for name, values in margins.items()}
@@ -537,11 +545,37 @@ def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -
     return margins | {"radius": radius, "sensitivity": _largest_singular(sensitivity), "loci": loci}
 
 
-def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> list[NDArray[np.float64]]:
-    """Gain margins, phase margins [rad] and delay margins [s] of loops, from the loci (loops, frequencies, commands).
+def _crossings(
+    responses: NDArray[np.complex128], angles: NDArray[np.float64], period: float
+) -> list[NDArray[np.float64]]:
+    """Gain margins, phase margins [rad] and delay margins [s] of stable loops.
 
-    The loci of a loop are followed over the frequency [rad of a period] to the nearest neighbours.
+    They follow from the eigenvalues m of the responses of the commands to their disturbance, of shape (loops,
+    frequencies, commands), at angles [rad of a period] from 0 to pi. All commands times 1 + 1/m put a pole at that
+    angle: the gain margin is the least of these factors that is real and above 1, phases and delays are those of
+    factors of size 1. Below 0 and beyond pi the responses are conjugate. A delay of one period makes a loop unstable
+    whose locus ends beyond 1 or -1.
     """
+    followed = _followed(np.concatenate([responses[:, 1:2].conj(), responses, responses[:, -2:-1].conj()], axis=1))
+    factors = 1 + 1 / np.where(np.abs(followed) > _ROUNDING, followed, _ROUNDING)  # at a resonance a line
+    before, change = factors[:, :-1], np.diff(factors, axis=1)
+    crosses = (before.imag > 0) != (factors[:, 1:].imag > 0)
+    at = before.real - before.imag / np.where(crosses, change.imag, 1) * change.real
+    gain = np.min(at, axis=(1, 2), where=crosses & (at > 1) & (at < 1 / _ROUNDING), initial=np.inf)
+    before, change = before[:, 1:-1], change[:, 1:-1]
+    square, half = np.maximum(np.abs(change) ** 2, 1e-300), (before.conj() * change).real
+    rooted = half**2 - square * (np.abs(before) ** 2 - 1)
+    part = np.stack([sign * np.sqrt(np.maximum(rooted, 0)) - half for sign in (-1, 1)]) / square
+    inside = (rooted >= 0) & (part >= 0) & (part <= 1)
+    lag = np.mod(-np.angle(before + np.where(inside, part, 0) * change), 2 * np.pi)
+    delay = lag / (angles[:-1, None] + np.where(inside, part, 0) * np.diff(angles)[:, None]) * period
+    phase = np.min(np.minimum(lag, 2 * np.pi - lag), axis=(0, 2, 3), where=inside, initial=np.inf)
+    least = np.where(np.prod(factors[:, -2] ** 2 - 1, axis=1).real < 0, period, np.inf)
+    return [gain, phase, np.minimum(least, np.min(delay, axis=(0, 2, 3), where=inside, initial=np.inf))]
+
+
+def _followed(loci: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Loci (loops, frequencies, commands), followed over the frequency to the nearest neighbours."""
     from scipy.optimize import linear_sum_assignment
 
     distances, places = np.abs(loci[:, :-1, :, None] - loci[:, 1:, None]), np.arange(loci.shape[2])
@@ -551,13 +585,4 @@ def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period
     order = np.tile(places, (*loci.shape[:2], 1))
     for k in np.flatnonzero((nearest != places).any(axis=(0, 2))):  # where the solver gives them in another order
         order[:, k + 1 :] = np.take_along_axis(nearest[:, k], order[:, k], axis=1)[:, None]
-    followed = np.take_along_axis(loci, order, axis=2)
-    turned, size = np.unwrap(np.angle(followed), axis=1), np.abs(followed)
-    crosses = (size[:, :-1] - 1) * (size[:, 1:] - 1) < 0
-    part = (1 - size[:, :-1]) / np.where(crosses, np.diff(size, axis=1), np.inf)
-    lag = np.mod(turned[:, :-1] + part * np.diff(turned, axis=1) + np.pi, 2 * np.pi)
-    delay = lag / (angles[:-1] + part.swapaxes(1, 2) * np.diff(angles)).swapaxes(1, 2) * period
-    at = (size[:, :-1] + size[:, 1:]) / 2
-    turns = (np.diff(np.floor((turned - np.pi) / (2 * np.pi)), axis=1) != 0) & (at < 1) & (at > 1e-9)
-    found = (turns, 1 / np.where(turns, at, 1)), (crosses, np.minimum(lag, 2 * np.pi - lag)), (crosses, delay)
-    return [np.min(values, axis=(1, 2), where=valid, initial=np.inf) for valid, values in found]
+    return np.take_along_axis(loci, order, axis=2)

@@ -123,19 +123,24 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
+_MOST_NAMES = 5  # of files in a message
 _ELSEWHERE = "choose another folder, or move the existing file"
 
 
 def similar_file(path: Path) -> str:
-    """Return the remedy for a missing file: the file of its folder whose name without suffix is close; or nothing.
+    """Return the remedy for a missing file: the file of its folder with a close name, or those of its kind; or nothing.
 
     >>> similar_file(Path("examples/pre_contracted_step_pid.yml"))
     "did you mean 'pre-contracted-step-pid.yaml'?"
+    >>> similar_file(Path("examples/setups/x.yaml"))
+    "is it 'card.yaml' or 'regulators.yaml' or 'spring.yaml'?"
     """
     with suppress(OSError):
         names = {file.stem: file.name for file in sorted(path.parent.iterdir()) if file.is_file()}
         if close := closest(path.stem, list(names)):
             return f"did you mean {quoted(names[close])}?"
+        alike = [quoted(name) for name in names.values() if path.suffix and name.endswith(path.suffix)]
+        return f"is it {' or '.join(alike)}?" if 0 < len(alike) <= _MOST_NAMES else ""
     return ""
 
 
@@ -242,3 +247,17 @@ def write_json(path: Path, value: object) -> None:
     text = to_json(value)
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text + "\n", encoding="utf-8")
+
+
+def remove_results(folder: Path) -> None:
+    """Remove the files of an earlier result in a folder: those that its results.json lists as `files`."""
+    listed = folder / "results.json"
+    names: list[str] = []
+    with suppress(ValueError, TypeError, KeyError):  # another program's
+        if listed.is_file() and not listed.is_symlink():
+            names = [str(name) for name in json.loads(listed.read_bytes())["files"]]
+    for path in map(folder.joinpath, names):
+        if (path.is_file() or path.is_symlink()) and path.parent.resolve().is_relative_to(folder.resolve()):
+            path.unlink()
+            if path.parent != folder and not any(path.parent.iterdir()):
+                path.parent.rmdir()

@@ -50,12 +50,12 @@ class Store:
         name = ":memory:" if path is None else f"{path.absolute().as_uri()}?mode={'ro' if read_only else 'rwc'}"
         with self.explain_errors():
             self._connection = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False)
-            self._prepare(new=path is None or (not read_only and path.stat().st_size == 0))
+            self._prepare(read_only=read_only)
 
-    def _prepare(self, *, new: bool) -> None:
-        """Create the tables of a new file, or check the version of an existing one."""
+    def _prepare(self, *, read_only: bool) -> None:
+        """Create the tables of a file without any, or check the version of an existing one."""
         run = self._connection.execute
-        if new:
+        if not read_only and not run("SELECT count(*) FROM sqlite_master").fetchone()[0]:
             run("PRAGMA journal_mode = WAL")
             self._connection.executescript(
                 f"BEGIN; PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {_VERSION}; {_SCHEMA} COMMIT"
@@ -88,6 +88,11 @@ class Store:
                 remedy = "restore the file from a copy, or start again in another folder"
                 problem = Problem(f"it is damaged, or not a study: {error}", remedy=remedy)
             raise FileError(str(self.path), [problem]) from error
+
+    def is_blank(self) -> bool:
+        """Whether nothing is recorded, as after a kill before the first record."""
+        with self.explain_errors():
+            return self._connection.execute("SELECT 1 FROM record").fetchone() is None
 
     def about(self, name: str = "") -> dict[str, Any] | None:
         """Return the settings of a job; None if it has not begun. `FileError` if they are damaged."""
@@ -204,8 +209,7 @@ def open_store(path: Path | None, *, resume: bool = False) -> Iterator[Store]:
     Raises
     ------
     FileError
-        If the file exists and `resume` is not set, or the reverse; if another process has it, whose number is named; or
-        as `Store.explain_errors`.
+        As `check_study`; if another process has the file, whose number is named; or as `Store.explain_errors`.
     """
     if path is not None:
         check_study(path, resume=resume)
@@ -216,6 +220,8 @@ def open_store(path: Path | None, *, resume: bool = False) -> Iterator[Store]:
             check_study(path, resume=resume)
         store = Store(path)
         try:
+            if not resume:  # settings without records
+                store._write("DELETE FROM job", [()])
             yield store
         finally:
             begun = store.begun or resume
@@ -225,14 +231,25 @@ def open_store(path: Path | None, *, resume: bool = False) -> Iterator[Store]:
 
 
 def check_study(path: Path, *, resume: bool) -> None:
-    """Raise `FileError` if there is no file of a study to continue, or one in the way, which is never overwritten."""
+    """Raise `FileError` if there is no file of a study to continue, or one with records, which is never overwritten.
+
+    A study that was killed before its first record can be begun in both ways.
+    """
     if resume and not path.is_file():
         problem = Problem("there is no study to continue", remedy="leave out --resume (resume=True)")
-    elif not resume and path.exists():
+    elif not resume and path.exists() and not _is_blank(path):
         problem = Problem("a study exists already", remedy=f"{RESUME}, or choose another folder")
     else:
         return
     raise FileError(str(path), [problem])
+
+
+def _is_blank(path: Path) -> bool:
+    store = Store(path)  # for writing, which also mends what a kill left
+    try:
+        return store.is_blank()
+    finally:
+        store._connection.close()
 
 
 @contextmanager

@@ -14,12 +14,11 @@ from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.config.model import read_text
 from mckibben.errors import CallError, NotInCatalogError, ParameterError, described, plain_name, quoted, suggest
-from mckibben.joint import Geometry
+from mckibben.joint import AntagonisticJoint, Geometry, PairedPaths
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.identification import FitWithFriction
-    from mckibben.joint import AntagonisticJoint
     from mckibben.muscle import ForceLaw, Specimen
 
 
@@ -223,13 +222,22 @@ def joint_named(name: str) -> AntagonisticJoint:
 
 
 def geometry_named(name: str | None) -> Geometry | None:
-    """Return the geometry of a joint: that of a file of a geometry, or of `joint_named`; None without a name."""
+    """Return the geometry of a joint, that of `joint_named`; None without a name.
+
+    A file may be that of a joint or geometry alone, with or without the keys `joint` and `geometry`.
+    """
     if not name:
         return None
-    keys = {*read_document(read_text(name, "a joint", "docs/scenarios.md")).data} if Path(name).is_file() else set()
-    if "joint" not in keys and keys & {"class", "geometry"}:
-        return read_component(Geometry, Path(name), key="geometry")
-    return joint_named(name).geometry
+    path = Path(name)
+    data = read_document(read_text(path, "a joint", "docs/scenarios.md")).data if path.is_file() else None
+    if not isinstance(data, dict) or {"load", "controller"} & data.keys():
+        return joint_named(name).geometry
+    joint = data.get("joint", data)
+    section = joint.get("geometry", joint) if isinstance(joint, dict) else joint
+    if "joint" in data and section is joint:
+        return read_component(AntagonisticJoint, path, key="joint").geometry
+    alone = isinstance(section, dict) and "path1" in section and not {"class", "from"} & section.keys()
+    return read_component(PairedPaths if alone else Geometry, path, key="joint.geometry")
 
 
 def _unknown(kind: str, name: str, remedy: str) -> NotInCatalogError:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
 from mckibben.scenario import StudiedScenario, batched
 from mckibben.simulation.software import software
-from mckibben.storage.store import STUDY, check_study, read_store
+from mckibben.storage.store import STUDY, check_study, open_store
 from mckibben.study.parameters import (
     Distribution,
     SamplingMethod,
@@ -152,8 +153,8 @@ class ScenarioStudy(Study):
 def begun_settings(out: str | os.PathLike[str] | None, kind: str, *, resume: bool) -> dict[str, Any]:
     """Return the settings of the study of a kind in a folder that is continued; none of a new one.
 
-    Raises `ParameterError` without a folder to continue; `FileError` if the folder has a study and `resume` is not set,
-    or the reverse, or if it is of another kind.
+    A study that was killed before its settings were recorded has none, which is a warning. Raises `ParameterError`
+    without a folder to continue; `FileError` as `open_store`, or if the study is of another kind.
     """
     if out is None:
         if resume:
@@ -163,8 +164,12 @@ def begun_settings(out: str | os.PathLike[str] | None, kind: str, *, resume: boo
     check_study(path, resume=resume)
     if not resume:
         return {}
-    with read_store(path) as store:
-        about = store.about()
+    with open_store(path, resume=True) as store:
+        about, blank = store.about(), store.is_blank()
+    if about is None and blank:
+        text = f"{path}: nothing was recorded before, it begins with the options that are given now"
+        warnings.warn(text, McKibbenWarning, stacklevel=1)
+        return {}
     if about is None or about.get("format") != kind:
         raise FileError(str(path), [Problem("it is a study of another kind", remedy="choose another folder")])
     return about

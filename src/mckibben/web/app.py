@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 
 from fastapi.dependencies import models
-from nicegui import app, background_tasks, ui
+from nicegui import app, background_tasks, binding, ui
 from nicegui.server import Server
 from starlette.middleware.sessions import SessionMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -61,6 +61,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
     """
     _check_free(port)
     pages()
+    binding.MAX_PROPAGATION_TIME = float("inf")  # on a busy machine it would remark on each step of the page
     gc.set_threshold(700, 10, 10)  # Python's own: a page that was left is a cycle, and the command line collects rarely
     access, secret, signals = Access(port), secrets.token_urlsafe(32), []
     # the last one is called first; NiceGUI adds its own behind these

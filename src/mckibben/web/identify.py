@@ -303,8 +303,10 @@ class _Page(JobPage[IdentificationState]):
             volume = air_volume(inner, data.table.attrs.get("initial_length"))
             fit = identify_with_friction(law, data, friction=friction, robust=not keep)
             written = Path(tempfile.mkdtemp(dir=folder))
-            path = write_identified(written, fit, data.table.attrs, volume=volume)
-            muscle = None if path is None else read_component(Muscle, path)
+            fit.to_yaml(written / "fit.yaml")
+            path = written / "muscle.yaml"
+            known = write_identified(path, fit, data.table.attrs, volume=volume)
+            muscle = read_component(Muscle, path) if known else None
             steps = state.steps(law.__name__, friction=friction, robust=not keep, inner=inner)
             steps.files.update({path.name: path.read_bytes() for path in written.iterdir()})
             return Presented.of(fit, steps), muscle, written

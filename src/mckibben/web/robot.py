@@ -104,7 +104,7 @@ def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScen
     muscle
         Muscle of all tendons.
     folder
-        Folder of the files that a robot of ours may name.
+        Folder of the files that it may name.
     """
     if path.suffix not in (".xml", ".urdf"):
         return parse_model(RobotScenario, path.read_text("utf-8"), source=path.name, folder=folder, confined=True)[
@@ -112,7 +112,7 @@ def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScen
         ], ()
     from mckibben.robot.reading import read_mjcf
 
-    read = read_mjcf(path, muscle)
+    read = read_mjcf(path, muscle, confined=True)
     return read.scenario(), tuple(read.remarks())
 
 
@@ -127,7 +127,7 @@ def pose(scenario: RobotScenario, angles: tuple[float, ...]) -> Posed:
         solved = pressures_for_joint_stiffness(robot, angles, any_stiffness, torques=held, supply=scenario.supply)
     except McKibbenError as error:
         return Posed(lines, None, None, (), error)
-    holding = replace(solved.listing(), title="Pressures that hold this posture", detail=True)
+    holding = replace(list(solved.listings())[-1], title="Pressures that hold this posture", detail=True)
     point = (scenario.stiffness.point if scenario.stiffness else None) or robot.foot
     ellipsoid = None
     if point is not None:

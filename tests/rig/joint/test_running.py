@@ -9,14 +9,14 @@ import pytest
 from mckibben.control.base import Setpoint
 from mckibben.errors import RigError, StoppedError
 from mckibben.numerics.compiled import numeric
-from mckibben.rig import JointLimits, Sensing, Timing
+from mckibben.rig import JointLimits, JointSession, Sensing, Timing
 from mckibben.rig.control_loop import realtime_process_settings
 from mckibben.rig.joint_record import Phase
 from mckibben.rig.safety import JointMonitor
 from mckibben.units import bar, deg, kPa, ms
 from tests.rig.faults import host_delayed, samples_dropped
 
-from .conftest import PERIOD, Kept, SteadyControl
+from .conftest import LIMITS, PERIOD, Kept, SteadyControl
 
 
 @pytest.fixture(scope="module")
@@ -213,3 +213,24 @@ def test_in_real_time_it_takes_the_time_that_it_says(stiff):
 def _patient():
     """RigLimits for a machine that others use."""
     return JointLimits(lowest_angle=-1.0, highest_angle=1.0, pressure=9 * bar, late=1.0, pressure_error=9 * bar)
+
+
+class SlowBackend:
+    """A line of 80 ms, of which only the status is asked."""
+
+    physical, latency = True, 80 * ms
+
+    def status(self):
+        yield from ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "problems", "lenient"),
+    [({}, 1, False), ({"late": 0.1}, 0, False), ({"late": 1.0}, 0, True), ({"late": 0.1, "silence": 1.0}, 0, True)],
+)
+def test_the_status_names_a_slow_line_and_limits_that_hide_it(changes, problems, lenient):
+    limits = dataclasses.replace(LIMITS, **changes)
+    session = JointSession(None, None, None, SlowBackend(), limits, None, None, {})
+    rows = list(session.status())
+    assert sum(bool(row.problem) for row in rows) == problems
+    assert bool(session.leniency) == lenient == any(row.name == "limits" for row in rows)

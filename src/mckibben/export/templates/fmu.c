@@ -52,13 +52,10 @@ static double *fmu_at(fmu_content *self, fmi2ValueReference reference)
 
 static void fmu_initialize(fmu_content *self)
 {
-    (void)self;
-<% if "init" in calls %>
 <% for member in starts %>
     self->start.${member} = self->model.state.${member};
 <% endfor %>
     ${calls["init"]};
-<% endif %>
 }
 
 static void fmu_results(fmu_content *self)
@@ -71,11 +68,8 @@ static void fmu_results(fmu_content *self)
 
 static void fmu_advance(fmu_content *self, double duration)
 {
-    (void)self;
     (void)duration;
-<% if "advance" in calls %>
     ${calls["advance"]};
-<% endif %>
 }
 
 static void fmu_project(fmu_content *self)

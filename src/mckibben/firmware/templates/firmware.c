@@ -158,7 +158,8 @@ static void follow_host(const controller_measurement *measurement, controller_co
         controller_hold(&joint, commands, telemetry);
         return;
     }
-    joint.state.held = 0;
+    if (joint.state.status != STATE_HOLDING) /* as the step counts them */
+        joint.state.held = (${real})fmax((double)joint.state.held - ${period}, 0);
     joint.state.status = telemetry->status = STATE_RUNNING;
     telemetry->fault = CODE_NONE;
     commands->pressure1 = (${real})fmin(fmax(asked[0], (double)limits->limits_lowest_commands_0), (double)limits->limits_highest_commands_0);
@@ -191,7 +192,7 @@ void firmware_step(uint16_t missed)
 {
     controller_commands commands = {0, 0};
     double values[MEASUREMENTS], sent[COMMANDS];
-    uint8_t body[8 + 4 * (MEASUREMENTS + COMMANDS)];
+    uint8_t body[10 + 4 * (MEASUREMENTS + COMMANDS)];
     int i;
     bool armed = state != STATE_DISARMED && state != STATE_VENTED;
     missed_periods = (uint16_t)(missed_periods + missed);
@@ -212,9 +213,10 @@ void firmware_step(uint16_t missed)
     link_put16(body + 2, held);
     link_put16(body + 4, missed_periods);
     link_put16(body + 6, receiver.lost);
+    link_put16(body + 8, receiver.last);
     for (i = 0; i < MEASUREMENTS; ++i)
-        link_put_float(body + 8 + 4 * i, (float)values[i]);
+        link_put_float(body + 10 + 4 * i, (float)values[i]);
     for (i = 0; i < COMMANDS; ++i)
-        link_put_float(body + 8 + 4 * (MEASUREMENTS + i), (float)sent[i]);
+        link_put_float(body + 10 + 4 * (MEASUREMENTS + i), (float)sent[i]);
     send(KIND_SAMPLE, body, sizeof body);
 }

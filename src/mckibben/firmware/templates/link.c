@@ -82,7 +82,8 @@ size_t link_encode(const link_message *message, uint8_t *to)
 static bool complete(link_receiver *self, link_message *message) /* the frame in `data` */
 {
     const size_t size = self->size - 2; /* of header and body */
-    uint16_t gap;
+    uint16_t ahead;
+    bool anew;
     if (self->bad || self->left || self->size < HEADER + 2 || size > HEADER + LINK_LONGEST ||
         crc(self->data, size) != get(self->data + size, 2)) {
         ++self->corrupted;
@@ -93,13 +94,14 @@ static bool complete(link_receiver *self, link_message *message) /* the frame in
     message->time = get(self->data + 3, 4);
     message->size = (uint8_t)(size - HEADER);
     memcpy(message->body, self->data + HEADER, message->size);
-    gap = (uint16_t)(message->sequence - self->last - 1);
-    if (self->begun && message->sequence == self->last && message->time == self->last_time) {
+    ahead = (uint16_t)(message->sequence - self->last);
+    anew = message->kind == KIND_HELLO || message->kind == KIND_VENT; /* with any number: a vent is never too late */
+    if (self->begun && ((ahead == 0 && message->time == self->last_time) || (!anew && (ahead == 0 || ahead > 0x7FFF)))) {
         ++self->repeated;
         return false;
     }
-    if (self->begun && message->kind != KIND_HELLO)
-        self->lost = (uint16_t)(self->lost + gap);
+    if (self->begun && !anew)
+        self->lost = (uint16_t)(self->lost + ahead - 1);
     self->begun = true;
     self->last = message->sequence;
     self->last_time = message->time;

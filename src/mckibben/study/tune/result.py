@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from mckibben.errors import McKibbenError
-from mckibben.result import Listing, Remark, Result, column
+from mckibben.result import Listing, Remark, WritingResult, column
 from mckibben.scenario import StudiedScenario, find_parameter
 from mckibben.simulation import margin_remarks
 from mckibben.simulation.metrics import metrics_of
@@ -20,7 +20,7 @@ from mckibben.study.tune.trials import Trial
 _MARGINS = {"least gain margin": "", "least phase margin": "deg", "least delay margin": "ms", "least disk margin": ""}
 
 
-class TuneResult(Result):
+class TuneResult(WritingResult):
     """Result of a tuning; its tables simulate each scenario before and after when they are first asked for.
 
     `trials` has every point of the search with its cost; `scenarios` can be written with their `to_yaml`.
@@ -39,8 +39,9 @@ class TuneResult(Result):
     evaluated: int = column("", "points evaluated")
     disk_margin: float = column("", "disk margin asked for", default=0.0)
     """0 for none."""
-    least_disk: float = column("", "least disk margin", default=np.nan)
-    """Under the conditions or the uncertainty of the plant, at twenty points of each run; NaN if none is asked for."""
+    least_disk: float = column("", "disk margin of the worst varied plant", default=np.nan)
+    """Least under the conditions or the uncertainty of the plant, at twenty points of each run; NaN if none is asked
+    for. That of the nominal plant is larger, and among the `effects`."""
     limit: str = ""
     """Operating point, loop and draw of the least disk margin."""
     at_bound: tuple[str, ...] = ()
@@ -55,10 +56,11 @@ class TuneResult(Result):
         return self.scenarios[0]
 
     def verdict(self) -> str:
-        """Return the costs before and after."""
+        """Return the costs before and after, and what limits the disk margin."""
         before = "" if np.isnan(self.cost_before) else f"{self.cost_before:.4g} -> "
         count = f"{len(self.values)} parameter{'s' if len(self.values) != 1 else ''}"
-        return f"cost {before}{self.cost:.4g}, {count}, {self.evaluated} points"
+        limit = f"; disk margin {self.least_disk:.3g} {self.limit}" if self.limit else ""
+        return f"cost {before}{self.cost:.4g}, {count}, {self.evaluated} points{limit}"
 
     @functools.cached_property
     def effects(self) -> list[tuple[dict[str, float], dict[str, float]]]:
@@ -74,7 +76,6 @@ class TuneResult(Result):
             yield Remark.severe("disk_margin", f"{text}, {self.limit}", remedy)
         elif self.disk_margin:
             yield from margin_remarks(self.least_disk, f", {self.limit}")
-            yield Remark.note("limit", f"the disk margin is limited {self.limit}")
         else:
             for scenario, (_, after) in zip(self.scenarios, self.effects, strict=True):
                 yield from margin_remarks(after["least disk margin"], f", of {scenario.name}")
@@ -95,7 +96,7 @@ class TuneResult(Result):
         rows = zip(self.values, nominal, tuned, strict=True)
         yield Listing.of("Parameters", ("parameter", "before", "tuned"), rows)
         for scenario, (old, new) in zip(self.before, self.effects, strict=True):
-            title = f"{scenario.name}{', without the conditions' if self.conditions else ''}"
+            title = f"{scenario.name}{', nominal plant' if self.conditions or self.limit else ''}"
             rows = [(name, old[name], new[name], unit) for name, (*_, unit) in _shown(scenario).items()]
             rows += [(name, old[name], new[name], unit) for name, unit in _MARGINS.items()]
             yield Listing.of(title, ("metric", "before", "tuned", "unit"), rows)
