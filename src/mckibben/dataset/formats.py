@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mckibben.dataset.bags import MCAP, SQLITE, read_bag
+from mckibben.dataset.file_names import several
 from mckibben.dataset.matlab import Value, read_variables
+from mckibben.dataset.matrix import MATRIX, read_matrix
 from mckibben.dataset.raw import (
     LARGEST_PLAIN,
     Budget,
@@ -25,10 +27,9 @@ from mckibben.dataset.raw import (
     not_installed,
     read_bytes,
     readable,
-    several,
 )
 from mckibben.dataset.table import question
-from mckibben.dataset.text import decode, read_numbers, read_text
+from mckibben.dataset.text import decode, read_lines, read_numbers, read_text
 from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
 
@@ -65,8 +66,8 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     DatasetError
         For a file that is missing, damaged, too large, or of a format that is not read; a known one has a remedy.
     """
-    budget, is_folder = Budget(path), (path / "metadata.yaml").is_file()
-    plain = not is_folder and check_regular(path) <= LARGEST_PLAIN and os.access(path, os.R_OK)
+    budget, is_folder, is_matrix = Budget(path), (path / "metadata.yaml").is_file(), {*MATRIX} <= {*mapping}
+    plain = not (is_matrix or is_folder) and check_regular(path) <= LARGEST_PLAIN and os.access(path, os.R_OK)
     if plain and (table := read_numbers(path, mapping, decimal)) is not None:
         return table
     data = b"" if is_folder else read_bytes(path)
@@ -80,7 +81,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
         return _read_matlab(path, data, part, mapping)
     if data.startswith(b"TDSm"):
         return _read_tdms(path, data, part, mapping, budget)
-    return read_text(decode(data, path), path, mapping, decimal)
+    return read_text(decode(data, path), path, mapping, decimal, read_matrix if is_matrix else read_lines)
 
 
 def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
@@ -282,5 +283,5 @@ def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[st
         names = sorted({re.split(r"[/.(][^/.(]*$", name)[0] for name in grouped})
         sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
         unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
-        raise DatasetError(str(path), [several("groups", names) if len(names) > 1 else unequal])
+        raise several(path, "groups", names) if len(names) > 1 else DatasetError(str(path), [unequal])
     return lengths.pop()

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque, needed_at_joint
+from mckibben.dataset.cells import NUMBER, to_numbers
 from mckibben.dataset.clock import seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
-from mckibben.dataset.text import NUMBER, to_numbers
 from mckibben.dataset.vocabulary import (
     ABSOLUTE,
     QUANTITIES,

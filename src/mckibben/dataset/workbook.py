@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import iterparse
 
-from mckibben.dataset.raw import Budget, RawTable, not_installed, readable, several
+from mckibben.dataset.file_names import several
+from mckibben.dataset.matrix import MATRIX, find_matrix, matrix_remedy, read_matrix
+from mckibben.dataset.raw import Budget, RawTable, not_installed, readable
 from mckibben.dataset.table import question
 from mckibben.dataset.text import find_layout, read_lines
 from mckibben.errors import DatasetError, Problem
@@ -47,18 +49,21 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
             texts_of = {name: _texts(path, archive.read(name)) for name in names}
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
     lines = {sheet.title: _lines(sheet, budget) for sheet in book.worksheets}
-    tables = [sheet for sheet in book.worksheets if find_layout(lines[sheet.title], mapping)]
+    find, read = (find_matrix, read_matrix) if {*MATRIX} <= {*mapping} else (find_layout, read_lines)
+    tables = [sheet for sheet in book.worksheets if find(lines[sheet.title], mapping)]
     chosen = [sheet for sheet in tables if part in ("", sheet.title)]
     if not chosen:
         text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
         remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
+        remedies = (matrix_remedy(lines[title]) for title in book.sheetnames if part in ("", title))
+        remedy = next(filter(None, remedies), remedy)
         raise DatasetError(str(path), [Problem(text, remedy=remedy)])
     if len(chosen) > 1:
-        raise DatasetError(str(path), [several("sheets", [sheet.title for sheet in chosen])])
+        raise several(path, "sheets", [sheet.title for sheet in chosen])
     (sheet,) = chosen
     cells = chain.from_iterable(sheet.iter_rows(values_only=True))
     settled = "." if any(isinstance(cell, float) for cell in cells) else ""
-    table = read_lines([*lines[sheet.title], ""], path, mapping, settled=settled)
+    table = read([*lines[sheet.title], ""], path, mapping, settled=settled)
     table.place = "row"
     notes = chain.from_iterable(lines[other.title] for other in book.worksheets if other not in tables)
     beside = [*notes, *(texts_of[name] for name in names if name.startswith("xl/drawings/drawing")), *_formats(sheet)]
