@@ -1,11 +1,15 @@
 # ruff: noqa: E501 - tables of cases
 """Questions of a reader, and the options that answer them."""
 
+import gzip
+import io
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from mckibben.dataset import TOPICS, IsobaricDataset, Recipe, read_columns, read_dataset, read_recording
 from mckibben.dataset.vocabulary import parse_header
@@ -15,6 +19,13 @@ from mckibben.errors import DatasetError, RangeError, ScenarioError
 from .conftest import C, F, P, are_the_points, problems_of, table
 
 HEADER = "Pressure [bar];Contraction [%];Force [N]"
+
+
+def archived() -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("content.xml", "<a/>")
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -30,6 +41,8 @@ HEADER = "Pressure [bar];Contraction [%];Force [N]"
         ("Istdruck [bar]", "pressure", "bar"), ("Kontraktion ε [%]", "contraction", "percent"), ("Pressure kPa(g)", "pressure", "kPa"), ("Force (N) - Channel 3", "force", "N"),
         ("torque_N_m", "torque", "N*m"), ("couple [N.m]", "torque", "N*m"), ("トルク（mNm）", "torque", "mN*m"), ("Torque (kgf·cm)", "torque", "kgf*cm"),
         ("压力 (kPa)", "pressure", "kPa"), ("荷重 [N]", "force", "N"), ("poids (kg)", "set_force", "kgf"), ("psig", "", "psi"), ("收缩率 (%)", "contraction", "percent"),
+        ("PAM Pressure (kPa)", "pressure", "kPa"), ("McKibben force [N]", "force", "N"), ("Druck im Muskel [bar]", "pressure", "bar"), ("Presión [bar]", "pressure", "bar"), ("Forza [N]", "force", "N"),
+        ("Längenänderung [mm]", "displacement", "mm"), ("Längenänderung [%]", "", "percent"), ("Contracción [%]", "contraction", "percent"), ("P1 [bar]", "pressure1", "bar"),
     ],
 )  # fmt: skip
 def test_headers_in_five_languages(header, quantity, unit):
@@ -39,7 +52,7 @@ def test_headers_in_five_languages(header, quantity, unit):
 @pytest.mark.parametrize(
     "header",
     (
-        "T [K];f [Hz];Strain (%);Dehnung [%];Relative length;Force max [N];Supply pressure [bar];Kanal 1;"
+        "T [K];f [Hz];Strain (%);contraction rate [%];Blocked force [N];Contraction rate (%/s);Dehnung [%];Relative length;Force max [N];Supply pressure [bar];Kanal 1;"
         "Force offset [N];pressure [mpa]"
     ).split(";"),
 )
@@ -311,3 +324,44 @@ def test_loads_without_a_sensor_are_one_for_each_file(put):
     assert any("--read 'loads=" in problem for problem in problems_of(paths[0]))
     (problem,) = problems_of(paths[0], loads=["2 kg", "30 N"])
     assert problem.startswith("loads: 2 loads are given for 1 files")
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b'[{"pressure_bar": 1}]', "JSON"), (b'{"pressure_bar": 1}\n{"pressure_bar": 2}\n', "JSON"), (b"PAR1\0\0PAR1", "Parquet"),
+        (gzip.compress(b"Pressure [bar]"), "compressed"), (bytes.fromhex("d0cf11e0a1b11ae1") + bytes(99), ".xls"),
+        (b"CDF\x01\0\0", "NetCDF 3"), (b"%PDF-1.4\n", "PDF"), (b"<html><table>", "HTML"), (archived(), ".ods"),
+    ],
+)  # fmt: skip
+def test_a_format_that_is_not_read_is_named_with_what_is(content, kind, put):
+    (problem,) = problems_of(put(content, "rig.nc" if "CDF" in kind else "rig.dat"))
+    assert kind in problem and "CSV" in problem
+
+
+def numbers(form: str) -> str:
+    return "\n".join([HEADER, *(";".join(form.format(x) for x in row) for row in zip(P, C, F, strict=True))]) + "\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        table(HEADER).encode("utf-16-le"),
+        table(HEADER).encode("utf-16-be"),
+        numbers("{:.8E}").replace("E", "D").encode(),
+        numbers("+ {:.10g}").encode(),
+        numbers('"+ {:.10g}"').encode(),
+        "".join(f"14:02:{at:02d}.000 -> {line}\n" for at, line in enumerate(["Ready", *table(HEADER).splitlines()])).encode(),
+        "".join(f"14:02:{at:02d}.000 -> {line}\n" if at else f"{line}\n" for at, line in enumerate(table(HEADER).splitlines())).encode(),
+    ],
+)  # fmt: skip
+def test_forms_of_texts_are_read_at_once(content, put):
+    are_the_points(read_dataset(put(content)))
+
+
+@pytest.mark.parametrize("coordinate", [None, np.arange(18)])
+def test_a_dimension_of_xarray_needs_no_variable(coordinate, tmp_path):
+    columns = (("pressure", P, "bar"), ("contraction", C, "%"), ("force", F, "N"))
+    file = xr.Dataset({name: ("i", values, {"units": unit}) for name, values, unit in columns})
+    (file if coordinate is None else file.assign_coords(i=coordinate)).to_netcdf(tmp_path / "rig.nc", engine="h5netcdf")
+    are_the_points(read_dataset(tmp_path / "rig.nc"))

@@ -40,6 +40,18 @@ ENDINGS = ("csv", "txt", "tsv", "dat", "lvm", "tdms", "xlsx", "mat", "h5", "hdf5
 """Usual endings of the files that `read_table` reads; first bytes tell the format, except for a MATLAB 4 file."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_OTHERS: Mapping[str, bytes] = {
+    "JSON": rb'\s*(?:\{\s*"[^"\n]*"\s*:|\[\s*[\[{])',
+    "Parquet": rb"PAR1",
+    "a compressed file (unpack it)": rb"\x1f\x8b|BZh|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd",
+    "an .xls of Excel 97 to 2003, or another document of Office": rb"\xd0\xcf\x11\xe0",
+    "NetCDF 3": rb"CDF[\x01\x02\x05]",
+    "an array of NumPy": rb"\x93NUMPY",
+    "PDF": rb"%PDF",
+    "XML or HTML": rb"(?i)\s*<(?:\?xml|!doctype|html|table)",
+}
+"""First bytes of formats that are not read, as regular expressions."""
+_OTHER_REMEDY = "save its columns as CSV, .xlsx or NetCDF-4, of xarray by to_netcdf(path, engine='h5netcdf')"
 _SAVE_COLUMNS = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 _UNITS = ("units", "unit", "unit_string")
 _LARGEST_ATTRIBUTE = 8  # numbers or texts
@@ -79,6 +91,8 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
         return _read_hdf5(path, data, part, mapping, budget)
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
         return _read_matlab(path, data, part, mapping)
+    if kind := next((kind for kind, begin in _OTHERS.items() if re.match(begin, data)), ""):
+        raise DatasetError(str(path), [Problem(f"is {kind}, which is not read", remedy=_OTHER_REMEDY)])
     if data.startswith(b"TDSm"):
         return _read_tdms(path, data, part, mapping, budget)
     return read_text(decode(data, path), path, mapping, decimal, read_matrix if is_matrix else read_lines)
@@ -121,11 +135,19 @@ def _decoded(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
+def _is_bare_dimension(node: h5py.Dataset, attributes: Mapping[str, object]) -> bool:
+    """Whether a scale of NetCDF is a dimension without a variable, or counts its rows."""
+    bare = _decoded(attributes.get("NAME", "")).startswith("This is a netCDF dimension but not a netCDF variable")
+    return node.ndim == 1 and node.is_scale and (bare or np.array_equal(node[()], np.arange(node.size)))
+
+
 def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
     """Add the columns of a dataset, or its single number or text as words."""
     attributes = _attributes(node)
     kind = _decoded(attributes.get("MATLAB_class", ""))
-    if node.shape is None or node.ndim > 2 or (node.dtype.kind in "OS" and kind not in ("", *_OBJECTS)):
+    if node.shape is None or node.ndim > 2 or _is_bare_dimension(node, attributes):
+        return
+    if node.dtype.kind in "OS" and kind not in ("", *_OBJECTS):
         return
     budget.spend(size=node.nbytes)
     value: Value = None

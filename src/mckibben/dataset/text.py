@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -30,7 +31,9 @@ _LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
 _CHUNK = 2**22  # bytes of a text of numbers that are read together
 _PLAIN = b"0123456789+-.eE,;|\t \r\n"  # bytes of its rows
-_STAMP = " -> "  # after the time that the monitor of the Arduino IDE puts before each line
+_STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")  # of the monitor of the Arduino IDE, before each line
+_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # of an exponent
+_SIGN = re.compile(r"((?:^|[;,\t|])[ \"]?[+-]) +(?=[.,]?\d)", re.MULTILINE)
 _HEAD = 3000  # characters with the header, whose cells may have line breaks
 _BROKEN = re.compile(r'(?<![^,;\t\n])"[^",;\t\d]{1,99}[\r\n]+[^",;\t\d]{1,99}"(?![^,;\t\r\n])')
 _TYPOGRAPHY = str.maketrans({"\u2212": "-", "\u2013": "-", "\ufeff": None})
@@ -47,14 +50,25 @@ def decode(data: bytes, path: Path) -> str:
     'Länge [mm]'
     """
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "")
-    data = data if encoding else data.rstrip(b"\0")
+    data = data if encoding or len(data) % 2 == 0 else data.rstrip(b"\0")
     if not encoding and b"\0" in data:
-        remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
-        raise DatasetError(str(path), [Problem("is a binary file, or UTF-16 without a mark", remedy=remedy)])
+        encoding = next(filter(partial(_is_text, data), ("utf-16-le", "utf-16-be")), "")
+        if not encoding:
+            remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
+            raise DatasetError(str(path), [Problem("is a binary file", remedy=remedy)])
     try:
         return data.decode(encoding or "utf-8")
     except UnicodeDecodeError:
         return data.decode("cp1252", "replace")
+
+
+def _is_text(data: bytes, encoding: str) -> bool:
+    """Whether bytes are lines of printed characters in an encoding."""
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        return False
+    return "\n" in text and all(map(str.isprintable, text[:_HEAD].split()))
 
 
 def read_text(
@@ -63,7 +77,15 @@ def read_text(
     """Columns of a text: words, a header, perhaps rows of units, then one line per row; `read` is as `read_lines`."""
     Budget(path).spend(rows=max(text.count("\n"), text.count("\r")))
     text = _BROKEN.sub(lambda cell: " ".join(cell[0].split()), text[:_HEAD]) + text[_HEAD:]
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_TYPOGRAPHY).split("\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").translate(_TYPOGRAPHY)
+    lines = _SIGN.sub(r"\1", _FORTRAN.sub("e", text)).split("\n")
+    stamps = [_STAMP.match(line) for line in lines]
+    if any(stamps):
+        lines = [line[stamp.end() :] if stamp else line for line, stamp in zip(lines, stamps, strict=True)]
+        table = read(lines, path, mapping, decimal)
+        times = [stamp[1] if stamp else "" for line in table.lines for stamp in stamps[line - 1 : line]]
+        table.columns.append(RawColumn("time", times))
+        return table
     if lines[0].startswith("LabVIEW Measurement"):
         lines = _of_labview(lines, path)
     return read(lines, path, mapping, decimal)
@@ -84,7 +106,7 @@ def read_numbers(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTab
         if "\r" in text or _BROKEN.search(text[:_HEAD]) or lines[0].startswith("LabVIEW Measurement"):
             return None
         layout = find_layout(lines, mapping)
-        if layout is None or layout.separator == " " or _STAMP in layout.names[0]:
+        if layout is None or layout.separator == " ":
             return None
         table, separator, rows, at = RawTable(place="line", decimal=decimal), layout.separator, b"", 0
         _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
@@ -165,9 +187,6 @@ def read_lines(
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
     separator = layout.separator
-    if _STAMP in layout.names[0]:
-        lines = [line.replace(_STAMP, separator, 1) for line in lines]
-        layout = layout._replace(names=["time", layout.names[0].partition(_STAMP)[2], *layout.names[1:]])
     _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
     names, units, first = _header(table, lines, layout)
     rows = _rows(table, lines, first, separator, names)

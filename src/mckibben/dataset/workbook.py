@@ -46,6 +46,9 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
                 text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
                 raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
             names = [name for name in archive.namelist() if name.endswith(".xml")]
+            if "[Content_Types].xml" not in names:
+                other = Problem("is an archive (.zip, .ods?), and no .xlsx", remedy="save its table as .xlsx or CSV")
+                raise DatasetError(str(path), [other])
             texts_of = {name: _texts(path, archive.read(name)) for name in names}
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
     lines = {sheet.title: _lines(sheet, budget) for sheet in book.worksheets}
