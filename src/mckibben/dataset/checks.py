@@ -206,8 +206,10 @@ def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
         others, last = rows[:-count], rows[-count:]
         fewer = [[min(1.0, _resolution(value)) for value in row] for row in last] if count > 1 else 0.0
         tolerance = 0.6 * np.maximum(usual, fewer)
-        equal = [np.all(np.abs(of(others, axis=0) - last) <= tolerance, axis=1) for of in (*averages, np.min, np.max)]
-        average = np.any(equal[:4], axis=0)
+        values = [of(others, axis=0) for of in (*averages, np.min, np.max)]
+        values.insert(0, values[3] / np.sqrt(len(others)))  # standard error
+        equal = [np.all(np.abs(value - last) <= tolerance, axis=1) for value in values]
+        average = np.any(equal[:5], axis=0)
         if (average & points.taut[order[-count:]]).any() and np.any(equal, axis=0).all() and np.ptp(others[:, 2]):
             yield int(order[-count])
 

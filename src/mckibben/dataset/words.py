@@ -34,6 +34,8 @@ _QUANTITY = re.compile(
 _AFTER_UNIT = re.compile(r"(?:units?|einheit(?:en)?)[\s:;,=]*$", re.IGNORECASE)
 _UNIT = re.compile(r"(?<![\w.])([A-Za-z%][A-Za-z0-9/^²%]{0,8})(?![\w])")
 _WORDS = ("p", "P", "m", "g", "in", "at")  # which are units too
+_LOADED = re.compile(r"(?<![\w.,-])\d[\d.,]* ?(?:k?g|k?N|lbs?)\b")
+_SENSOR = re.compile(r"sensor|cell|range|bereich|aufnehmer|capacity|nennlast|\bmax|typ", re.IGNORECASE)
 _LONGEST = 400  # characters
 
 
@@ -55,7 +57,8 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
     for line, text in words:
         short = text[:_LONGEST]
         dated = re.match(r"(?:last )?(?:calib|kalib)\w* ?(?:date|datum|due)", short, re.IGNORECASE)
-        if (_CHANGES.search(short) and not dated) or any(other_units(short, units)):
+        loaded = _LOADED.search(short) and not _SENSOR.search(short)
+        if (_CHANGES.search(short) and not dated) or loaded or any(other_units(short, units)):
             yield line, short
 
 

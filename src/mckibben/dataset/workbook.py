@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from openpyxl.worksheet.worksheet import Worksheet
 
 _SHEET_BYTES = 2**24  # of XML of a workbook
-_QUOTED = re.compile(r'"([^"]*[^\W\d][^"]*)"')  # text in a format of numbers
+_QUOTED = re.compile(r'"([^"]*)"|\\(.)')  # texts in a format of numbers
 _MOST_NESTED = 100  # elements, each of which openpyxl holds in memory until its end
 _MARKS: Mapping[str, Callable[[Any], bool]] = {
     "struck out": lambda cell: bool(cell.font.strike),
@@ -105,7 +105,8 @@ def _formats(sheet: Worksheet) -> list[str]:
     """Texts that a sheet shows behind its numbers."""
     cells = chain.from_iterable(sheet.iter_rows())
     formats = {cell.number_format for cell in cells if isinstance(cell.value, int | float)}
-    return [f"numbers shown in {text}" for form in formats for text in _QUOTED.findall(form)]
+    texts = ("".join(chain.from_iterable(_QUOTED.findall(form))) for form in formats)
+    return [f"numbers shown in {text}" for text in texts if text.strip()]
 
 
 def _noted(sheet: Worksheet, threads: Sequence[str]) -> list[str]:
