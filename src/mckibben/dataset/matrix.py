@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -98,43 +99,56 @@ def read_matrix(
     """
     budget, table = Budget(path), RawTable(place="line")
     budget.spend(rows=len(lines))
-    remedy = "give a row of numbers above the columns, and a number before each row"
-    missing = DatasetError(str(path), [Problem("has no matrix", field="matrix", remedy=remedy)])
-    if (layout := find_matrix(lines)) is None:
-        raise missing
-    labels = {at: label for at, name in enumerate(layout.names) if (label := split_label(name))}
-    table.words = [(number, " ".join(line.split())) for number, line in enumerate(lines[: layout.row + 1], 1)]
-    points: list[tuple[int, tuple[str, str], int, str]] = []  # line, label of the row, column, cell
-    first = len(layout.names)
-    for number, line in enumerate(lines[layout.row + 1 :], layout.row + 2):
-        cells = split_cells(line, layout.separator)
-        numbers = [at for at, cell in enumerate(cells) if any(map(str.isdigit, cell)) and any(map(BEGINS.match, cells))]
-        first = min([first, *numbers])
-        label = split_label(cells[first]) if numbers and len(cells) == len(layout.names) else None
-        if label and {*numbers} - {first} <= {*labels}:
-            points += [(number, label, at, cells[at]) for at in labels if at > first and cells[at]]
-        elif numbers:
-            text = "has no number before it, or one without a number above it: does another matrix begin?"
-            table.questions.append(question(text, line=number, remedy="save each matrix by itself"))
-        else:
-            table.words.append((number, " ".join(line.split())))
-    if "pressure" in parse_header(parse_line(mapping["columns"])[2]).quantity:
-        points.sort(key=lambda point: point[2])
+    layout = find_matrix(lines) or Layout(len(lines), "\t", [])
+    points = list(_points(table, lines, layout))
     if not points:
-        raise missing
+        remedy = "give a row of numbers above the columns, and a number before each row"
+        raise DatasetError(str(path), [Problem("has no matrix", field="matrix", remedy=remedy)])
+    if "pressure" in parse_header(parse_line(mapping["columns"])[2]).quantity:
+        points.sort(key=lambda point: point.column)
     budget.spend(rows=len(points), size=24 * len(points))
-    table.lines = [line for line, *_ in points]
+    table.lines = [point.line for point in points]
     table.decimal = decimal or settled or decimal_of(lines[layout.row :], layout.separator, path)
-    for name, pairs in (("rows", [point[1] for point in points]), ("columns", [labels[point[2]] for point in points])):
-        numbers, around = [pair[0] for pair in pairs], list(dict.fromkeys(pair[1] for pair in pairs))
-        if len(around) > 1:
+    for name in MATRIX[:2]:
+        numbers, texts = zip(*(split_label(getattr(point, name)) or ("", "") for point in points), strict=True)
+        if len(around := list(dict.fromkeys(texts))) > 1:
             text = f"differ by more than a number: {around[0]!r} and {around[1]!r}, # being it"
             table.questions.append(question(text, field=name, remedy="give numbers in one unit"))
         unit = _UNIT.search(around[0])
         sign = decimal_of(["\t".join(numbers)], "\t", path) if settled else table.decimal  # texts of a sheet
         stated = unit[1] if unit and dimension_of(unit[1]) else ""
         table.columns.append(RawColumn(name, to_numbers(numbers, sign, certain=True), unit=stated))
-    texts = [text for *_, text in points]
-    values = to_numbers(texts, table.decimal, certain=bool(decimal))
-    table.columns.append(RawColumn("cells", texts if np.isnan(values).any() else values))
+    cells = [point.cells for point in points]
+    values = to_numbers(cells, table.decimal, certain=bool(decimal))
+    table.columns.append(RawColumn("cells", cells if np.isnan(values).any() else values))
     return table
+
+
+class _Point(NamedTuple):
+    """Line, label of the row, number and label of the column, and text of a cell."""
+
+    line: int
+    rows: str
+    column: int
+    columns: str
+    cells: str
+
+
+def _points(table: RawTable, lines: Sequence[str], layout: Layout) -> Iterator[_Point]:
+    """Points of a matrix; lines without numbers are words of the table, and rows that do not fit are questions."""
+    labelled = {at for at, name in enumerate(layout.names) if split_label(name)}
+    table.words = [(number, " ".join(line.split())) for number, line in enumerate(lines[: layout.row + 1], 1)]
+    first = len(layout.names)
+    for number, line in enumerate(lines[layout.row + 1 :], layout.row + 2):
+        cells = split_cells(line, layout.separator)
+        if not any(map(BEGINS.match, cells)):
+            table.words.append((number, " ".join(line.split())))
+            continue
+        numbers = {at for at, cell in enumerate(cells) if any(map(str.isdigit, cell))}
+        first = min(first, *numbers)
+        if len(cells) == len(layout.names) and split_label(cells[first]) and numbers - {first} <= labelled:
+            columns = [at for at in sorted(labelled) if at > first and cells[at]]
+            yield from (_Point(number, cells[first], at, layout.names[at], cells[at]) for at in columns)
+        else:
+            text = "has no number before it, or one without a number above it: does another matrix begin?"
+            table.questions.append(question(text, line=number, remedy="save each matrix by itself"))

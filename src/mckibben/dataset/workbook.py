@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,41 +40,44 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     except ImportError:
         raise not_installed(path, "openpyxl", "excel") from None
     with readable(path, "a workbook"):
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-            if size > _SHEET_BYTES:
-                text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
-                raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
-            names = [name for name in archive.namelist() if name.endswith(".xml")]
-            if "[Content_Types].xml" not in names:
-                other = Problem("is an archive (.zip, .ods?), and no .xlsx", remedy="save its table as .xlsx or CSV")
-                raise DatasetError(str(path), [other])
-            texts_of = {name: _texts(path, archive.read(name)) for name in names}
+        texts = _parts(path, data)
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
     lines = {sheet.title: _lines(sheet, budget) for sheet in book.worksheets}
     find, read = (find_matrix, read_matrix) if {*MATRIX} <= {*mapping} else (find_layout, read_lines)
-    tables = [sheet for sheet in book.worksheets if find(lines[sheet.title], mapping)]
-    chosen = [sheet for sheet in tables if part in ("", sheet.title)]
+    tables = {title: layout for title, sheet in lines.items() if (layout := find(sheet, mapping))}
+    chosen = [title for title in tables if part in ("", title)]
+    if len(chosen) > 1:
+        raise several(path, "sheets", chosen)
     if not chosen:
         text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
         remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
-        remedies = (matrix_remedy(lines[title]) for title in book.sheetnames if part in ("", title))
-        remedy = next(filter(None, remedies), remedy)
+        remedy = next(filter(None, map(matrix_remedy, lines.values())), remedy)
         raise DatasetError(str(path), [Problem(text, remedy=remedy)])
-    if len(chosen) > 1:
-        raise several(path, "sheets", [sheet.title for sheet in chosen])
-    (sheet,) = chosen
+    sheet: Worksheet = book[chosen[0]]
     cells = chain.from_iterable(sheet.iter_rows(values_only=True))
     settled = "." if any(isinstance(cell, float) for cell in cells) else ""
     table = read([*lines[sheet.title], ""], path, mapping, settled=settled)
     table.place = "row"
-    notes = chain.from_iterable(lines[other.title] for other in book.worksheets if other not in tables)
-    beside = [*notes, *(texts_of[name] for name in names if name.startswith("xl/drawings/drawing")), *_formats(sheet)]
+    others = chain.from_iterable(lines[title] for title in lines if title not in tables)
+    beside = [*others, *(texts[name] for name in texts if name.startswith("xl/drawings/drawing")), *_formats(sheet)]
     table.words += [(None, " ".join(text.split())) for text in beside if text.strip()]
-    threads = [texts_of[name] for name in names if name.startswith("xl/threadedComments/")]
-    asked = [*_hidden(sheet, table.lines[0]), *_noted(sheet, threads)]
+    asked = [*_hidden(sheet, table.lines[0]), *_noted(sheet, texts)]
     table.questions += [question(text, "layout", field="layout") for text in asked]
     return table
+
+
+def _parts(path: Path, data: bytes) -> dict[str, str]:
+    """Texts of the parts of a workbook by name; raises a `DatasetError` for another archive, or a large one."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size = sum(info.file_size for info in archive.infolist())
+        if size > _SHEET_BYTES:
+            text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
+            raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
+        names = [name for name in archive.namelist() if name.endswith(".xml")]
+        if "[Content_Types].xml" not in names:
+            other = Problem("is an archive (.zip, .ods?), and no .xlsx", remedy="save its table as .xlsx or CSV")
+            raise DatasetError(str(path), [other])
+        return {name: _texts(path, archive.read(name)) for name in names}
 
 
 def _texts(path: Path, xml: bytes) -> str:
@@ -109,12 +112,12 @@ def _formats(sheet: Worksheet) -> list[str]:
     return [f"numbers shown in {text}" for text in texts if text.strip()]
 
 
-def _noted(sheet: Worksheet, threads: Sequence[str]) -> list[str]:
-    """Notes at cells of a sheet, and comments of the workbook that are threads."""
-    noted = [cell for row in sheet.iter_rows() for cell in row if cell.comment]
-    notes = [f"{cell.coordinate}: {' '.join(cell.comment.text.split())[:80]!r}" for cell in noted if cell.comment]
-    count = f"{len(notes)} cells are noted, first {notes[0]}" if notes else f"has comments: {threads[:1]}"
-    return [count] if notes or threads else []
+def _noted(sheet: Worksheet, texts: Mapping[str, str]) -> list[str]:
+    """Notes at cells of a sheet, else comments of the workbook that are threads."""
+    threads = [text for name, text in texts.items() if name.startswith("xl/threadedComments/")]
+    cells = chain.from_iterable(sheet.iter_rows())
+    notes = [f"{cell.coordinate}: {cell.comment.text}" for cell in cells if cell.comment] or threads
+    return [f"{len(notes)} cells are noted, first {' '.join(notes[0].split())[:80]!r}"] if notes else []
 
 
 def _hidden(sheet: Worksheet, first: int) -> list[str]:
@@ -128,8 +131,8 @@ def _hidden(sheet: Worksheet, first: int) -> list[str]:
     merged = [str(area) for area in sheet.merged_cells.ranges if area.max_row >= first - 1]
     texts = [f"rows or columns are hidden: {', '.join(hidden[:5])}"] * bool(hidden)
     texts += [f"cells are merged: {', '.join(merged[:5])}"] * bool(merged)
-    *above, numbers = [*sheet.iter_rows(max_row=first - 1), chain.from_iterable(sheet.iter_rows(first, first + 5000))]
-    areas = [[cell for cell in area if cell.value is not None] for area in (*above, numbers)]
+    filled = [[cell for cell in row if cell.value is not None] for row in sheet.iter_rows(max_row=first + 5000)]
+    areas = [*filled[: first - 1], list(chain.from_iterable(filled[first - 1 :]))]
     for word, is_marked in _MARKS.items():
         marked = [[cell for cell in area if is_marked(cell)] for area in areas]
         if some := [cells for cells, area in zip(marked, areas, strict=True) if 0 < len(cells) < len(area)]:
