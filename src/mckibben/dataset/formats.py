@@ -30,6 +30,7 @@ from mckibben.dataset.raw import (
 )
 from mckibben.dataset.table import question
 from mckibben.dataset.text import decode, read_lines, read_numbers, read_text
+from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
 
@@ -135,21 +136,24 @@ def _decoded(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _is_bare_dimension(node: h5py.Dataset, attributes: Mapping[str, object]) -> bool:
-    """Whether a scale of NetCDF is a dimension without a variable, or counts its rows."""
+def _is_bare_dimension(node: h5py.Dataset, attributes: Mapping[str, object], name: str) -> bool:
+    """Whether a scale of NetCDF is a dimension without a variable, or counts rows and has no quantity."""
+    if node.ndim != 1 or not node.is_scale:
+        return False
     bare = _decoded(attributes.get("NAME", "")).startswith("This is a netCDF dimension but not a netCDF variable")
-    return node.ndim == 1 and node.is_scale and (bare or np.array_equal(node[()], np.arange(node.size)))
+    has_quantity = bool(parse_header(name, _unit(attributes)).quantity)
+    return bare or (not has_quantity and np.array_equal(node[()], np.arange(node.size)))
 
 
 def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
     """Add the columns of a dataset, or its single number or text as words."""
     attributes = _attributes(node)
     kind = _decoded(attributes.get("MATLAB_class", ""))
-    if node.shape is None or node.ndim > 2 or _is_bare_dimension(node, attributes):
-        return
-    if node.dtype.kind in "OS" and kind not in ("", *_OBJECTS):
+    if node.shape is None or node.ndim > 2 or (node.dtype.kind in "OS" and kind not in ("", *_OBJECTS)):
         return
     budget.spend(size=node.nbytes)
+    if _is_bare_dimension(node, attributes, name):
+        return
     value: Value = None
     if kind == "char":
         value = "".join(map(chr, np.ravel(node[()]).tolist()))[:1000]

@@ -144,7 +144,9 @@ def read_columns(
 
     Parameters as for `read_dataset`. Raises a `DatasetError` if the file cannot be read, but not for questions.
     """
-    return _understood(_files(path, recipe, options)[0], _POINTS, geometry)[0]
+    recipe = (recipe or Recipe()).with_options(options)
+    first = {"part": recipe.part[:1], "loads": recipe.loads[:1]}
+    return _understood(_files(path, recipe, first)[0], _POINTS, geometry)[0]
 
 
 def _lines_of(parts: Sequence[Table], rows: np.ndarray) -> Iterator[Table]:
@@ -224,7 +226,7 @@ def _files(path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]
     files = []
     for file in _paths(path):
         parts = recipe.part or _parts_named(file, recipe)
-        files += [_File(file, Path(f"{file}: {part}"), recipe.with_options({"part": part})) for part in parts]
+        files += [_File(file, Path(f"{file}: {part}"), recipe.with_options({"part": [part]})) for part in parts]
         files += [] if parts else [_File(file, file, recipe)]
     if len(recipe.loads) not in (0, len(files)):
         text, remedy = f"{len(recipe.loads)} loads are given for {len(files)} files", "give one load for each file"
