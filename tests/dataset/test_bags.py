@@ -12,6 +12,9 @@ from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
 from mckibben.dataset import read_recording
+from mckibben.errors import DatasetError
+from mckibben.rig.record import Recorder
+from mckibben.storage.mcap import Column
 
 from .conftest import problems_of
 
@@ -87,3 +90,11 @@ def test_a_bag_of_ros_2_is_read_by_topics_and_stamps(plugin, tmp_path):
     assert recording.force == pytest.approx(FORCE)
     file = next(path for path in Path(tmp_path, "bag").iterdir() if path.suffix in (".mcap", ".db3"))
     assert len(read_recording(file, columns=names, initial_length=0.2)) == len(TIME)
+
+
+def test_a_record_of_the_rig_is_named_with_its_command(tmp_path):
+    with Recorder(tmp_path, {"specimen": "ours"}, [Column("time", "s"), Column("position", "m")]) as recorder:
+        recorder.append([[0.0, 0.0], [0.1, 0.0]])
+    with pytest.raises(DatasetError) as caught:
+        read_recording(recorder.path)
+    assert f"mckibben rig data {tmp_path}" in caught.value.problems[0].remedy

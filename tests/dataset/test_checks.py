@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -112,6 +113,21 @@ def summary(statistic: Callable[..., np.ndarray], count: int = 60) -> Callable[[
     return added
 
 
+def summaries(
+    *statistics: Callable[..., np.ndarray], digits: tuple[int, ...] = (3, 2, 1)
+) -> Callable[[Arrays], Arrays]:
+    """Rows of statistics below all others."""
+
+    def added(arrays: Arrays) -> Arrays:
+        rows = np.column_stack([arrays[0] / 1e5, 100 * arrays[1], arrays[2]])
+        for statistic in statistics:
+            values = [round(value, digit) for value, digit in zip(statistic(rows, axis=0), digits, strict=True)]
+            arrays = row(len(arrays[0]), *values)(arrays)
+        return arrays
+
+    return added
+
+
 MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "a pull that is negative": (changed(force=lambda f: -f), "sign"),
     "an offset below zero": (changed(force=lambda f: f - 200), "sign"),
@@ -131,6 +147,10 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "a mean below the table": (summary(np.mean), "rows"),
     "a median below the table": (summary(np.median), "rows"),
     "a mean of each pressure": (summary(np.mean, 15), "rows"),
+    "mean and deviation below the table": (summaries(np.mean, np.std), "rows"),
+    "deviation above the mean": (summaries(partial(np.std, ddof=1), np.mean), "rows"),
+    "least, largest, mean and deviation": (summaries(np.min, np.max, np.mean, np.std), "rows"),
+    "rounded mean and deviation": (summaries(np.mean, np.std, digits=(1, 0, 0)), "rows"),
     "numbers of channels": (row(0, 1, 2, 3), "rows"),
     "full scales": (row(0, 10, 30, 5000), "rows"),
     "zeros after a restart": (row(20, 0, 0, 0), "rows"),

@@ -226,7 +226,7 @@ def test_a_table_of_numbers_is_read_in_chunks(tmp_path: Path, monkeypatch: pytes
     path.write_bytes((form + end.join([*rows, ""])).encode())
     plain = texts.read_numbers(path, {}, "")
     assert plain is not None
-    by_line = texts.read_text(path.read_text(), path, {}, "")
+    by_line = texts.read_text(path.read_text(), path, {}, "", texts.read_lines)
     np.testing.assert_array_equal([column.cells for column in plain.columns], numbers.T)
     np.testing.assert_array_equal(plain.lines, by_line.lines)
     assert [(column.name, column.unit) for column in plain.columns] == [(x.name, x.unit) for x in by_line.columns]

@@ -1,11 +1,15 @@
 # ruff: noqa: E501 - tables of cases
 """Questions of a reader, and the options that answer them."""
 
+import gzip
+import io
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from mckibben.dataset import TOPICS, IsobaricDataset, Recipe, read_columns, read_dataset, read_recording
 from mckibben.dataset.vocabulary import parse_header
@@ -15,6 +19,13 @@ from mckibben.errors import DatasetError, RangeError, ScenarioError
 from .conftest import C, F, P, are_the_points, problems_of, table
 
 HEADER = "Pressure [bar];Contraction [%];Force [N]"
+
+
+def archived() -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("content.xml", "<a/>")
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -30,6 +41,8 @@ HEADER = "Pressure [bar];Contraction [%];Force [N]"
         ("Istdruck [bar]", "pressure", "bar"), ("Kontraktion ε [%]", "contraction", "percent"), ("Pressure kPa(g)", "pressure", "kPa"), ("Force (N) - Channel 3", "force", "N"),
         ("torque_N_m", "torque", "N*m"), ("couple [N.m]", "torque", "N*m"), ("トルク（mNm）", "torque", "mN*m"), ("Torque (kgf·cm)", "torque", "kgf*cm"),
         ("压力 (kPa)", "pressure", "kPa"), ("荷重 [N]", "force", "N"), ("poids (kg)", "set_force", "kgf"), ("psig", "", "psi"), ("收缩率 (%)", "contraction", "percent"),
+        ("PAM Pressure (kPa)", "pressure", "kPa"), ("McKibben force [N]", "force", "N"), ("Druck im Muskel [bar]", "pressure", "bar"), ("Presión [bar]", "pressure", "bar"), ("Forza [N]", "force", "N"),
+        ("Längenänderung [mm]", "displacement", "mm"), ("Längenänderung [%]", "", "percent"), ("Contracción [%]", "contraction", "percent"), ("P1 [bar]", "pressure1", "bar"),
     ],
 )  # fmt: skip
 def test_headers_in_five_languages(header, quantity, unit):
@@ -39,7 +52,7 @@ def test_headers_in_five_languages(header, quantity, unit):
 @pytest.mark.parametrize(
     "header",
     (
-        "T [K];f [Hz];Strain (%);Dehnung [%];Relative length;Force max [N];Supply pressure [bar];Kanal 1;"
+        "T [K];f [Hz];Strain (%);contraction rate [%];Blocked force [N];Contraction rate (%/s);Dehnung [%];Relative length;Force max [N];Supply pressure [bar];Kanal 1;"
         "Force offset [N];pressure [mpa]"
     ).split(";"),
 )
@@ -52,7 +65,8 @@ def test_headers_that_are_not_plain_are_not_read(header):
     "text",
     (
         "Tare force 15 N;All pressures are absolute;Force gain | 2 | N/V;force unit: kgf;Kraft in daN;"
-        "F_true = 9.81 x F;lengths include 60 mm of fittings;two muscles in parallel"
+        "F_true = 9.81 x F;lengths include 60 mm of fittings;two muscles in parallel;hook and plate of 1.2 kg not included;"
+        "Gewichte ohne Teller;Lasthaken 0,8 kg;pan 200 g;zzgl. Gehänge;Gewichtsteller nicht gewogen"
     ).split(";"),
 )
 def test_words_that_change_numbers_are_doubtful(text):
@@ -61,7 +75,9 @@ def test_words_that_change_numbers_are_doubtful(text):
 
 @pytest.mark.parametrize(
     "text",
-    ("Rig 3;Operator: A. B.;Sensor: U9C, 1 kN;units: bar, %, N;Date 12.03.2024;Versuch 7;Range 10 bar").split(";"),
+    (
+        "Rig 3;Operator: A. B.;Sensor: U9C, 1 kN;units: bar, %, N;Date 12.03.2024;Versuch 7;Range 10 bar;Hersteller: Festo;Japan"
+    ).split(";"),
 )
 def test_plain_words_are_not_doubtful(text):
     assert not list(doubtful_words([(1, text)], ["bar", "N", "percent"]))
@@ -88,6 +104,7 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
     "corrupt cell": (table(HEADER).replace("\n3.01;5;", "\nx;1;2\n3.01;5;"), "'x' is not a number", {"accept": ["corrupt"]}),
     "short row": (table(HEADER).replace("\n3.01;5;", "\n3.01\n3.01;5;"), "has 1 cell, the header 3", {"accept": ["corrupt"]}),
     "words": ("# tare: 15 N\n" + table(HEADER), "'tare: 15 N'", {"accept": ["words"]}),
+    "a unit in words": ("# forces in kgf\n" + table(HEADER, P, C, F / 9.80665), "--column 'Force [N]=force_kgf'", {"columns": {"Force [N]": "force_kgf"}, "accept": ["words"]}),
     "unread column": (table(f"{HEADER};valid", P, C, F, np.arange(18) % 2), "valid: is not understood", {"accept": ["columns"]}),
     "direction": (table(f"{HEADER};Direction", P, C, F, ["up"] * 18), "'up' is not a direction", {"columns": {"up": "unloading"}}),
 }  # fmt: skip
@@ -309,7 +326,42 @@ def test_loads_without_a_sensor_are_one_for_each_file(put):
     assert problem.startswith("loads: 2 loads are given for 1 files")
 
 
-@pytest.mark.parametrize("header", ["eps [%];F 1 bar [N];F 2 bar [N];F 3 bar [N]", ";2 bar;;3 bar;;4 bar"])
-def test_a_table_with_a_column_per_pressure_is_a_matrix(put, header):
-    (problem,) = problems_of(put(f"{header}\n" + table("", C, F, F, F).lstrip()))
-    assert "one row per point" in problem
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b'[{"pressure_bar": 1}]', "JSON"), (b'{"pressure_bar": 1}\n{"pressure_bar": 2}\n', "JSON"), (b"PAR1\0\0PAR1", "Parquet"),
+        (gzip.compress(b"Pressure [bar]"), "compressed"), (bytes.fromhex("d0cf11e0a1b11ae1") + bytes(99), ".xls"),
+        (b"CDF\x01\0\0", "NetCDF 3"), (b"%PDF-1.4\n", "PDF"), (b"<html><table>", "HTML"), (archived(), ".ods"),
+    ],
+)  # fmt: skip
+def test_a_format_that_is_not_read_is_named_with_what_is(content, kind, put):
+    (problem,) = problems_of(put(content, "rig.nc" if "CDF" in kind else "rig.dat"))
+    assert kind in problem and "CSV" in problem
+
+
+def numbers(form: str) -> str:
+    return "\n".join([HEADER, *(";".join(form.format(x) for x in row) for row in zip(P, C, F, strict=True))]) + "\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        table(HEADER).encode("utf-16-le"),
+        table(HEADER).encode("utf-16-be"),
+        numbers("{:.8E}").replace("E", "D").encode(),
+        numbers("+ {:.10g}").encode(),
+        numbers('"+ {:.10g}"').encode(),
+        "".join(f"14:02:{at:02d}.000 -> {line}\n" for at, line in enumerate(["Ready", *table(HEADER).splitlines()])).encode(),
+        "".join(f"14:02:{at:02d}.000 -> {line}\n" if at else f"{line}\n" for at, line in enumerate(table(HEADER).splitlines())).encode(),
+    ],
+)  # fmt: skip
+def test_forms_of_texts_are_read_at_once(content, put):
+    are_the_points(read_dataset(put(content)))
+
+
+@pytest.mark.parametrize("coordinate", [None, np.arange(18)])
+def test_a_dimension_of_xarray_needs_no_variable(coordinate, tmp_path):
+    columns = (("pressure", P, "bar"), ("contraction", C, "%"), ("force", F, "N"))
+    file = xr.Dataset({name: ("i", values, {"units": unit}) for name, values, unit in columns})
+    (file if coordinate is None else file.assign_coords(i=coordinate)).to_netcdf(tmp_path / "rig.nc", engine="h5netcdf")
+    are_the_points(read_dataset(tmp_path / "rig.nc"))

@@ -64,7 +64,7 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
     """Messages of JSON; a file that was cut, as by a kill, is a question."""
     try:
         from mcap.exceptions import McapError
-        from mcap.records import Channel, Schema
+        from mcap.records import Attachment, Channel, Schema
         from mcap.records import Message as McapMessage
         from mcap.stream_reader import CRCValidationError, StreamReader
     except ImportError:
@@ -75,6 +75,9 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
             if isinstance(record, Schema):
                 fields = json.loads(record.data or b"{}").get("properties", {})
                 schemas[record.id] = {name: str(about.get("unit", "")) for name, about in fields.items()}
+            elif isinstance(record, Attachment) and b'"mckibben record"' in record.data[:99]:
+                remedy = f"`mckibben rig data {path.parent}` reads its points, with --recording all samples"
+                raise DatasetError(str(path), [Problem("is a record of this program", remedy=remedy)])
             elif isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, McapMessage):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -170,8 +171,8 @@ def _copies(points: Points) -> Iterator[Question]:
     """Rows that are no measurements of their own.
 
     Blocks of rows that repeat others, zeros of all columns, numbers or ranges of channels in the first row, and a first
-    or last row, of the table or of a pressure, that equals the mean or median of the others to the last decimal. No
-    muscle pulls most where it is shortest, at any pressure.
+    or last row, of the table or of a pressure, that equals the mean, median or deviation of the others to the last
+    decimal. No muscle pulls most where it is shortest, at any pressure.
     """
     rows = points.table
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -189,24 +190,39 @@ def _copies(points: Points) -> Iterator[Question]:
         yield points.ask("rows", "exceeds all others in pressure, contraction and force, as ranges of channels do:", 0)
     level = pressure_levels(points.pressure)
     parts = [np.arange(len(rows)), *(np.flatnonzero(level == pressure) for pressure in np.unique(level))]
-    tolerance = [0.6 * _resolution(column) for column in rows.T]
-    for part in parts:
-        for row, others in ((part[-1], rows[part[:-1]]), (part[0], rows[part[1:]])) if len(part) > 3 else ():
-            means = [mean(others, axis=0) for mean in (np.mean, np.median)]
-            equal = any(np.all(np.abs(mean - rows[row]) <= tolerance) for mean in means)
-            if equal and points.taut[row] and np.ptp(others[:, 2]):
-                yield points.ask("rows", "equals the mean or median of other rows:", int(row))
-                return
+    summaries = (row for part in parts for order in (part, part[::-1]) for row in _summaries(points, order))
+    if (row := next(summaries, None)) is not None:
+        yield points.ask("rows", "equals the mean, median or deviation of other rows:", row)
 
 
-def _resolution(values: Floats) -> float:
+def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
+    """First of up to four rows at the end of others that are their averages, deviations and ends.
+
+    Several may have fewer decimals than the others.
+    """
+    rows, averages = points.table[order], (np.mean, np.median, np.std, partial(np.std, ddof=1))
+    usual = [_resolution(column) for column in rows.T]
+    for count in range(1, min(5, len(rows) - 2)):
+        others, last = rows[:-count], rows[-count:]
+        fewer = [[min(1.0, _resolution(value)) for value in row] for row in last] if count > 1 else 0.0
+        tolerance = 0.6 * np.maximum(usual, fewer)
+        values = [of(others, axis=0) for of in (*averages, np.min, np.max)]
+        values.insert(0, values[3] / np.sqrt(len(others)))  # standard error
+        equal = [np.all(np.abs(value - last) <= tolerance, axis=1) for value in values]
+        average = np.any(equal[:5], axis=0)
+        if (average & points.taut[order[-count:]]).any() and np.any(equal, axis=0).all() and np.ptp(others[:, 2]):
+            yield int(order[-count])
+
+
+def _resolution(values: Floats | float) -> float:
     """Power of ten of the last decimal of numbers.
 
     >>> _resolution(np.array([1.25, 3.0])), _resolution(np.array([120.0, 50.0]))
     (0.01, 10.0)
     """
-    steps = (10.0**-digits for digits in range(-3, 9))
-    return next((step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step)), 1e-9)
+    steps, error = 10.0 ** -np.arange(-3, 9), 2e-16 * np.max(np.abs(values), initial=0.0)
+    fits = (step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step + error))
+    return float(next(fits, 1e-9))
 
 
 def _saturated(points: Points) -> Iterator[Question]:

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mckibben.dataset.bags import MCAP, SQLITE, read_bag
+from mckibben.dataset.file_names import several
 from mckibben.dataset.matlab import Value, read_variables
+from mckibben.dataset.matrix import MATRIX, read_matrix
 from mckibben.dataset.raw import (
     LARGEST_PLAIN,
     Budget,
@@ -25,10 +27,10 @@ from mckibben.dataset.raw import (
     not_installed,
     read_bytes,
     readable,
-    several,
 )
 from mckibben.dataset.table import question
-from mckibben.dataset.text import decode, read_numbers, read_text
+from mckibben.dataset.text import decode, read_lines, read_numbers, read_text
+from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
 
@@ -39,6 +41,18 @@ ENDINGS = ("csv", "txt", "tsv", "dat", "lvm", "tdms", "xlsx", "mat", "h5", "hdf5
 """Usual endings of the files that `read_table` reads; first bytes tell the format, except for a MATLAB 4 file."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_OTHERS: Mapping[str, bytes] = {
+    "JSON": rb'\s*(?:\{\s*"[^"\n]*"\s*:|\[\s*[\[{])',
+    "Parquet": rb"PAR1",
+    "a compressed file (unpack it)": rb"\x1f\x8b|BZh|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd",
+    "an .xls of Excel 97 to 2003, or another document of Office": rb"\xd0\xcf\x11\xe0",
+    "NetCDF 3": rb"CDF[\x01\x02\x05]",
+    "an array of NumPy": rb"\x93NUMPY",
+    "PDF": rb"%PDF",
+    "XML or HTML": rb"(?i)\s*<(?:\?xml|!doctype|html|table)",
+}
+"""First bytes of formats that are not read, as regular expressions."""
+_OTHER_REMEDY = "save its columns as CSV, .xlsx or NetCDF-4, of xarray by to_netcdf(path, engine='h5netcdf')"
 _SAVE_COLUMNS = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 _UNITS = ("units", "unit", "unit_string")
 _LARGEST_ATTRIBUTE = 8  # numbers or texts
@@ -65,8 +79,8 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     DatasetError
         For a file that is missing, damaged, too large, or of a format that is not read; a known one has a remedy.
     """
-    budget, is_folder = Budget(path), (path / "metadata.yaml").is_file()
-    plain = not is_folder and check_regular(path) <= LARGEST_PLAIN and os.access(path, os.R_OK)
+    budget, is_folder, is_matrix = Budget(path), (path / "metadata.yaml").is_file(), {*MATRIX} <= {*mapping}
+    plain = not (is_matrix or is_folder) and check_regular(path) <= LARGEST_PLAIN and os.access(path, os.R_OK)
     if plain and (table := read_numbers(path, mapping, decimal)) is not None:
         return table
     data = b"" if is_folder else read_bytes(path)
@@ -78,9 +92,11 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
         return _read_hdf5(path, data, part, mapping, budget)
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
         return _read_matlab(path, data, part, mapping)
+    if kind := next((kind for kind, begin in _OTHERS.items() if re.match(begin, data)), ""):
+        raise DatasetError(str(path), [Problem(f"is {kind}, which is not read", remedy=_OTHER_REMEDY)])
     if data.startswith(b"TDSm"):
         return _read_tdms(path, data, part, mapping, budget)
-    return read_text(decode(data, path), path, mapping, decimal)
+    return read_text(decode(data, path), path, mapping, decimal, read_matrix if is_matrix else read_lines)
 
 
 def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
@@ -120,6 +136,15 @@ def _decoded(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
+def _is_bare_dimension(node: h5py.Dataset, attributes: Mapping[str, object], name: str) -> bool:
+    """Whether a scale of NetCDF is a dimension without a variable, or counts rows and has no quantity."""
+    if node.ndim != 1 or not node.is_scale:
+        return False
+    bare = _decoded(attributes.get("NAME", "")).startswith("This is a netCDF dimension but not a netCDF variable")
+    has_quantity = bool(parse_header(name, _unit(attributes)).quantity)
+    return bare or (not has_quantity and np.array_equal(node[()], np.arange(node.size)))
+
+
 def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
     """Add the columns of a dataset, or its single number or text as words."""
     attributes = _attributes(node)
@@ -127,6 +152,8 @@ def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budg
     if node.shape is None or node.ndim > 2 or (node.dtype.kind in "OS" and kind not in ("", *_OBJECTS)):
         return
     budget.spend(size=node.nbytes)
+    if _is_bare_dimension(node, attributes, name):
+        return
     value: Value = None
     if kind == "char":
         value = "".join(map(chr, np.ravel(node[()]).tolist()))[:1000]
@@ -282,5 +309,5 @@ def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[st
         names = sorted({re.split(r"[/.(][^/.(]*$", name)[0] for name in grouped})
         sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
         unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
-        raise DatasetError(str(path), [several("groups", names) if len(names) > 1 else unequal])
+        raise several(path, "groups", names) if len(names) > 1 else DatasetError(str(path), [unequal])
     return lengths.pop()

@@ -171,16 +171,6 @@ def readable(path: Path, what: str) -> Iterator[None]:
         raise DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")]) from error
 
 
-def several(what: str, names: Sequence[str]) -> Problem:
-    """Question of which of several parts of a file is to be read.
-
-    >>> several("sheets", ["Test", "Retest"]).message
-    'has several sheets of measurements: Test, Retest'
-    """
-    remedy = f"choose one: part={names[0]!r} in Python or in a recipe (command line: --read FILE.yaml)"
-    return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)
-
-
 def hdf5_nodes(file: h5py.File, budget: Budget) -> dict[str, h5py.Group | h5py.Dataset | None]:
     """Groups and datasets of an open file by name, each once; None where values are in other files.
 

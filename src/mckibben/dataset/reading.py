@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import os
 import re
+import zipfile
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.clocks import join_clocks
-from mckibben.dataset.file_names import add_from_name
+from mckibben.dataset.file_names import SeveralPartsError, add_from_name, numbers_in
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.matrix import MATRIX
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn
+from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn, RawTable
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
@@ -85,15 +87,16 @@ def read_dataset(
     shorter it is. Points that break this, or that look like summaries, copies, saturation, absolute pressures or an
     offset of the load cell, are questions, which ``accept=[topic]`` answers.
     """
-    parts = [_read_points(*file, geometry) for file in _files(path, recipe, options)]
+    files = _files(path, recipe, options)
+    parts = [_read_points(file, geometry) for file in files]
     recipe = (recipe or Recipe()).with_options(options)
-    dataset, source = _joined([part for part, _ in parts], path)
+    dataset, source = _joined([part for part, _ in parts], files)
     own = all(written for _, written in parts)
     if own and len(parts) == 1:
         return dataset
     known = recipe.slack_force is not None or bool(dataset.table.attrs["slack_force"])
-    files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
-    table, rows = preprocess(dataset.table, slack_known=known, files=files)
+    numbers = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
+    table, rows = preprocess(dataset.table, slack_known=known, files=numbers)
     dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, rows)))
     if not own:
         check_points(dataset, source, recipe.accept)
@@ -115,7 +118,8 @@ def read_recording(
     DatasetError, ScenarioError
         As `read_dataset`.
     """
-    return _joined([_read_samples(*file, geometry) for file in _files(path, recipe, options)], path)[0]
+    files = _files(path, recipe, options)
+    return _joined([_read_samples(file, geometry) for file in files], files)[0]
 
 
 def read_torques(
@@ -128,8 +132,8 @@ def read_torques(
     files = _files(path, (recipe or Recipe()).with_options({"joint": "joint"} if geometry else {}), options)
     if len(files) > 1:
         raise RangeError("torques are read from one file", field="path", value=path, remedy="join the files")
-    table = _understood(*files[0], ("angle", "torque", "pressure1", "pressure2"), geometry)[0]
-    table.ask(files[0][1].accept)
+    table = _understood(files[0], ("angle", "torque", "pressure1", "pressure2"), geometry)[0]
+    table.ask(files[0].recipe.accept)
     return table
 
 
@@ -140,7 +144,9 @@ def read_columns(
 
     Parameters as for `read_dataset`. Raises a `DatasetError` if the file cannot be read, but not for questions.
     """
-    return _understood(Path(path), (recipe or Recipe()).with_options(options), (), _POINTS, geometry)[0]
+    recipe = (recipe or Recipe()).with_options(options)
+    first = {"part": recipe.part[:1], "loads": recipe.loads[:1]}
+    return _understood(_files(path, recipe, first)[0], _POINTS, geometry)[0]
 
 
 def _lines_of(parts: Sequence[Table], rows: np.ndarray) -> Iterator[Table]:
@@ -198,38 +204,67 @@ def _paths(path: FilePaths) -> list[Path]:
     return [Path(name) for name in several]
 
 
-def _files(
-    path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]
-) -> list[tuple[Path, Recipe, Sequence[Path]]]:
-    """The files of a test, each with its recipe, which has at most one load, and files with further columns."""
-    paths, recipe = _paths(path), (recipe or Recipe()).with_options(options)
-    if len(recipe.loads) not in (0, len(paths)):
-        text, remedy = f"{len(recipe.loads)} loads are given for {len(paths)} files", "give one load for each file"
-        raise DatasetError(str(paths[0]), [Problem(text, field="loads", remedy=remedy)])
+class _File(NamedTuple):
+    """File of a test, or its part, with the name of it, its recipe, which has at most one load, and further columns."""
+
+    path: Path
+    name: Path
+    recipe: Recipe
+    others: Sequence[_File] = ()
+
+    def raw(self) -> RawTable:
+        """Columns as the file has them."""
+        recipe = self.recipe
+        return read_table(self.path, recipe.columns or {}, recipe.decimal or "", "".join(recipe.part))
+
+
+def _files(path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]) -> list[_File]:
+    """Files of a test and their parts; with clocks, the first of them with the others."""
+    recipe = (recipe or Recipe()).with_options(options)
+    columns = {**dict(zip(MATRIX, recipe.matrix, strict=False)), **(recipe.columns or {})}
+    recipe = recipe.with_options({"columns": columns}) if recipe.matrix else recipe
+    files = []
+    for file in _paths(path):
+        parts = recipe.part or _parts_named(file, recipe)
+        files += [_File(file, Path(f"{file}: {part}"), recipe.with_options({"part": [part]})) for part in parts]
+        files += [] if parts else [_File(file, file, recipe)]
+    if len(recipe.loads) not in (0, len(files)):
+        text, remedy = f"{len(recipe.loads)} loads are given for {len(files)} files", "give one load for each file"
+        raise DatasetError(str(files[0].path), [Problem(text, field="loads", remedy=remedy)])
     if recipe.clocks:
-        return [(paths[0], recipe, paths[1:])]
-    return [(path, recipe.with_options({"loads": recipe.loads[at : at + 1]}), ()) for at, path in enumerate(paths)]
+        return [files[0]._replace(others=files[1:])]
+    loads = [recipe.loads[at : at + 1] for at in range(len(files))]
+    return [
+        file._replace(recipe=file.recipe.with_options({"loads": load})) for file, load in zip(files, loads, strict=True)
+    ]
 
 
-def _understood(
-    path: Path, recipe: Recipe, others: Sequence[Path], needed: Sequence[str], geometry: JointPaths | None
-) -> tuple[Table, bool]:
+def _parts_named(path: Path, recipe: Recipe) -> tuple[str, ...]:
+    """Sheets of measurements of a workbook, if the recipe has a pattern that the names of all match."""
+    if recipe.from_name and zipfile.is_zipfile(path):
+        try:
+            _File(path, path, recipe).raw()
+        except SeveralPartsError as error:
+            return error.names if all(numbers_in(name, recipe.from_name) for name in error.names) else ()
+    return ()
+
+
+def _understood(file: _File, needed: Sequence[str], geometry: JointPaths | None) -> tuple[Table, bool]:
     """Table of a file, joined with others over time, and whether this program wrote it."""
-    raw = read_table(path, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
-    for other in others:
-        more = read_table(other, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
-        raw, needless = join_clocks(other, raw, more, recipe.columns or {}, recipe.clocks or "")
+    raw, recipe = file.raw(), file.recipe
+    for other in file.others:
+        raw, needless = join_clocks(other.name, raw, other.raw(), recipe.columns or {}, recipe.clocks or "")
         recipe = recipe.with_options({"columns": {**(recipe.columns or {}), **dict.fromkeys(needless, "ignore")}})
     if recipe.from_name:
-        add_from_name(raw, path, recipe.from_name)
+        add_from_name(raw, file.name, recipe.from_name)
     for load in recipe.loads:
         raw.columns.append(RawColumn("loads", np.full(len(raw.lines), load), label="force_N"))
     own = {"specimen", "source", "slack_force", "preprocessing"} <= {*raw.comments}
     own &= {column.name for column in raw.columns} <= {*CSV_COLUMNS.values()}
     try:
-        return understand(path, raw, recipe, needed, geometry), own
+        return understand(file.name, raw, recipe, needed, geometry), own
     except MemoryError:
-        raise DatasetError(str(path), [Problem("needs more memory than there is", remedy=LIMIT_REMEDY)]) from None
+        raise DatasetError(str(file.path), [Problem("needs more memory than there is", remedy=LIMIT_REMEDY)]) from None
 
 
 def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, own: bool = False) -> Kind:
@@ -247,30 +282,29 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
     return replace(kind(made.table.assign_attrs(attrs)), lines=(table,))
 
 
-def _read_points(
-    path: Path, recipe: Recipe, others: Sequence[Path], geometry: JointPaths | None
-) -> tuple[IsobaricDataset, bool]:
+def _read_points(file: _File, geometry: JointPaths | None) -> tuple[IsobaricDataset, bool]:
     """Points of a file as they are, and whether this program wrote it."""
-    if holds_own_table(path):
-        dataset = _own(IsobaricDataset, path, recipe)
+    if holds_own_table(file.path):
+        dataset = _own(IsobaricDataset, file)
         return dataset, dataset.table.attrs.pop("samples", "") == ""
-    table, own = _understood(path, recipe, others, _POINTS, geometry)
-    Budget(path).spend(rows=len(table.lines))  # a longer recording is read as one
+    table, own = _understood(file, _POINTS, geometry)
+    Budget(file.path).spend(rows=len(table.lines))  # a longer recording is read as one
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
-    table.ask(recipe.accept)
+    table.ask(file.recipe.accept)
     names = [name for name in CSV_COLUMNS if name in table.columns]
     return _made(IsobaricDataset, table, {name: table.columns[name].values for name in names}, own=own), own
 
 
-def _read_samples(path: Path, recipe: Recipe, others: Sequence[Path], geometry: JointPaths | None) -> Recording:
+def _read_samples(file: _File, geometry: JointPaths | None) -> Recording:
     """Recording of one file."""
-    if holds_own_table(path):
-        recording = _own(Recording, path, recipe)
+    recipe = file.recipe
+    if holds_own_table(file.path):
+        recording = _own(Recording, file)
         if recipe.contraction is None or "contraction" in recording.table:
             return recording
         return Recording(recording.table.assign(contraction=("sample", np.full(len(recording), recipe.contraction))))
-    table, _ = _understood(path, recipe, others, ("pressure", "force"), geometry)
+    table, _ = _understood(file, ("pressure", "force"), geometry)
     values = {name: table.columns[name].values for name in _SAMPLES if name in table.columns}
     if "time" not in values:
         rate = recipe.sample_rate
@@ -287,9 +321,9 @@ def _read_samples(path: Path, recipe: Recipe, others: Sequence[Path], geometry: 
     return _made(Recording, table, values)
 
 
-def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
+def _own(kind: type[Kind], file: _File) -> Kind:
     """Dataset or recording of a file that this program wrote, with the options that apply."""
-    others = ("columns", "from_name", "largest_force")
+    path, recipe, others = file.path, file.recipe, ("columns", "from_name", "largest_force")
     if any(getattr(recipe, name) is not None for name in others):
         remedy = f"leave out {', '.join(others)}"
         raise DatasetError(str(path), [Problem("was written by this program: it is read as it is", remedy=remedy)])
@@ -305,9 +339,9 @@ def _samples_as_points(table: xr.Dataset) -> xr.Dataset:
     return table.rename(sample="point").assign_attrs(samples="yes") if is_recording else table
 
 
-def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
+def _joined(parts: Sequence[Kind], files: Sequence[_File]) -> tuple[Kind, str]:
     """Points or samples of several files as one dataset or recording, and its name for messages."""
-    names = [str(name) for name in _paths(path)]
+    names = [str(file.name) for file in files]
     if len(parts) == 1:
         return parts[0], names[0]
     source, tables = f"{names[0]} and {len(names) - 1} more", [part.table for part in parts]

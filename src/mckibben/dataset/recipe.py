@@ -13,6 +13,7 @@ from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
 from mckibben.dataset.clocks import ESTIMATED, Clock
 from mckibben.dataset.file_names import pattern_problem
+from mckibben.dataset.matrix import MATRIX
 from mckibben.dataset.table import TOPICS
 from mckibben.errors import UnitError
 from mckibben.units import Contraction, Force, Length, Pressure, SampleRate
@@ -34,8 +35,19 @@ def _check_clocks(text: str) -> str:
 
 
 def _as_tuple(value: object) -> object:
-    parts = value.strip("[] ").split(",") if isinstance(value, str) else value
+    parts = [part.strip() for part in value.strip("[] ").split(",")] if isinstance(value, str) else value
     return tuple(parts) if isinstance(parts, list) else parts
+
+
+def _as_parts(value: object) -> object:
+    """Names of parts: a text alone is one name, with its commas."""
+    return (value,) if isinstance(value, str) and not re.fullmatch(r"\[.*\]", value) else _as_tuple(value)
+
+
+def _check_matrix(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(names) not in (0, len(MATRIX)):
+        fail_validation("needs rows, columns and cells", "write 'pressure_bar, contraction_percent, force_N'")
+    return names
 
 
 def _as_weight(value: object) -> object:
@@ -58,7 +70,10 @@ class Recipe(DocumentModel):
         displacement, ``"ignore"`` leaves a column out. Without a header, columns have numbers from 1. A word such as
         ``{"up": "unloading"}`` gives the meaning of a cell.
     part
-        Sheet, group or struct to be read, of several.
+        Sheets, groups or structs to be read, of several: one, or a list of those of one test.
+    matrix
+        Quantities of a matrix: of the numbers before its rows and above its columns, and of its cells, as in `columns`:
+        ``["pressure_bar", "contraction_percent", "force_N"]``. Empty cells are no points.
     initial_length
         Length of the deflated muscle [m], for lengths and displacements.
     displacement, zero_length
@@ -78,9 +93,11 @@ class Recipe(DocumentModel):
         Of a test on a joint, with angles and torques: name in the catalog or file of its geometry, and the lever arm
         [m], if forces were measured in place of torques.
     loads
-        Weights or forces [N] that hung on the muscle, one for each file, if no column has them: ``["2 kg", "50 N"]``.
+        Weights or forces [N] that hung on the muscle, one for each file or part, if no column has them:
+        ``["2 kg", "50 N"]``.
     from_name
-        Pattern of the files' names with a quantity in braces: ``"L{length_mm}mm"`` reads the length of L190mm.csv.
+        Pattern of the names of files or sheets with a quantity in braces: ``"L{length_mm}mm"`` reads the length of
+        L190mm.csv. If the names of all sheets of measurements match, all are read.
     clocks
         Of two recordings of one test by devices with clocks of their own: "estimated", from a quantity in both, or when
         the second clock starts on the first: ``"12.5 s"``, with its drift ``"12.5 s, 0.01 %"``.
@@ -101,7 +118,8 @@ class Recipe(DocumentModel):
     examples = "docs/files.md"
 
     columns: dict[str, str] | None = Field(None, examples=["{Druck: pressure_bar}"])
-    part: str | None = None
+    part: Annotated[tuple[str, ...], BeforeValidator(_as_parts)] = ()
+    matrix: Annotated[tuple[str, ...], BeforeValidator(_as_tuple), AfterValidator(_check_matrix)] = ()
     initial_length: Length | None = None
     displacement: Annotated[str, OneOf(("shortening", "lengthening"))] | None = None
     zero_length: Length | None = None

@@ -267,7 +267,8 @@ def holds_own_table(path: Path) -> bool:
         with h5py.File(path, "r") as file:
             return "slack_force" in file.attrs and "force" in file
     except Exception:  # h5py raises nearly every kind on a damaged file; the reader names the mistake
-        return True
+        with path.open("rb") as file:
+            return file.read(3) != b"CDF"
 
 
 Held = TypeVar("Held")

@@ -6,13 +6,16 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
+from mckibben.dataset.cells import BEGINS, NUMBER, SEPARATORS, WITH_UNIT, Layout, decimal_of, split_cells, to_numbers
+from mckibben.dataset.matrix import matrix_remedy
 from mckibben.dataset.raw import MOST_PLAIN, Budget, Floats, RawColumn, RawTable
 from mckibben.dataset.table import question
 from mckibben.dataset.vocabulary import dimension_of, parse_header
@@ -22,34 +25,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe\0\0", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
-_SEPARATORS = ("\t", ";", ",", "|", " ")
 _COMMENT = ("#", "%", "//", "!")
 _SEARCHED = 300  # lines in which a header is looked for
-_SAMPLED = 5000  # rows that may determine the decimal sign
 _LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
 _CHUNK = 2**22  # bytes of a text of numbers that are read together
 _PLAIN = b"0123456789+-.eE,;|\t \r\n"  # bytes of its rows
-_STAMP = " -> "  # after the time that the monitor of the Arduino IDE puts before each line
-_SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
+_STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")  # of the monitor of the Arduino IDE, before each line
+_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # of an exponent
+_SIGN = re.compile(r"((?:^|[;,\t|])[ \"]?[+-]) +(?=[.,]?\d)", re.MULTILINE)
 _HEAD = 3000  # characters with the header, whose cells may have line breaks
 _BROKEN = re.compile(r'(?<![^,;\t\n])"[^",;\t\d]{1,99}[\r\n]+[^",;\t\d]{1,99}"(?![^,;\t\r\n])')
 _TYPOGRAPHY = str.maketrans({"\u2212": "-", "\u2013": "-", "\ufeff": None})
-NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
-_BEGINS = re.compile(r"[+-]?[.,]?\d")
-_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
-_WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
 _LAST_DECIMALS = re.compile(r'(?:[.,](\d*))?"?\s*$')
-_DECIMAL_REMEDY = "give the decimal sign, a point or a comma: decimal='.' (command line: --read decimal=. or decimal=,)"
 KEYS = ("specimen", "source", "initial_length", "slack_force", "preprocessing", "repairs")
-
-
-class Layout(NamedTuple):
-    """Row of the header (from 0), separator of its cells, and the cells."""
-
-    row: int
-    separator: str
-    names: list[str]
 
 
 def decode(data: bytes, path: Path) -> str:
@@ -61,24 +50,45 @@ def decode(data: bytes, path: Path) -> str:
     'Länge [mm]'
     """
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "")
-    data = data if encoding else data.rstrip(b"\0")
+    data = data if encoding or len(data) % 2 == 0 else data.rstrip(b"\0")
     if not encoding and b"\0" in data:
-        remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
-        raise DatasetError(str(path), [Problem("is a binary file, or UTF-16 without a mark", remedy=remedy)])
+        encoding = next(filter(partial(_is_text, data), ("utf-16-le", "utf-16-be")), "")
+        if not encoding:
+            remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
+            raise DatasetError(str(path), [Problem("is a binary file", remedy=remedy)])
     try:
         return data.decode(encoding or "utf-8")
     except UnicodeDecodeError:
         return data.decode("cp1252", "replace")
 
 
-def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
-    """Columns of a text: words, a header, perhaps rows of units, then one line per row; see `read_lines`."""
+def _is_text(data: bytes, encoding: str) -> bool:
+    """Whether bytes are lines of printed characters in an encoding."""
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        return False
+    return "\n" in text and all(map(str.isprintable, text[:_HEAD].split()))
+
+
+def read_text(
+    text: str, path: Path, mapping: Mapping[str, str], decimal: str, read: Callable[..., RawTable]
+) -> RawTable:
+    """Columns of a text: words, a header, perhaps rows of units, then one line per row; `read` is as `read_lines`."""
     Budget(path).spend(rows=max(text.count("\n"), text.count("\r")))
     text = _BROKEN.sub(lambda cell: " ".join(cell[0].split()), text[:_HEAD]) + text[_HEAD:]
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_TYPOGRAPHY).split("\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").translate(_TYPOGRAPHY)
+    lines = _SIGN.sub(r"\1", _FORTRAN.sub("e", text)).split("\n")
+    stamps = [_STAMP.match(line) for line in lines]
+    if any(stamps):
+        lines = [line[stamp.end() :] if stamp else line for line, stamp in zip(lines, stamps, strict=True)]
+        table = read(lines, path, mapping, decimal)
+        times = [stamp[1] if stamp else "" for line in table.lines for stamp in stamps[line - 1 : line]]
+        table.columns.append(RawColumn("time", times))
+        return table
     if lines[0].startswith("LabVIEW Measurement"):
         lines = _of_labview(lines, path)
-    return read_lines(lines, path, mapping, decimal)
+    return read(lines, path, mapping, decimal)
 
 
 def read_numbers(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable | None:
@@ -96,7 +106,7 @@ def read_numbers(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTab
         if "\r" in text or _BROKEN.search(text[:_HEAD]) or lines[0].startswith("LabVIEW Measurement"):
             return None
         layout = find_layout(lines, mapping)
-        if layout is None or layout.separator == " " or _STAMP in layout.names[0]:
+        if layout is None or layout.separator == " ":
             return None
         table, separator, rows, at = RawTable(place="line", decimal=decimal), layout.separator, b"", 0
         _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
@@ -108,7 +118,7 @@ def read_numbers(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTab
         for rows in _blocks(file, chunk.split(b"\n", first)[-1]):
             count = _plain_rows(rows, separator, len(names))
             if count and not table.decimal:
-                table.decimal = _decimal_of(rows.decode().split("\n"), separator, path)
+                table.decimal = decimal_of(rows.decode().split("\n"), separator, path)
             try:
                 read = _frame(io.BytesIO(rows), separator, table.decimal, len(names), dtype=np.float64)
                 values[:, at : at + count] = read.to_numpy().T
@@ -177,9 +187,6 @@ def read_lines(
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
     separator = layout.separator
-    if _STAMP in layout.names[0]:
-        lines = [line.replace(_STAMP, separator, 1) for line in lines]
-        layout = layout._replace(names=["time", layout.names[0].partition(_STAMP)[2], *layout.names[1:]])
     _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
     names, units, first = _header(table, lines, layout)
     rows = _rows(table, lines, first, separator, names)
@@ -189,22 +196,13 @@ def read_lines(
     budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
     table.decimal = decimal or settled
     if not table.decimal:
-        table.decimal = _decimal_of(rows, separator, path)
+        table.decimal = decimal_of(rows, separator, path)
     for at, column in enumerate(_cells(rows, separator, table.decimal, len(names), path)):
         numbers, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
         _add_column(table, names, at, numbers, units[at] or beside)
     if table.lines[-1] == len(lines):
         _ask_of_cut(table, rows[-50:])
     return table
-
-
-def _decimal_of(rows: Sequence[str], separator: str, path: Path) -> str:
-    """Decimal sign of rows; raises a `DatasetError` if it is not plain, as nothing else can be read."""
-    sample = rows[:: 1 + len(rows) // _SAMPLED]
-    decimal, unclear = decimal_sign([cell for line in sample for cell in _split(line, separator)], separator)
-    if unclear:
-        raise DatasetError(str(path), [Problem(unclear, remedy=_DECIMAL_REMEDY)])
-    return decimal
 
 
 def _add_column(table: RawTable, names: Sequence[str], at: int, cells: Floats | list[str], unit: str) -> None:
@@ -237,14 +235,14 @@ def find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | No
     best, most = None, 0.5
     for row, line in enumerate(lines[:_SEARCHED]):
         commented = line.lstrip().startswith(_COMMENT)
-        for separator in _SEPARATORS:
-            cells = _split(line.lstrip("#%/! \t") if commented else line, separator)
+        for separator in SEPARATORS:
+            cells = split_cells(line.lstrip("#%/! \t") if commented else line, separator)
             numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
             if by_position and numbers == len(cells) >= max(map(int, mapping)):
                 return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))])
             if numbers or by_position or len(cells) < 2:
                 continue
-            if separator == " " and len(_split(lines[min(row + 1, len(lines) - 1)], separator)) < 2:
+            if separator == " " and len(split_cells(lines[min(row + 1, len(lines) - 1)], separator)) < 2:
                 continue  # blanks within names
             cells = _named_channels(cells, lines[:row], separator)
             if (score := _score(cells, mapping) - 0.25 * commented) > most:
@@ -265,19 +263,11 @@ def _score(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
     return total if len(quantities) > 1 or total > 1 else 0.0
 
 
-def _split(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return [cell.strip('"') for cell in _SPACED.findall(line)]
-    if '"' in line:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
-    return [cell.strip() for cell in line.split(separator)]
-
-
 def _named_channels(cells: list[str], preamble: Sequence[str], separator: str) -> list[str]:
     """Header with the names that a block above the table gives to its channels (CH1, Force)."""
     if not any(re.fullmatch(r"CH ?\d+", cell) for cell in cells):
         return cells
-    rows = [_split(line, separator) for line in preamble]
+    rows = [split_cells(line, separator) for line in preamble]
     named = {row[0]: row[1] for row in rows if len(row) > 2 and parse_header(row[1]).quantity}
     return [named.get(cell, cell) for cell in cells]
 
@@ -287,10 +277,7 @@ def _no_header(lines: Sequence[str]) -> Problem:
     if not shown:
         return Problem("is empty", remedy="give a file with a header and rows")
     text = f"has no header that is understood; it begins with {shown[:80]!r}"
-    cells = max((_split(shown, separator) for separator in _SEPARATORS[:-1]), key=len)
-    levels = [cell for cell in cells[1:] if cell]
-    if len(levels) > 1 and all(re.search(r"\d", cell) for cell in levels) and not _BEGINS.match(cells[0]):
-        remedy = "make a table with one row per point: a column each for pressure, contraction or length, and force"
+    if remedy := matrix_remedy(lines):
         return Problem(f"{text}: a matrix?", remedy=remedy)
     remedy = (
         "name its columns by header or, without one, by position: columns={'HEADER': 'force_N', '2': 'pressure_bar'} "
@@ -318,8 +305,8 @@ def _header(table: RawTable, lines: Sequence[str], layout: Layout) -> tuple[list
     """Names and units of the columns, and the first row of numbers; rows between that are no units are words."""
     names, units, first = layout.names, [""] * len(layout.names), layout.row + 1
     for first in range(layout.row + 1, min(layout.row + 6, len(lines))):
-        cells = [cell.strip("[]() ") for cell in _split(lines[first], layout.separator)]
-        numbers = [cell for cell in cells if _BEGINS.match(cell)]
+        cells = [cell.strip("[]() ") for cell in split_cells(lines[first], layout.separator)]
+        numbers = [cell for cell in cells if BEGINS.match(cell)]
         if any(map(dimension_of, cells)) and {*numbers} <= {"1"} and len(cells) <= len(names):
             named = [cell if dimension_of(cell) or cell in ("-", "1") else "" for cell in cells]
             units = [*named, *units[len(named) :]]
@@ -329,7 +316,7 @@ def _header(table: RawTable, lines: Sequence[str], layout: Layout) -> tuple[list
             _take_words(table, [(first + 1, lines[first])])
     else:
         first += 1
-    if first < len(lines) and len(wide := _split(lines[first], layout.separator)) == len(names) + 1:
+    if first < len(lines) and len(wide := split_cells(lines[first], layout.separator)) == len(names) + 1:
         if not wide[-1]:
             return [*names, ""], [*units, ""], first
         if layout.separator != "," or "." in lines[first]:  # decimal commas would look like row numbers
@@ -348,14 +335,14 @@ def _rows(table: RawTable, lines: Sequence[str], first: int, separator: str, nam
         if not line.strip(f"{separator} \t"):
             continue
         quoted = '"' in line or separator == " "
-        count = len(_split(line, separator)) if quoted else line.count(separator) + 1
+        count = len(split_cells(line, separator)) if quoted else line.count(separator) + 1
         if line.lstrip().startswith(_COMMENT):
             _take_words(table, [(number, line)])
         elif count == len(names):
-            if line[0].isdigit() or _split(line, separator) != names:
+            if line[0].isdigit() or split_cells(line, separator) != names:
                 rows.append(line)
                 numbers.append(number)
-        elif not any(map(_BEGINS.match, _split(line, separator))):
+        elif not any(map(BEGINS.match, split_cells(line, separator))):
             _take_words(table, [(number, line)])
         elif len(table.questions) < _LISTED:
             text = f"has {count} cell{'s' if count != 1 else ''}, the header {len(names)}"
@@ -402,64 +389,12 @@ def _as_numbers(cells: Floats | list[str], decimal: str, *, certain: bool) -> tu
     """Cells as numbers where all are, and the unit that stands behind each of them."""
     if not isinstance(cells, list):
         return cells, ""
-    matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
+    matches = [WITH_UNIT.fullmatch(cell) for cell in cells]
     units = {match[2] if match else "" for match in matches}
     unit = units.pop() if len(units) == 1 else ""
     bare = [match[1] for match in matches if match] if dimension_of(unit) else cells
     numbers = to_numbers(bare, decimal, certain=certain)
     return bare if np.isnan(numbers).any() else numbers, unit if bare is not cells else ""
-
-
-def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
-    """Numbers of texts, NaN where a cell is none.
-
-    Groups of thousands are read where their sign cannot be the decimal one: `certain`, or another cell has both.
-
-    >>> to_numbers(["1.234,5", "2.000", "3 000", "x"], ",").tolist()
-    [1234.5, 2000.0, 3000.0, nan]
-    """
-    import pandas as pd
-
-    other = {".": ",", ",": "."}[decimal]
-    texts = pd.Series([*cells], dtype=object)
-    plain = texts.str.fullmatch(rf"[+-]?(?:\d+[{decimal}]?\d*|[{decimal}]\d+)(?:[eE][+-]?\d+)?")
-    grouped = texts.str.fullmatch(rf"[+-]?\d{{1,3}}(?:[{other}'’\s]\d{{3}})+(?:[{decimal}]\d+)?")
-    if not (certain or (grouped & texts.str.contains(decimal, regex=False)).any()):
-        grouped &= ~texts.str.contains(other, regex=False)
-    bare = texts.where(plain | grouped, "").str.replace(rf"[{other}'’\s]", "", regex=True)
-    return pd.to_numeric(bare.str.replace(decimal, "."), errors="coerce").to_numpy(np.float64)
-
-
-def decimal_sign(cells: Iterable[str], separator: str) -> tuple[str, str]:
-    """Decimal sign of the numbers of a text, and what is not plain: a number of either sign, if no other settles it.
-
-    >>> decimal_sign(["1,234", "0,5"], ";"), decimal_sign(["1,234", "2"], ";")
-    ((',', ''), ('.', "'1,234' may be a decimal or a thousand"))
-    """
-    settled, ambiguous = set(), ""
-    for cell in cells:
-        if match := _WITH_UNIT.fullmatch(cell) if dimension_of(cell.split()[-1] if " " in cell else "") else None:
-            cell = match[1]
-        if ("." in cell or "," in cell) and (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
-            sign = _sign_of(cell)
-            settled |= {sign} - {""}
-            ambiguous = ambiguous or ("" if sign else cell)
-    sign = next(iter(settled)) if len(settled) == 1 else "." if separator == "," and not settled else ""
-    if ambiguous and (not sign or sign not in ambiguous):
-        return sign or ".", f"{ambiguous!r} may be a decimal or a thousand"
-    return sign or ".", "has numbers with decimal points and with commas" if len(settled) > 1 else ""
-
-
-def _sign_of(cell: str) -> str:
-    """Decimal sign of a number; empty for one such as 1.234, in which it may separate thousands.
-
-    >>> [_sign_of(cell) for cell in ("0.5", "1,234.5", "1.234.567", "1.234")]
-    ['.', '.', ',', '']
-    """
-    signs = re.findall("[.,]", cell)
-    if len(signs) > 1:
-        return signs[-1] if signs[0] != signs[-1] else ",."[signs[0] == ","]
-    return "" if re.fullmatch(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", cell) else signs[0]
 
 
 def _of_labview(lines: list[str], path: Path) -> list[str]:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque, needed_at_joint
+from mckibben.dataset.cells import NUMBER, to_numbers
 from mckibben.dataset.clock import seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
-from mckibben.dataset.text import NUMBER, to_numbers
 from mckibben.dataset.vocabulary import (
     ABSOLUTE,
     QUANTITIES,
@@ -27,7 +27,7 @@ from mckibben.dataset.vocabulary import (
     parse_line,
     si_factor,
 )
-from mckibben.dataset.words import doubtful_words
+from mckibben.dataset.words import doubtful_words, other_units
 from mckibben.errors import Problem, UnitError, closest
 from mckibben.units import quantity, show
 
@@ -79,6 +79,7 @@ _KINDS = {
 }
 _WITH_UNIT = re.compile(r"(.+?)\s*[\[(]([^\[\]()]+)[\])]\s*")
 _UNNAMED = re.compile(r"column \d+")
+_LENGTH = re.compile(r"(?<![\d.,])(\d+(?:\.\d+)?) ?(mm|cm|m)\b(?!\w|[/^])")
 
 
 def understand(
@@ -154,10 +155,23 @@ class _Reader:
 
     def _ask_about_words(self, chosen: Sequence[_Entry]) -> None:
         """Questions about words that may change numbers, and about an ambient pressure that nothing needs."""
-        answered = self.recipe.ambient is not None
+        answered, columns = self.recipe.ambient is not None, self.table.columns
+        initial, units = self.table.initial_length or np.nan, {column.unit for column in columns.values()}
         words = [(line, ABSOLUTE.sub("", text) if answered else text) for line, text in self.raw.words]
-        for line, text in doubtful_words(words, {column.unit for column in self.table.columns.values()}):
-            remedy = _AMBIENT if ABSOLUTE.search(text) else "apply it by --column 'HEADER=1*x-12.5 force_N'"
+        words = [(line, _LENGTH.sub(lambda match: _unless(match, initial), text)) for line, text in words]
+        for line, text in doubtful_words(words, units):
+            length, foreign = _LENGTH.search(text), dict(other_units(text, units))
+            kind = next((name for name in foreign if name in columns), "force")
+            header, unit = "HEADER", "N"
+            if column := columns.get(kind):
+                header, unit = column.header, column.unit
+            remedy = f"apply it by --column '{header}=1*x-12.5 {kind}_{unit}'"
+            if ABSOLUTE.search(text):
+                remedy = _AMBIENT
+            elif kind in foreign:
+                remedy = f"if it is the unit: --column '{header}={kind}_{foreign[kind]}'"
+            elif length and "length" in foreign:
+                remedy = f"if it is the initial length: --initial-length '{length[0]}'"
             self.ask(f"beside the table stands {text[:200]!r}", "words", line=line, remedy=remedy)
         if answered and not any(self._is_absolute(entry.header) for entry in chosen):
             remedy = "name an absolute one: --column 'HEADER=pressure_bar_abs', or leave ambient out"
@@ -452,6 +466,11 @@ class _Reader:
             table.columns = {
                 name: replace(column, values=column.values[~bad]) for name, column in table.columns.items()
             }
+
+
+def _unless(match: re.Match[str], initial: float) -> str:
+    """Length in a text; empty if it is the initial one."""
+    return "" if abs(quantity(match[0], "m") - initial) < _ROUNDING else match[0]
 
 
 def _is_needless(column: RawColumn, label: str, *, other_unit: bool) -> bool:

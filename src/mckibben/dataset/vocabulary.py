@@ -37,17 +37,19 @@ as `relative_length` is. `pressure1` and `pressure2` are those of the muscles of
 
 _NAMES: Mapping[str, str] = {
     "pressure": """p, pressure, muscle pressure, air pressure, inner pressure, internal pressure, actuator pressure,
-        druck, muskeldruck, innendruck, istdruck, p muskel, p ist, messdruck, überdruck, ueberdruck, absolutdruck,
-        luftdruck, pression, 压力, 气压, 压强, 表压, 圧力, 空気圧, 内圧, ゲージ圧""",
-    "force": """f, force, axial force, tension, tensile force, pull, pulling force, contractile force, load,
-        load cell, kraft, zugkraft, axialkraft, muskelkraft, standardkraft, kraftaufnehmer, standard force, last,
-        force de traction, 力, 拉力, 张力, 收缩力, 荷重, 張力, 収縮力, 発生力""",
+        druck, muskeldruck, druck im muskel, innendruck, istdruck, p muskel, p ist, messdruck, überdruck, ueberdruck,
+        absolutdruck, luftdruck, pression, presión, presion, pressione, 压力, 气压, 压强, 表压, 圧力, 空気圧, 内圧,
+        ゲージ圧""",
+    "force": """f, force, axial force, tension, tensile force, pull, pulling force, contractile force, load, load cell,
+        kraft, zugkraft, axialkraft, muskelkraft, standardkraft, kraftaufnehmer, standard force, last,
+        force de traction, fuerza, forza, 力, 拉力, 张力, 收缩力, 荷重, 張力, 収縮力, 発生力""",
     "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
-        verkuerzung, relative verkürzung, taux de contraction, 收缩率, 収縮率""",
-    "length": """l, length, muscle length, länge, laenge, muskellänge, muskellaenge, longueur, 长度, 長さ""",
+        verkuerzung, relative verkürzung, taux de contraction, contracción, contrazione, 收缩率, 収縮率""",
+    "length": """l, length, muscle length, länge, laenge, muskellänge, muskellaenge, longueur, longitud, lunghezza,
+        长度, 長さ""",
     "displacement": """displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung,
-        wegaufnehmer, traversenweg, standardweg, déplacement, deplacement, course, 位移, 变位, 変位, 行程,
-        ストローク""",
+        wegaufnehmer, traversenweg, standardweg, déplacement, deplacement, course, längenänderung, laengenaenderung,
+        length change, change in length, desplazamiento, spostamento, 位移, 变位, 変位, 行程, ストローク""",
     "shortening": """shortening, verkürzungsweg, raccourcissement, 收缩量, 収縮量""",
     "lengthening": """lengthening, elongation, verlängerung, allongement, 伸长, 伸び""",
     "relative_length": """relative length, length ratio, l/l0, relative länge, längenverhältnis""",
@@ -61,10 +63,10 @@ _NAMES: Mapping[str, str] = {
     "set_force": """set force, force set, force setpoint, nominal force, target force, set load, nominal load, weight,
         weights, mass, masse, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast,
         poids, 重量, 质量, 質量, 砝码, おもり""",
-    "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp,
-        test time, zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum,
-        uhrzeit, zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time,
-        date/time, datum/uhrzeit, temps, heure, zeitpunkt, 时间, 時間, 時刻, 日時, 日期""",
+    "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp, test time,
+        zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum, uhrzeit,
+        zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time, date/time,
+        datum/uhrzeit, temps, heure, zeitpunkt, tiempo, tempo, 时间, 時間, 時刻, 日時, 日期""",
     "direction": "direction, richtung",
     "phase": "phase",
     "repeat": "repeat, wiederholung",
@@ -72,7 +74,7 @@ _NAMES: Mapping[str, str] = {
 _QUANTITY = {name.strip(): quantity for quantity, names in _NAMES.items() for name in names.split(",")}
 _MODIFIERS = re.compile(
     r"\b(actual|measured|ist|istwert|value|wert|gauge|relative|rel|mean|average|avg|mittel|mittelwert|last|"
-    r"sensor|muscle|muskel|raw|(?:ch|channel|kanal|ai|sensor|signal) ?\d+|\d+|feedback)\b"
+    r"sensor|muscle|muskel|pam|mckibben|actuator|raw|(?:ch|channel|kanal|ai|sensor|signal) ?\d+|\d+|feedback)\b"
 )
 _HARMLESS = re.compile(
     r"""^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle
@@ -240,7 +242,8 @@ def _in_other_unit(quantity: str, unit: str, name: str) -> Header:
         return Header("shortening", length, name)
     if quantity == "shortening" and (ratio := canonical_unit(unit, "contraction")):
         return Header("contraction", ratio, name)
-    return Header("", unit, name)
+    dimension = dimension_of(unit)
+    return Header("", canonical_unit(unit, dimension) if dimension else unit, name)
 
 
 def _named(name: str, unit: str = "") -> str:

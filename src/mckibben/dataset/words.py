@@ -17,7 +17,10 @@ _CHANGES = re.compile(
     | swapped | exchanged | vertauscht | invert | revers | negative | wrong | falsch | fault | defekt | invalid
     | ung[üu]ltig | broken | slipp | replaced | changed | switched | gewechselt | in\ parallel | both\ muscles
     | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | twice | doppelt
-    | fitting | stretch | nominal | preload | vorlast | not\ (?:tared|zeroed|calibrated) | untared | uncalib | estimat
+    | fitting | stretch | nominal | preload | vorlast | untared | uncalib | estimat
+    | not\ (?:tared|zeroed|calibrated|includ|count|consider|contain|weigh) | nicht\b | without\b | ohne\b | includ
+    | inkl | enthalt | zzgl | zuz[üu]gl | plus\b | (?:dead|self|own|eigen)[ -]?(?:weight|gewicht)
+    | (?:hook|hanger|plate|pan|tray)s?\b | (?:last|gewichts?|waag)?-?(?:haken|teller|schale|platte|geh[äa]nge)n?\b
     | satur | overload | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo
     | summe?\b | muscle\ (?:[b-h]|[2-9])\b | delay | lag\b | shift
     ) | (?:^|[\s=])[x×*]\ ?\d | \d\s[x×*]\s | \b(?:mean|average|mittel)\b""",
@@ -31,6 +34,8 @@ _QUANTITY = re.compile(
 _AFTER_UNIT = re.compile(r"(?:units?|einheit(?:en)?)[\s:;,=]*$", re.IGNORECASE)
 _UNIT = re.compile(r"(?<![\w.])([A-Za-z%][A-Za-z0-9/^²%]{0,8})(?![\w])")
 _WORDS = ("p", "P", "m", "g", "in", "at")  # which are units too
+_LOADED = re.compile(r"(?<![\w.,-])\d[\d.,]* ?(?:k?g|k?N|lbs?)\b")
+_SENSOR = re.compile(r"sensor|cell|range|bereich|aufnehmer|capacity|nennlast|\bmax|typ", re.IGNORECASE)
 _LONGEST = 400  # characters
 
 
@@ -52,15 +57,21 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
     for line, text in words:
         short = text[:_LONGEST]
         dated = re.match(r"(?:last )?(?:calib|kalib)\w* ?(?:date|datum|due)", short, re.IGNORECASE)
-        if (_CHANGES.search(short) and not dated) or any(_other_units(short, units)):
+        loaded = _LOADED.search(short) and not _SENSOR.search(short)
+        if (_CHANGES.search(short) and not dated) or loaded or any(other_units(short, units)):
             yield line, short
 
 
-def _other_units(text: str, units: Collection[str]) -> Iterator[bool]:
-    """Whether each unit of pressure, force, length or contraction that is not that of a number is of no column."""
+def other_units(text: str, units: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Quantities and units of pressure, force, length or contraction in a text of which no column is.
+
+    >>> list(other_units("all forces in daN, lengths in mm", ["N", "mm"]))
+    [('force', 'daN')]
+    """
     for match in _UNIT.finditer(text):
         before, quantity = text[: match.start()], dimension_of(match[1])
         if quantity in ("", "time") or (match[1] in _WORDS and not _AFTER_UNIT.search(before)):
             continue
-        if not re.search(r"\d\s*$", before) or _QUANTITY.search(text):
-            yield canonical_unit(match[1], quantity) not in units
+        unit = canonical_unit(match[1], quantity)
+        if unit not in units and (not re.search(r"\d\s*$", before) or _QUANTITY.search(text)):
+            yield quantity, unit

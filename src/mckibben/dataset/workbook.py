@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import iterparse
 
-from mckibben.dataset.raw import Budget, RawTable, not_installed, readable, several
+from mckibben.dataset.file_names import several
+from mckibben.dataset.matrix import MATRIX, find_matrix, matrix_remedy, read_matrix
+from mckibben.dataset.raw import Budget, RawTable, not_installed, readable
 from mckibben.dataset.table import question
 from mckibben.dataset.text import find_layout, read_lines
 from mckibben.errors import DatasetError, Problem
@@ -20,11 +22,11 @@ if TYPE_CHECKING:
     from openpyxl.worksheet.worksheet import Worksheet
 
 _SHEET_BYTES = 2**24  # of XML of a workbook
+_QUOTED = re.compile(r'"([^"]*)"|\\(.)')  # texts in a format of numbers
 _MOST_NESTED = 100  # elements, each of which openpyxl holds in memory until its end
 _MARKS: Mapping[str, Callable[[Any], bool]] = {
-    "struck out": lambda cell: bool(cell.font and cell.font.strike),
-    "noted": lambda cell: cell.comment is not None,
-    "coloured": lambda cell: bool(cell.fill and cell.fill.fill_type == "solid"),
+    "struck out": lambda cell: bool(cell.font.strike),
+    "coloured": lambda cell: bool(cell.fill.fill_type) or _ink(cell) not in ("", "1", "FF000000", "00000000"),
 }
 
 
@@ -38,45 +40,58 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     except ImportError:
         raise not_installed(path, "openpyxl", "excel") from None
     with readable(path, "a workbook"):
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-            if size > _SHEET_BYTES:
-                text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
-                raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
-            for info in archive.infolist():
-                if info.filename.endswith(".xml"):
-                    _check_nesting(path, archive.read(info))
+        texts = _parts(path, data)
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
-    sheets = [sheet for sheet in book.worksheets if part in ("", sheet.title)]
-    lines = {sheet.title: _lines(sheet, budget) for sheet in sheets}
-    tables = [sheet for sheet in sheets if find_layout(lines[sheet.title], mapping)]
-    if not tables:
+    lines = {sheet.title: _lines(sheet, budget) for sheet in book.worksheets}
+    find, read = (find_matrix, read_matrix) if {*MATRIX} <= {*mapping} else (find_layout, read_lines)
+    tables = {title: layout for title, sheet in lines.items() if (layout := find(sheet, mapping))}
+    chosen = [title for title in tables if part in ("", title)]
+    if len(chosen) > 1:
+        raise several(path, "sheets", chosen)
+    if not chosen:
         text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
         remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
+        remedy = next(filter(None, map(matrix_remedy, lines.values())), remedy)
         raise DatasetError(str(path), [Problem(text, remedy=remedy)])
-    if len(tables) > 1:
-        raise DatasetError(str(path), [several("sheets", [sheet.title for sheet in tables])])
-    (sheet,) = tables
-    texts = lines.pop(sheet.title)
+    sheet: Worksheet = book[chosen[0]]
     cells = chain.from_iterable(sheet.iter_rows(values_only=True))
-    table = read_lines([*texts, ""], path, mapping, settled="." if any(isinstance(x, float) for x in cells) else "")
+    settled = "." if any(isinstance(cell, float) for cell in cells) else ""
+    table = read([*lines[sheet.title], ""], path, mapping, settled=settled)
     table.place = "row"
-    others = chain.from_iterable(lines.values())
-    table.words += [(None, " ".join(line.split())) for line in others if line.strip()]
-    table.questions += [question(text, "layout", field="layout") for text in _hidden(sheet, table.lines[0])]
+    others = chain.from_iterable(lines[title] for title in lines if title not in tables)
+    beside = [*others, *(texts[name] for name in texts if name.startswith("xl/drawings/drawing")), *_formats(sheet)]
+    table.words += [(None, " ".join(text.split())) for text in beside if text.strip()]
+    asked = [*_hidden(sheet, table.lines[0]), *_noted(sheet, texts)]
+    table.questions += [question(text, "layout", field="layout") for text in asked]
     return table
 
 
-def _check_nesting(path: Path, xml: bytes) -> None:
-    """Raise a `DatasetError` if the elements of a part of a workbook are nested deeply."""
-    depth = 0
+def _parts(path: Path, data: bytes) -> dict[str, str]:
+    """Texts of the parts of a workbook by name; raises a `DatasetError` for another archive, or a large one."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size = sum(info.file_size for info in archive.infolist())
+        if size > _SHEET_BYTES:
+            text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
+            raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
+        names = [name for name in archive.namelist() if name.endswith(".xml")]
+        if "[Content_Types].xml" not in names:
+            other = Problem("is an archive (.zip, .ods?), and no .xlsx", remedy="save its table as .xlsx or CSV")
+            raise DatasetError(str(path), [other])
+        return {name: _texts(path, archive.read(name)) for name in names}
+
+
+def _texts(path: Path, xml: bytes) -> str:
+    """Texts of a part of a workbook; raises a `DatasetError` if its elements are nested deeply."""
+    depth, texts = 0, []
     for event, element in iterparse(io.BytesIO(xml), ("start", "end")):
         depth += 1 if event == "start" else -1
         if depth > _MOST_NESTED:
             problem = Problem(f"has more than {_MOST_NESTED} nested elements of XML", remedy="save the sheet as CSV")
             raise DatasetError(str(path), [problem])
         if event == "end":
+            texts += [element.text] * bool(element.text and element.tag.endswith(("}t", "}text")))
             element.clear()
+    return " ".join(texts)
 
 
 def _lines(sheet: Worksheet, budget: Budget) -> list[str]:
@@ -89,10 +104,26 @@ def _text_of(cell: object) -> str:
     return "" if cell is None else repr(cell) if isinstance(cell, float) else re.sub(r'[\s"]+', " ", str(cell))
 
 
+def _formats(sheet: Worksheet) -> list[str]:
+    """Texts that a sheet shows behind its numbers."""
+    cells = chain.from_iterable(sheet.iter_rows())
+    formats = {cell.number_format for cell in cells if isinstance(cell.value, int | float)}
+    texts = ("".join(chain.from_iterable(_QUOTED.findall(form))) for form in formats)
+    return [f"numbers shown in {text}" for text in texts if text.strip()]
+
+
+def _noted(sheet: Worksheet, texts: Mapping[str, str]) -> list[str]:
+    """Notes at cells of a sheet, else comments of the workbook that are threads."""
+    threads = [text for name, text in texts.items() if name.startswith("xl/threadedComments/")]
+    cells = chain.from_iterable(sheet.iter_rows())
+    notes = [f"{cell.coordinate}: {cell.comment.text}" for cell in cells if cell.comment] or threads
+    return [f"{len(notes)} cells are noted, first {' '.join(notes[0].split())[:80]!r}"] if notes else []
+
+
 def _hidden(sheet: Worksheet, first: int) -> list[str]:
     """What a sheet shows of its numbers beside them: hidden and merged areas, and cells with a mark.
 
-    A mark on all cells is a style, one on some of them says something of these.
+    A mark on all cells of a row up to the header, or on all numbers, is a style; one on some of them says something.
     """
     rows = [str(row) for row, shape in sheet.row_dimensions.items() if shape.hidden and row >= first]
     columns = [letter for letter, shape in sheet.column_dimensions.items() if shape.hidden]
@@ -100,10 +131,16 @@ def _hidden(sheet: Worksheet, first: int) -> list[str]:
     merged = [str(area) for area in sheet.merged_cells.ranges if area.max_row >= first - 1]
     texts = [f"rows or columns are hidden: {', '.join(hidden[:5])}"] * bool(hidden)
     texts += [f"cells are merged: {', '.join(merged[:5])}"] * bool(merged)
-    cells = [
-        cell for row in sheet.iter_rows(min_row=first, max_row=first + 5000) for cell in row if cell.value is not None
-    ]
+    filled = [[cell for cell in row if cell.value is not None] for row in sheet.iter_rows(max_row=first + 5000)]
+    areas = [*filled[: first - 1], list(chain.from_iterable(filled[first - 1 :]))]
     for word, is_marked in _MARKS.items():
-        if 0 < (count := sum(map(is_marked, cells))) < len(cells):
-            texts.append(f"{count} cells are {word}")
+        marked = [[cell for cell in area if is_marked(cell)] for area in areas]
+        if some := [cells for cells, area in zip(marked, areas, strict=True) if 0 < len(cells) < len(area)]:
+            texts.append(f"{sum(map(len, some))} cells are {word}, first {some[0][0].coordinate}")
     return texts
+
+
+def _ink(cell: Any) -> str:
+    """Colour of the text of a cell: a number of the theme, or red, green and blue; empty for the usual one."""
+    colour = cell.font.color
+    return "" if colour is None or colour.type not in ("rgb", "theme") else str(colour.value)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from mckibben.dataset import TOPICS, IsobaricDataset, Question, Recipe, Table, read_columns, read_dataset
+from mckibben.dataset.cells import NUMBER
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.text import NUMBER
 from mckibben.dataset.vocabulary import QUANTITIES, parse_header, parse_line
 from mckibben.errors import DatasetError, ScenarioError
 from mckibben.units import show
