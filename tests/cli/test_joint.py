@@ -152,7 +152,8 @@ def test_a_joint_is_sized_kept_and_runs(cli, tmp_path):
     assert cli("simulate", "kept/scenario.yaml").code == 0
 
 
-FALLS_WITH_PRESSURE = """
+FALLS_WITH_PRESSURE = """\
+name: a joint
 joint:
   geometry:
     class: PairedPaths

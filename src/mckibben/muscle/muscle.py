@@ -30,7 +30,6 @@ from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import jit
 from mckibben.units import Strength, bar
 
-
 CHECK_LAW = "check the signs and units of its parameters, and its domain"
 """Remedy for a law that is not that of a muscle."""
 
