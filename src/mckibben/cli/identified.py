@@ -99,7 +99,7 @@ def ranked(ranking: Ranking, source: Source) -> Report:
         assert best is not None
         source.write(folder, best)
         report.save(report.ranking(ranking), folder, "ranking")
-        report.save(report.isobaric(source.points, best), folder, "fit")
+        report.save(report.isobaric(best.points, best), folder, "fit")
 
     tables, remarks = titled(ranking.listings(), "points"), (*ranking.remarks(), *source.remarks())
     return Report(ranking.verdict(), tuple(tables), remarks, write)

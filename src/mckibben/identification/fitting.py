@@ -302,17 +302,3 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
         rates = max(rates), max(rates)
     noise = neighbours_apart(cross.residuals, points)
     return LeaveOnePressureOut(cross.rmse, cross.max_error, by_level, rates, noise), ""
-
-
-def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
-    """Residuals [N] less the mean of each direction and phase, which is friction, not an error of a static law.
-
-    The residuals have the shape (points,); NaN is ignored.
-    """
-    rest = np.array(residuals, float)
-    for name in ("direction", "phase"):
-        if name in points.table:
-            labels = points.table[name].to_numpy()
-            for label in filter(None, np.unique(labels).tolist()):
-                rest[labels == label] -= np.nanmean(rest[labels == label])
-    return rest

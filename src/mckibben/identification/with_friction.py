@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+FRICTION_ALL_THE_SAME = "fit it with friction all the same: friction=True (command line: --friction on)"
+"""Remedy for a law that is fitted without the friction that points show."""
+
+
 class FitWithFriction(Fit):
     """Fit of a law, with friction where it was identified: the result of `identify_with_friction`.
 
@@ -147,8 +151,8 @@ def identify_with_friction(
     if hysteresis and gap and hysteresis.rmse > gap:
         note = (
             f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; see how other laws fit "
-            "(mk.rank, or --law all)"
+            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; {FRICTION_ALL_THE_SAME}, "
+            "or see how other laws fit (mk.rank, or --law all)"
         )
         hysteresis = None
     if not hysteresis:
