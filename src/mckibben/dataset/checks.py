@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.preprocessing import pressure_levels
+from mckibben.dataset.preprocessing import contraction_rate, held_loads, pressure_levels
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.table import Question, question
 from mckibben.errors import Problem
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
+_SIGNS = {"unloading": 1.0, "loading": -1.0}  # of the rate of the contraction
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
     "rows": "leave these rows out of the file",
@@ -50,6 +51,11 @@ class Points:
         Line of each point in its file.
     slack_force
         Force up to which the muscle counts as slack [N].
+    held
+        Whether the forces are loads that were held, as of hanging weights: then the contraction was measured.
+    rate
+        Shape (points,): rate of the contraction [1/s] or, where loads are held, its sign; NaN where it is not known, as
+        at reversals.
     """
 
     pressure: Floats
@@ -57,11 +63,13 @@ class Points:
     force: Floats
     lines: NDArray[np.int64]
     slack_force: float = 0.0
+    held: bool = False
+    rate: Floats | None = None
 
     @property
     def taut(self) -> NDArray[np.bool_]:
-        """Mask of points whose force is above 5 % of the largest, and thus clearly that of a taut muscle."""
-        return self.force > max(0.05 * self.force.max(initial=0.0), self.slack_force)
+        """Mask of points whose force is a load, or above 5 % of the largest, and thus clearly that of a taut muscle."""
+        return self.held | (self.force > max(0.05 * self.force.max(initial=0.0), self.slack_force))
 
     @property
     def table(self) -> Floats:
@@ -70,8 +78,9 @@ class Points:
 
     def every(self, step: int) -> Points:
         """Every second point, say."""
-        pressure, contraction, force = self.pressure[::step], self.contraction[::step], self.force[::step]
-        return replace(self, pressure=pressure, contraction=contraction, force=force, lines=self.lines[::step])
+        names = "pressure", "contraction", "force", "lines", "rate"
+        columns = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: values[::step] for name, values in columns.items() if values is not None})
 
     def ask(self, topic: str, text: str, row: int | None = None, field: str = "", remedy: str = "") -> Question:
         """A question, about a row, with the remedy of its topic or of another."""
@@ -90,8 +99,12 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
     specimen
         Muscle whose diameter the largest force has to fit; default: any muscle.
     """
-    slack = dataset.table.attrs["slack_force"]
-    points = Points(dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines), slack)
+    slack, held = dataset.table.attrs["slack_force"], held_loads(dataset.table) is not None
+    columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
+    rate = contraction_rate(dataset.table)
+    if held and "direction" in dataset.table:
+        rate = np.array([_SIGNS.get(word, np.nan) for word in dataset.table["direction"].to_numpy().tolist()])
+    points = Points(*columns, slack, held, rate)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 
@@ -226,6 +239,8 @@ def _saturated(points: Points) -> Iterator[Question]:
     if others and some and max(usual) < 1 and bdtrc(last[0] - 1, last[1], np.mean(usual)) < 0.01:
         text = "the highest pressure repeats, and the others scatter: is the sensor saturated, first"
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
+    if points.held:  # the forces are not those of a sensor
+        return
     begins = np.flatnonzero(np.diff(points.force, prepend=np.nan) != 0)
     stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
     if np.count_nonzero(stays > 1) == 1 and 4 < stays.max() < len(points.force):  # else a weight
@@ -258,23 +273,35 @@ def _surface(points: Points) -> Iterator[Question]:
     The force has to rise with the pressure and to fall with the contraction, as the plane through the points shows. A
     point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the
     points do. Slack points count only where another one, at no more pressure and no longer, pulls, or where a lone one
-    would be taut by the surface.
+    would be taut by the surface. With known rates, friction and a damper by direction are added, and other points do
+    not count.
+
+    Where loads are held, the contraction has to rise with the pressure and to fall with the load, and it differs by a
+    quarter of its range; friction depends on p and x, and a muscle that is stretched may be stiff.
     """
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
         yield points.ask("order", "nearly all forces are below 5 % of the largest,", int(np.argmax(points.force)))
     if len(taut) < 4 or np.ptp(rows[taut, 2]) < 0.15 * largest:
         return
-    plane = force_plane(rows[taut, 1], rows[taut, 0], rows[taut, 2])
+    falls_with, measured = (2, 1) if points.held else (1, 2)
+    plane = force_plane(rows[taut, falls_with], rows[taut, 0], rows[taut, measured])
     if min(plane.falls, plane.rises) < -1 or plane.share < 1 / 2:
         text = (
             "the force does not rise with the pressure and fall with the contraction: exchanged columns, a wrong sign?"
         )
         yield points.ask("order", text, field="force")
-    if len(taut) < 12:
-        return
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
-    terms = np.column_stack([p, p * x, p * x * x, np.ones_like(p), x, np.exp(-6 * x)])
+    ones, decayed = np.ones_like(p), np.exp(-6 * x)
+    terms = np.column_stack([p, p * x, p * x * x, ones, x, decayed])
+    rate = np.full(len(rows), np.nan) if points.rate is None else points.rate
+    moving = np.isfinite(rate)
+    if 2 * np.count_nonzero(moving) > len(rate):
+        rate, taut = np.nan_to_num(rate), np.flatnonzero(points.taut & moving)
+        by = (p, x) if points.held else (np.abs(rate), rate)
+        terms = np.column_stack([terms, np.sign(rate), *(np.sign(rate) * values for values in by)])
+    if len(taut) < 2 * terms.shape[1]:
+        return
     scale = 1 / np.maximum(rows[taut, 2], 0.1 * largest)
     weights = scale
     for _ in range(4):  # single points must not bend the surface
@@ -282,16 +309,25 @@ def _surface(points: Points) -> Iterator[Question]:
         apart = np.abs(rows[:, 2] - terms @ solution)
         weights = scale / np.maximum(1.0, apart[taut] * scale / (3 * np.median(apart[taut] * scale) + 1e-9))
     share = apart / np.maximum(rows[:, 2], 0.15 * largest)
+    basis, sizes, _ = np.linalg.svd(terms[taut] * scale[:, None], full_matrices=False)
+    leverage = np.sum(basis[:, sizes > 1e-9 * sizes[0]] ** 2, axis=1)
+    left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
+    most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
+    if points.held:
+        slope = np.abs(np.column_stack([0 * p, p, 2 * p * x, 0 * p, ones, -6 * decayed]) @ solution[:6])
+        share = apart / np.maximum(slope, 1e-9) / np.ptp(x)
+        most = np.where(x[taut] < 0, np.inf, slope[taut] * np.ptp(x))
+        share[x < 0] = 0.0
     usual = np.quantile(share[taut], 0.8)
-    basis = np.linalg.qr(terms[taut] * scale[:, None])[0]
-    left_out = apart[taut] / np.maximum(1 - np.sum(basis**2, axis=1), 1e-6)  # residual of a fit without the point
     level = np.where(np.isnan(level := pressure_levels(points.pressure)), points.pressure, level)
     stronger = (
         (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1]) & (rows[:, 2] > rows[:, None, 2] + 0.03 * largest)
     )
-    lone = (len(rows) - len(taut) < 3) & (terms @ solution > 0.06 * largest)
+    lone = (np.count_nonzero(~points.taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
-    far[taut] |= left_out > np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
+    far[taut] |= left_out > most
+    if terms.shape[1] > 6:
+        far &= moving
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)

@@ -148,6 +148,24 @@ def sample_rate(table: xr.Dataset) -> float:
     return 1 / interval if 0 < interval <= 1 / _FEWEST else 0.0
 
 
+def contraction_rate(table: xr.Dataset) -> Floats | None:
+    """Rate of the contraction [1/s] of each point by differences along its stroke, shape (points,).
+
+    NaN at the ends of strokes, where the muscle may have reversed in between; None without times or directions, and of
+    points that are means, which were measured at rest.
+    """
+    if "time" not in table or "direction" not in table or "force_spread" in table:
+        return None
+    time, contraction = table["time"].to_numpy(), table["contraction"].to_numpy()
+    rate = np.full(len(time), np.nan)
+    strokes = pd.DataFrame({"direction": table["direction"].to_numpy(), "level": _levels(table)})
+    ends = (strokes != strokes.shift()).any(axis=1).to_numpy() | (np.diff(time, prepend=-np.inf) <= 0)
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(ends)):
+        if len(rows) > 2:
+            rate[rows[1:-1]] = np.gradient(contraction[rows], time[rows])[1:-1]
+    return rate
+
+
 def _restarts(table: xr.Dataset) -> NDArray[np.bool_]:
     time = table["time"].to_numpy()
     return np.diff(time, prepend=time[:1]) < 0
