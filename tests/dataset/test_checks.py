@@ -261,3 +261,29 @@ def test_a_wrong_reading_of_a_fast_stroke_is_asked_about():
     wrong = IsobaricDataset(data.table.assign(force=("point", force)))
     (question,) = questions_of(wrong, np.arange(len(wrong)))
     assert (question.topic, question.problem.line) == ("order", 260)
+
+
+def test_published_points_and_those_of_the_rig_show_no_shift():
+    for name in catalog.names("datasets"):
+        data = catalog.dataset(name)
+        assert questions_of(data, np.arange(len(data))) == []
+
+
+@pytest.mark.parametrize("friction", [0.0, 12.0])
+@pytest.mark.parametrize("row", [23, 30, 41])
+@pytest.mark.parametrize(
+    ("quantity", "size"), [("pressure", 1.013e5), ("pressure", -1.013e5), ("contraction", 0.02), ("force", 100.0)]
+)
+def test_a_shift_from_some_row_on_is_asked_about_with_the_row(quantity, size, row, friction):
+    names = ("pressure", "contraction", "force")
+    arrays = dict(zip(names, muscle(noise=0.4, friction=friction, seed=4), strict=True))
+    row *= 1 + (friction > 0)
+    arrays[quantity] = arrays[quantity] + np.where(np.arange(len(arrays["force"])) >= row, size, 0.0)
+    data = IsobaricDataset.of(
+        **arrays,
+        direction=np.tile(np.repeat(["unloading", "loading"], 15), 4) if friction else None,
+        slack_force=0.0,
+    )
+    asked = questions_of(data, np.arange(len(data)))
+    (question,) = (question for question in asked if question.problem.field == quantity and question.topic == "order")
+    assert abs(question.problem.line - row) <= 2, asked

@@ -26,10 +26,11 @@ if TYPE_CHECKING:
 
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
-_SIGNS = {"unloading": 1.0, "loading": -1.0}  # of the rate of the contraction
+_SHORTENS, _STRETCHED = ("unloading", "filling"), ("loading", "venting")  # or would, at a fixed length
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
     "rows": "leave these rows out of the file",
+    "shift": "correct these rows in the file, which may be absolute or have another zero",
     "order": "check these rows, the headers, and the signs of lengths and angles",
     "zero": "subtract the offset in the file, or measure five or more points of the slack muscle",
     "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --read 'ambient=101.3 kPa')",
@@ -53,9 +54,10 @@ class Points:
         Force up to which the muscle counts as slack [N].
     held
         Whether the forces are loads that were held, as of hanging weights: then the contraction was measured.
+    side
+        Shape (points,): 1 where the muscle shortens, -1 where it is stretched, 0 where that is not known.
     rate
-        Shape (points,): rate of the contraction [1/s] or, where loads are held, its sign; NaN where it is not known, as
-        at reversals.
+        Shape (points,): rate of the contraction [1/s], NaN where it is not known, as at reversals.
     """
 
     pressure: Floats
@@ -64,6 +66,7 @@ class Points:
     lines: NDArray[np.int64]
     slack_force: float = 0.0
     held: bool = False
+    side: Floats | None = None
     rate: Floats | None = None
 
     @property
@@ -78,7 +81,7 @@ class Points:
 
     def every(self, step: int) -> Points:
         """Every second point, say."""
-        names = "pressure", "contraction", "force", "lines", "rate"
+        names = "pressure", "contraction", "force", "lines", "side", "rate"
         columns = {name: getattr(self, name) for name in names}
         return replace(self, **{name: values[::step] for name, values in columns.items() if values is not None})
 
@@ -101,10 +104,9 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
     """
     slack, held = dataset.table.attrs["slack_force"], held_loads(dataset.table) is not None
     columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
-    rate = contraction_rate(dataset.table)
-    if held and "direction" in dataset.table:
-        rate = np.array([_SIGNS.get(word, np.nan) for word in dataset.table["direction"].to_numpy().tolist()])
-    points = Points(*columns, slack, held, rate)
+    words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
+    side = sum(np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words) if words else None
+    points = Points(*columns, slack, held, side, contraction_rate(dataset.table))
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 
@@ -135,7 +137,7 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
     if asked := list(_sign(points)) or list(_ranges(points, specimen)):
         return asked
     points = points.every(1 + len(points.force) // most)
-    checks = _copies, _saturated, _counted, _surface, _exchanged, _offsets
+    checks = _copies, _saturated, _counted, _surface, _shifted, _exchanged, _offsets
     return [asked for check in checks for asked in check(points)]
 
 
@@ -292,14 +294,15 @@ def _surface(points: Points) -> Iterator[Question]:
         )
         yield points.ask("order", text, field="force")
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
-    ones, decayed = np.ones_like(p), np.exp(-6 * x)
-    terms = np.column_stack([p, p * x, p * x * x, ones, x, decayed])
-    rate = np.full(len(rows), np.nan) if points.rate is None else points.rate
-    moving = np.isfinite(rate)
-    if 2 * np.count_nonzero(moving) > len(rate):
-        rate, taut = np.nan_to_num(rate), np.flatnonzero(points.taut & moving)
-        by = (p, x) if points.held else (np.abs(rate), rate)
-        terms = np.column_stack([terms, np.sign(rate), *(np.sign(rate) * values for values in by)])
+    terms, _, slopes = _surface_terms(p, x)
+    moving = np.ones(len(rows), bool) if points.rate is None or points.held else np.isfinite(points.rate)
+    if points.held and points.side is not None:
+        terms = np.column_stack([terms, points.side, points.side * p, points.side * x])
+    elif not moving.all() and 2 * np.count_nonzero(moving) > len(rows):
+        rate, taut = np.nan_to_num(points.rate), np.flatnonzero(points.taut & moving)  # type: ignore[arg-type]
+        terms = np.column_stack([terms, np.sign(rate), rate, np.abs(rate)])
+    else:
+        moving[:] = True
     if len(taut) < 2 * terms.shape[1]:
         return
     scale = 1 / np.maximum(rows[taut, 2], 0.1 * largest)
@@ -314,7 +317,7 @@ def _surface(points: Points) -> Iterator[Question]:
     left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
     most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
     if points.held:
-        slope = np.abs(np.column_stack([0 * p, p, 2 * p * x, 0 * p, ones, -6 * decayed]) @ solution[:6])
+        slope = np.abs(slopes @ solution[:6])
         share = apart / np.maximum(slope, 1e-9) / np.ptp(x)
         most = np.where(x[taut] < 0, np.inf, slope[taut] * np.ptp(x))
         share[x < 0] = 0.0
@@ -326,11 +329,92 @@ def _surface(points: Points) -> Iterator[Question]:
     lone = (np.count_nonzero(~points.taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
     far[taut] |= left_out > most
-    if terms.shape[1] > 6:
-        far &= moving
+    far &= moving
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)
+
+
+def _surface_terms(p: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Terms of the surface at pressures and relative contractions, and their derivatives by both, (points, 6) each."""
+    ones, zeros, decayed = np.ones_like(p), np.zeros_like(p), np.exp(-6 * x)
+    terms = p, p * x, p * x * x, ones, x, decayed
+    by_pressure = ones, x, x * x, zeros, zeros, zeros
+    by_contraction = zeros, p, 2 * p * x, zeros, ones, -6 * decayed
+    first, second, third = (np.column_stack(columns) for columns in (terms, by_pressure, by_contraction))
+    return first, second, third
+
+
+def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
+    """Pressures, contractions or forces that are shifted from some row on: another zero, a gauge that became absolute.
+
+    It is asked if the shift halves the residuals of the surface at least, and exceeds what creep and first strokes do.
+    """
+    taut = np.flatnonzero(points.taut)
+    if len(taut) < fewest:
+        return
+    side = np.zeros(len(points.force)) if points.side is None else points.side
+    rows, side = points.table[taut], side[taut]
+    rms = np.sqrt(np.mean(_linearised(rows, side)[0] ** 2))
+    shifts = [_shift(rows, side, quantity) for quantity in (0, 1, 2)[: 2 if points.held else 3]]
+    quantity = int(np.argmin([shift.rmse for shift in shifts]))
+    row, size, rmse = shifts[quantity]
+    least = (0.2, 0.5, 0.05 * points.force.max())[quantity]
+    if rmse <= 0.5 * rms and abs(size) >= least:
+        name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
+        text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
+        yield points.ask("order", text, int(taut[row]), name, "shift")
+
+
+class _Shift(NamedTuple):
+    """Row from which a quantity is shifted, by how much, and the RMSE [N] of the surface without the shift."""
+
+    row: int
+    size: float
+    rmse: float
+
+
+def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> _Shift:
+    """Shift of a measured quantity, a column of pressure, contraction and force, that reduces the residuals most.
+
+    By Gauss-Newton steps: the row is that of the first, of which no more than three rows are before or after it.
+    """
+    corrected, row, size, most = measured.copy(), 0, 0.0, np.ptp(measured[:, quantity])
+    for _ in range(steps):
+        residuals, basis, slopes = _linearised(corrected, side)
+        slope = slopes[:, quantity]
+        product, shared, square = (
+            np.cumsum(values[::-1], axis=0)[::-1]  # of all rows from one on
+            for values in (slope * residuals, slope[:, None] * basis, slope**2)
+        )
+        apart = np.maximum(square - np.sum(shared**2, axis=1), 1e-6 * square + 1e-12)
+        row = row or int(np.argmax((product**2 / apart)[3:-3])) + 3
+        size = float(np.clip(size - product[row] / apart[row], -most, most))
+        corrected[row:, quantity] = measured[row:, quantity] - size
+    residuals = _linearised(corrected, side)[0]
+    return _Shift(row, size, float(np.sqrt(np.mean(residuals**2))))
+
+
+def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
+    """Residuals of the surface, quadratic in the pressure and with friction by direction; its basis and its slopes.
+
+    Shapes (points,), (points, terms) and (points, 3), slopes of modelled less measured force.
+    """
+    p, force, scale = measured[:, 0], measured[:, 2], np.abs(measured[:, 1]).max(initial=1e-9)
+    x = measured[:, 1] / scale
+    terms, by_pressure, by_contraction = _surface_terms(p, x)
+    squares, zeros = p[:, None] ** 2 * terms[:, 3:5], np.zeros((len(p), 1))
+    all_terms = np.column_stack([terms, squares, side, side * p, side * x])
+    vectors, sizes, weights = np.linalg.svd(all_terms, full_matrices=False)
+    full_rank = sizes > 1e-9 * sizes[0]
+    basis = vectors[:, full_rank]
+    solution = weights[full_rank].T @ (basis.T @ force / sizes[full_rank])
+    slopes = [
+        np.column_stack([by_pressure, 2 * p[:, None] * terms[:, 3:5]]) @ solution[:8],
+        np.column_stack([by_contraction, zeros, p**2]) @ solution[:8] / scale,
+        np.full(len(p), -1.0),
+    ]
+    return force - basis @ (basis.T @ force), basis, np.column_stack(slopes)
 
 
 class ForcePlane(NamedTuple):
