@@ -58,7 +58,12 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints) -> tuple[xr
     if not slack_known:
         table, more = without_offset(table)
         notes += more
+    samples = table.sizes["point"]
     table, first = _averaged(table, files[rows])
+    if len(first) < samples:
+        notes.append(f"{samples} samples are averaged to {len(first)} points")
+    if slack := int(np.count_nonzero(table["force"] <= table.attrs["slack_force"])):
+        notes.append(f"{slack} of {len(first)} points are slack")
     return with_notes(table, notes), rows[first]
 
 
@@ -347,7 +352,7 @@ def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
 
 
 class Slack(NamedTuple):
-    """Force of the slack muscle: zero offset and standard deviation of the noise [N], and number of points."""
+    """Force of the slack muscle: zero offset and standard deviation of the noise [N], and points that show them."""
 
     offset: float
     noise: float
@@ -359,7 +364,7 @@ class Slack(NamedTuple):
         return _NOISE * self.noise
 
     def __str__(self) -> str:
-        return f"slack muscle: {self.points} points with a force of {self.offset:.3g} +- {self.noise:.2g} N"
+        return f"slack muscle: a force of {self.offset:.3g} +- {self.noise:.2g} N"
 
 
 def _slack_of(table: xr.Dataset) -> Slack | None:

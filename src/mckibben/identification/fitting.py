@@ -36,6 +36,7 @@ from mckibben.identification.summary import (
     left_out,
     off_levels,
     places_of,
+    size_remarks,
     zero_remarks,
 )
 from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
@@ -130,6 +131,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         notes.append(Remark.warning("pressure", f"{text}: the domain is the range of the measured pressures"))
     notes += _friction_remarks(points, residuals)
     notes += left_out(outliers)
+    notes += size_remarks(points, residuals, problem.weights[: len(points)])
     notes += zero_remarks(means, float(np.sqrt(np.mean(residuals**2))))
     if ungrouped:
         notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
