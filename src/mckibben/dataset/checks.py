@@ -58,6 +58,8 @@ class Points:
         Shape (points,): 1 where the muscle shortens, -1 where it is stretched, 0 where that is not known.
     rate
         Shape (points,): rate of the contraction [1/s], NaN where it is not known, as at reversals.
+    timed
+        Whether the points are of a recording, in which creep and friction of rests shift forces as well.
     """
 
     pressure: Floats
@@ -68,6 +70,7 @@ class Points:
     held: bool = False
     side: Floats | None = None
     rate: Floats | None = None
+    timed: bool = False
 
     @property
     def taut(self) -> NDArray[np.bool_]:
@@ -106,7 +109,7 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
     columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
     words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
     side = sum(np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words) if words else None
-    points = Points(*columns, slack, held, side, contraction_rate(dataset.table))
+    points = Points(*columns, slack, held, side, contraction_rate(dataset.table), "time" in dataset.table)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 
@@ -312,7 +315,7 @@ def _surface(points: Points) -> Iterator[Question]:
         apart = np.abs(rows[:, 2] - terms @ solution)
         weights = scale / np.maximum(1.0, apart[taut] * scale / (3 * np.median(apart[taut] * scale) + 1e-9))
     share = apart / np.maximum(rows[:, 2], 0.15 * largest)
-    basis, sizes, _ = np.linalg.svd(terms[taut] * scale[:, None], full_matrices=False)
+    basis, sizes, _ = np.linalg.svd(terms[taut, :6] * scale[:, None], full_matrices=False)
     leverage = np.sum(basis[:, sizes > 1e-9 * sizes[0]] ** 2, axis=1)
     left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
     most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
@@ -348,30 +351,31 @@ def _surface_terms(p: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
 def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     """Pressures, contractions or forces that are shifted from some row on: another zero, a gauge that became absolute.
 
-    It is asked if the shift halves the residuals of the surface at least, and exceeds what creep and first strokes do.
+    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do.
     """
     taut = np.flatnonzero(points.taut)
-    if len(taut) < fewest:
+    if len(taut) < fewest or points.timed:
         return
     side = np.zeros(len(points.force)) if points.side is None else points.side
     rows, side = points.table[taut], side[taut]
-    rms = np.sqrt(np.mean(_linearised(rows, side)[0] ** 2))
-    shifts = [_shift(rows, side, quantity) for quantity in (0, 1, 2)[: 2 if points.held else 3]]
+    usual = np.median(np.abs(_linearised(rows, side)[0]))
+    shifts = [_shift(rows, side, quantity) for quantity in range(2 if points.held else 3)]
     quantity = int(np.argmin([shift.rmse for shift in shifts]))
-    row, size, rmse = shifts[quantity]
-    least = (0.2, 0.5, 0.05 * points.force.max())[quantity]
-    if rmse <= 0.5 * rms and abs(size) >= least:
+    row, size, _, median = shifts[quantity]
+    least = (0.5, 0.5, 0.05 * points.force.max())[quantity]
+    if median <= 0.5 * usual and abs(size) >= least:
         name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
         text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
         yield points.ask("order", text, int(taut[row]), name, "shift")
 
 
 class _Shift(NamedTuple):
-    """Row from which a quantity is shifted, by how much, and the RMSE [N] of the surface without the shift."""
+    """Row from which a quantity is shifted, by how much, and residuals [N] without it: RMS and absolute median."""
 
     row: int
     size: float
     rmse: float
+    median: float
 
 
 def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> _Shift:
@@ -391,8 +395,8 @@ def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> 
         row = row or int(np.argmax((product**2 / apart)[3:-3])) + 3
         size = float(np.clip(size - product[row] / apart[row], -most, most))
         corrected[row:, quantity] = measured[row:, quantity] - size
-    residuals = _linearised(corrected, side)[0]
-    return _Shift(row, size, float(np.sqrt(np.mean(residuals**2))))
+    residuals = np.abs(_linearised(corrected, side)[0])
+    return _Shift(row, size, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
 
 
 def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:

@@ -61,9 +61,8 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints) -> tuple[xr
     samples = table.sizes["point"]
     table, first = _averaged(table, files[rows])
     if len(first) < samples:
-        notes.append(f"{samples} samples are averaged to {len(first)} points")
-    if slack := int(np.count_nonzero(table["force"] <= table.attrs["slack_force"])):
-        notes.append(f"{slack} of {len(first)} points are slack")
+        slack = np.count_nonzero(table["force"] <= table.attrs["slack_force"])
+        notes.append(f"{samples} samples are averaged to {len(first)} points, of which {slack} are slack")
     return with_notes(table, notes), rows[first]
 
 
@@ -168,7 +167,8 @@ def contraction_rate(table: xr.Dataset) -> Floats | None:
     for rows in np.split(np.arange(len(time)), np.flatnonzero(ends)):
         if len(rows) > 2:
             rate[rows[1:-1]] = np.gradient(contraction[rows], time[rows])[1:-1]
-    return rate
+    resting = np.abs(rate) < 1e-3 * np.nanmax(np.abs(rate), initial=0.0)
+    return np.where(resting, 0.0, rate)
 
 
 def _restarts(table: xr.Dataset) -> NDArray[np.bool_]:
