@@ -108,7 +108,8 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
     slack, held = dataset.table.attrs["slack_force"], held_loads(dataset.table) is not None
     columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
     words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
-    side = sum(np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words) if words else None
+    signs = [np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words]
+    side = np.sum(signs, axis=0) if signs else None
     points = Points(*columns, slack, held, side, contraction_rate(dataset.table), "time" in dataset.table)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.muscle.base import ForceLaw
@@ -41,7 +41,7 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
 
 
 @jit
-def _force(law: ForceLaw, contraction: Array, pressure: Array) -> Array:
+def _force(law: ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> Array:
     return law.force(contraction, pressure)
 
 
