@@ -150,3 +150,34 @@ def test_a_joint_is_sized_kept_and_runs(cli, tmp_path):
     assert (tmp_path / "kept" / "selection.png").stat().st_size > 5000
     assert Scenario.read(tmp_path / "kept" / "scenario.yaml").name.startswith("sized")
     assert cli("simulate", "kept/scenario.yaml").code == 0
+
+
+FALLS_WITH_PRESSURE = """\
+name: a joint
+joint:
+  geometry:
+    class: PairedPaths
+    path1: {class: Pulley, radius: 25 mm, rest_length: 230 mm}
+    path2: {class: Pulley, radius: 25 mm, rest_length: 230 mm}
+  muscle:
+    specimen: {name: exchanged, initial_length: 250 mm}
+    law: {class: reynolds, f0: 250 N, f1: -8 N/bar, k0: 400 N, k1: 80 N/bar, domain: {pressure_max: 5 bar}}
+load: {class: general, inertia: 0.02 kg*m^2, greatest_gravity_torque: 0 N*m, damping: 0.5 N*m*s/rad}
+valve: {time_constant: 50 ms}
+controller:
+  position: {kp: 2 bar/rad, ki: 20 bar/(rad*s), kd: 0.1 bar*s/rad}
+  stiffness: {kp: 0 bar/(N*m/rad), ki: 0 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
+reference: {angle: {class: step, before: 0 deg, after: 8 deg, at: 0.5 s}, stiffness: 5 N*m/rad}
+start: {angle: 0 deg}
+duration: 1 s
+control_period: 1 ms
+"""
+
+
+@pytest.mark.parametrize(("command", "code"), [("envelope", 1), ("simulate", 2), ("margins", 2)])
+def test_a_law_whose_force_falls_with_pressure_is_why_nothing_holds_the_joint(cli, tmp_path, command, code):
+    (tmp_path / "joint.yaml").write_text(FALLS_WITH_PRESSURE, encoding="utf-8")
+    found = cli(command, "joint.yaml")
+    assert found.code == code
+    assert "the law of 'exchanged'" in found.err
+    assert "falls with pressure" in (found.out if code == 1 else found.err)

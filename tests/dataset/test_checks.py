@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.dataset.checks import Points, questions_of_points
+from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.checks import Points, questions_of, questions_of_points
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, forces
 from mckibben.units import bar
 
@@ -176,3 +177,133 @@ def test_a_mistake_raises_a_question_of_its_topic(mistake, seed):
 def test_a_load_that_hangs_from_the_start_is_a_force_under_pressure():
     pressure = np.linspace(0, 6e5, 13)
     assert "range" not in topics(pressure, 0.2 * pressure / 6e5, np.full(13, 250.0))
+
+
+def hanging(loads: tuple[float, ...], half_width: Callable[[float, float], float], lowest: float, seed: int) -> Arrays:
+    """Loads [N] that hang from a braid, stiff when stretched, while the pressure rises and falls; friction by place."""
+    rng, law, rows = np.random.default_rng(seed), ChouLaw(0.4, 0.01), []
+    eps = np.linspace(-0.03, 0.34, 5000)
+    pressures = np.r_[np.linspace(lowest, 6, 14), np.linspace(5.7, lowest, 13)] * bar
+    widths = np.array([[half_width(p / bar, x) for x in eps] for p in pressures])
+    for load in loads:
+        for i, (pressure, width) in enumerate(zip(pressures, widths, strict=True)):
+            side = -1 if i < 14 else 1
+            pull = forces(law, eps, pressure) - 60 * eps + 9000 * np.maximum(-eps, 0) + side * width
+            rows.append((pressure + rng.normal(0, 700), eps[np.argmin(np.abs(pull - load))], load))
+    pressure, contraction, force = np.array(rows).T
+    return pressure, contraction.round(4), force
+
+
+def asked_of(arrays: Arrays) -> set[str]:
+    """Topics of the questions that loads, which hang, raise."""
+    pressure, contraction, force = arrays
+    side = np.tile(np.arange(27) < 14, 4)[: len(force)]
+    data = IsobaricDataset.of(
+        pressure=pressure,
+        contraction=contraction,
+        force=force,
+        set_force=force,
+        direction=np.where(side, "unloading", "loading"),
+        slack_force=0.0,
+    )
+    return {question.topic for question in questions_of(data, np.arange(len(data)))}
+
+
+FRICTIONS = {
+    "constant": lambda p, x: 6.0,
+    "falls with contraction": lambda p, x: 4 + 10 * np.exp(-max(x, 0) / 0.05),
+    "falls with pressure": lambda p, x: 11 - 1.4 * p,
+    "rises with pressure": lambda p, x: 3 + 1.6 * p,
+}
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+@pytest.mark.parametrize("lowest", [0.5, 1.0])
+@pytest.mark.parametrize("loads", [(20.0, 50.0, 100.0, 150.0), (20.0, 80.0, 160.0, 240.0), (30.0, 60.0, 90.0)])
+def test_small_weights_and_the_lowest_pressure_of_venting_raise_no_question(loads, lowest, friction):
+    assert asked_of(hanging(loads, FRICTIONS[friction], lowest, seed=1)) == set()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        changed(contraction=lambda c: np.where(np.arange(len(c)) == 41, c / 10, c)),
+        changed(contraction=lambda c: np.where(np.arange(len(c)) == 70, 0.0, c)),
+        changed(pressure=lambda p: np.where(np.arange(len(p)) == 41, p / 10, p)),
+        changed(force=lambda f: np.where(np.arange(len(f)) // 4 == 12, 3 * f, f)),
+        changed(contraction=lambda c: 0.25 - c),
+    ],
+    ids=["a digit lost", "a length not written", "a decimal of the pressure", "a load not changed", "lengthening"],
+)
+def test_a_wrong_row_of_hanging_weights_is_asked_about(change):
+    arrays = hanging((50.0, 100.0, 150.0, 200.0), FRICTIONS["constant"], 1.0, seed=2)
+    assert "order" in asked_of(change(arrays))
+
+
+def strokes(damper: tuple[float, float], speeds: tuple[float, ...] = (4.0, 12.0, 40.0, 90.0)) -> IsobaricDataset:
+    """Strokes of 30 mm at several speeds [mm/s] and four pressures, with dampers [N*s/m] of shortening and stretching.
+
+    The muscle has 200 mm; the readings do not reach the reversals.
+    """
+    rng, law, time, rows = np.random.default_rng(3), ChouLaw(0.45, 0.016), 0.0, []
+    for pressure in np.array([1.5, 3.0, 4.5, 6.0]) * bar:
+        for speed in speeds:
+            for side, damping in zip((1, -1), damper, strict=True):
+                place = np.linspace(0.03, 0.18, 40)[::side]
+                times = time + np.arange(40) * 30 / speed / 40
+                pull = forces(law, place, pressure) - side * (5.0 + damping * speed / 1e3)
+                rows += zip(
+                    times, np.full(40, pressure), place, pull + rng.normal(0, 0.2, 40), [side] * 40, strict=True
+                )
+                time = times[-1] + 5 * 30 / speed / 40
+    time, pressure, contraction, force, side = np.array(rows).T
+    return IsobaricDataset.of(
+        pressure=pressure + rng.normal(0, 300, len(time)),
+        contraction=contraction,
+        force=force,
+        time=time,
+        direction=np.where(side > 0, "unloading", "loading"),
+        set_pressure=pressure,
+        slack_force=0.0,
+    )
+
+
+@pytest.mark.parametrize("damper", [(90.0, 310.0), (400.0, 400.0), (600.0, 50.0)])
+def test_strokes_at_several_speeds_are_not_off_the_surface(damper):
+    data = strokes(damper)
+    assert questions_of(data, np.arange(len(data))) == []
+
+
+def test_a_wrong_reading_of_a_fast_stroke_is_asked_about():
+    data = strokes((90.0, 310.0))
+    force = data.force.copy()
+    force[260] /= 10
+    wrong = IsobaricDataset(data.table.assign(force=("point", force)))
+    (question,) = questions_of(wrong, np.arange(len(wrong)))
+    assert (question.topic, question.problem.line) == ("order", 260)
+
+
+def test_published_points_and_those_of_the_rig_show_no_shift():
+    for name in catalog.names("datasets"):
+        data = catalog.dataset(name)
+        assert questions_of(data, np.arange(len(data))) == []
+
+
+@pytest.mark.parametrize("friction", [0.0, 12.0])
+@pytest.mark.parametrize("row", [23, 30, 41])
+@pytest.mark.parametrize(
+    ("quantity", "size"), [("pressure", 1.013e5), ("pressure", -1.013e5), ("contraction", 0.02), ("force", 100.0)]
+)
+def test_a_shift_from_some_row_on_is_asked_about_with_the_row(quantity, size, row, friction):
+    names = ("pressure", "contraction", "force")
+    arrays = dict(zip(names, muscle(noise=0.4, friction=friction, seed=4), strict=True))
+    row *= 1 + (friction > 0)
+    arrays[quantity] = arrays[quantity] + np.where(np.arange(len(arrays["force"])) >= row, size, 0.0)
+    data = IsobaricDataset.of(
+        **arrays,
+        direction=np.tile(np.repeat(["unloading", "loading"], 15), 4) if friction else None,
+        slack_force=0.0,
+    )
+    asked = questions_of(data, np.arange(len(data)))
+    (question,) = (question for question in asked if question.problem.field == quantity and question.topic == "order")
+    assert abs(question.problem.line - row) <= 2, asked

@@ -111,3 +111,6 @@ def test_samples_between_held_pressures_are_left_out_and_long_strokes_averaged(r
     strokes = np.column_stack([table["set_pressure"], table["direction"] == "loading"])
     counts = np.unique(strokes, axis=0, return_counts=True)[1]
     assert 50 < counts.max() <= 100 and len(counts) >= 8
+    held, averaged = table.attrs["preprocessing"].splitlines()[0], table.attrs["preprocessing"].splitlines()[-1]
+    left_out = int(held.split()[0])
+    assert averaged.startswith(f"{len(data) - left_out} samples are averaged to {len(rows)} points")

@@ -5,8 +5,8 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
-from mckibben.errors import IdentificationError
-from mckibben.identification import find_outliers, fit_law, read_law
+from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification import Fit, find_outliers, fit_law, read_law
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.muscle.slopes import unphysical
 from mckibben.result import Severity
@@ -287,7 +287,26 @@ def test_terms_that_cancel_in_a_narrow_window_are_no_error(kind, window, tmp_pat
     found = fit_law(kind, data)
     assert found.rmse < 0.02 * data.force.max()
     found.to_yaml(tmp_path / "fit.yaml")
-    assert read_law(tmp_path / "fit.yaml") == found.law
+    assert Fit.from_yaml(tmp_path / "fit.yaml").law == found.law
+
+
+@pytest.mark.parametrize("size", [0.0, 40.0])
+def test_residuals_far_above_the_others_are_a_warning_by_size(size):
+    data = grid(EQ_3, noise=0.5, slack_force=2.0)
+    force = data.force.copy()
+    rows = np.flatnonzero(~data.slack)[[20, 70, 110]]
+    force[rows] += size
+    fit = fit_law(ExponentialLaw, IsobaricDataset(data.table.assign(force=("point", force))), robust=False)
+    remarks = [note for note in fit.notes if note.field == "max_error"]
+    assert [note.severity for note in remarks] == [Severity.WARNING] * (size > 0)
+    assert all(note.text.startswith("3 of ") for note in remarks)
+
+
+def test_a_law_in_a_file_that_no_muscle_has_is_named(tmp_path):
+    file = tmp_path / "law.yaml"
+    file.write_text("law: {class: reynolds, f0: 300 N, f1: -10 N/bar, k0: 500 N, k1: 100 N/bar}")
+    with pytest.warns(McKibbenWarning, match="law.yaml.*falls with pressure"):
+        read_law(file)
 
 
 def test_a_wrong_number_is_found_among_few_contractions():

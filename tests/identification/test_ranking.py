@@ -178,3 +178,107 @@ def test_a_flag_sets_a_law_aside_only_for_one_that_is_nearly_as_good(small, entr
 
     ranking = dataclasses.replace(small, entries=tuple(entry(*numbers) for numbers in entries))
     assert ranking.best.law == best
+
+
+def loops(half_width=9.0, noise=0.2, seed=5):
+    """Loops of an exponential law with friction, every 2 % up to 16 %, at four pressures."""
+    law, generator = mk.catalog.law("lei-mas-10-180n"), np.random.default_rng(seed)
+    contraction = np.concatenate([np.arange(0, 17, 2), np.arange(15, -1, -2)]) / 100
+    contraction, pressure = (a.ravel() for a in np.meshgrid(contraction, np.array([2, 3, 4.5, 6]) * bar))
+    unloading = np.tile(np.arange(17) < 9, 4)
+    force = forces(law, contraction, pressure) + np.where(unloading, -half_width, half_width)
+    return mk.IsobaricDataset.of(
+        pressure=pressure,
+        contraction=contraction,
+        force=force + noise * generator.standard_normal(len(force)),
+        direction=np.where(unloading, "unloading", "loading"),
+        initial_length=0.2,
+        slack_force=0.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def with_friction():
+    return mk.rank(loops(), [ReynoldsLaw, mk.ExponentialLaw, OURS])
+
+
+def test_laws_are_ranked_with_the_friction_that_a_fit_of_them_alone_finds(with_friction):
+    best = with_friction.best
+    alone = mk.identify(loops(), "exponential")
+    assert best.law == "ExponentialLaw"
+    assert float(alone.friction.half_width) == pytest.approx(9.0, abs=0.3)
+    assert (best.fit.law, best.fit.friction, best.fit.rmse) == (alone.law, alone.friction, alone.rmse)
+    assert best.cross_validation["pressure"].rmse == alone.leave_one_pressure_out.rmse
+    assert alone.verdict() in with_friction.verdict()
+    assert with_friction.ok
+
+
+def test_a_law_that_fell_back_to_another_is_not_ranked_under_its_own_name(with_friction):
+    smooth = entry_of(with_friction, OURS.__name__)
+    assert smooth.fit is None and "Eq. 2" in smooth.refused
+    assert with_friction.best.law != OURS.__name__
+
+
+def test_a_best_law_without_the_friction_of_the_data_says_how_to_find_it():
+    ranking = mk.rank(loops(half_width=3.0), [ReynoldsLaw])
+    assert ranking.best.fit.hysteresis is None
+    (remark,) = (remark for remark in ranking.remarks() if remark.field == "friction")
+    assert "--friction on" in remark.remedy and "all the same" in remark.remedy
+    assert "--law all" not in remark.text + remark.remedy
+
+
+def test_a_law_that_misses_the_lowest_pressure_alone_is_better_than_one_that_misses_all(small):
+    example = entry_of(small, "ExponentialLaw")
+    levels = example.fit.regression.points.levels
+    ends = np.isin(levels, levels[[levels.argmin(), levels.argmax()]])
+
+    def entry(law, inner, outermost):
+        whole = dataclasses.replace(
+            example.cross_validation["pressure"], residuals=np.where(ends, outermost, inner).astype(float)
+        )
+        kinds = {"pressure": whole, "inside": whole.within(~ends), "edges": whole.within(ends)}
+        return dataclasses.replace(example, law=law, cross_validation=kinds)
+
+    misses_ends, misses_all = entry("A", 1.0, 40.0), entry("B", 8.0, 8.0)
+    assert misses_ends.cross_validation["pressure"].rmse > misses_all.cross_validation["pressure"].rmse
+    assert (misses_ends.error, misses_ends.edge_error) == pytest.approx((1.0, 40.0))
+    ranking = dataclasses.replace(small, entries=tuple(sorted((misses_all, misses_ends), key=lambda e: e.error)))
+    assert ranking.best.law == "A"
+    assert any(remark.text.startswith("B extrapolates better than A") for remark in ranking.remarks())
+
+
+def test_inner_and_outermost_pressures_make_up_all(small):
+    crosses = entry_of(small, "ReynoldsLaw").cross_validation
+    residuals = [np.nan_to_num(crosses[name].residuals) for name in ("inside", "edges")]
+    np.testing.assert_array_equal(sum(residuals), crosses["pressure"].residuals)
+
+
+def test_the_blocks_of_held_loads_are_loads():
+    pressure = np.tile(np.linspace(1.5, 6, 8) * bar, 4)
+    load = np.repeat([60.0, 120.0, 180.0, 240.0], 8)
+    contraction = 0.25 - 2 * load / pressure * 100 + np.random.default_rng(2).normal(0, 1e-4, 32)
+    data = mk.IsobaricDataset.of(
+        pressure=pressure, contraction=contraction, force=load, set_force=load, initial_length=0.2, slack_force=0.0
+    )
+    ranking = mk.rank(data, [ReynoldsLaw])
+    assert ranking.held == "load"
+    assert set(ranking.best.cross_validation["pressure"].by_block) == {60.0, 120.0, 180.0, 240.0}
+    assert "at loads left out" in ranking.verdict()
+
+
+@pytest.mark.parametrize("law", [HuntLaw, mk.muscle.TsagarakisCaldwellLaw])
+def test_a_law_without_force_or_slope_at_some_weights_is_refused_and_not_a_fault(law):
+    pressure = np.tile(np.concatenate([np.linspace(1.5, 6, 10), np.linspace(5.8, 1.7, 9)]), 4) * bar
+    load, unloading = np.repeat([50.0, 100.0, 150.0, 200.0], 19), np.tile(np.arange(19) < 10, 4)
+    contraction = (0.25 - 2e2 * (load + np.where(unloading, 5.0, -5.0)) / pressure).clip(0)
+    data = mk.IsobaricDataset.of(
+        pressure=pressure,
+        contraction=contraction,
+        force=load,
+        set_force=load,
+        direction=np.where(unloading, "unloading", "loading"),
+        initial_length=0.2,
+        slack_force=0.0,
+    )
+    entry = mk.rank(data, [law, ReynoldsLaw]).entries
+    assert {e.law for e in entry} == {law.__name__, "ReynoldsLaw"}

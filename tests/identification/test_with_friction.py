@@ -36,6 +36,19 @@ def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     assert found.note
 
 
+@pytest.mark.parametrize("friction", [None, False])
+@pytest.mark.parametrize("wrong", [0.0, 60.0])
+def test_all_points_are_used_slack_or_left_out(rig, friction, wrong):
+    force = rig.force.copy()
+    force[40] += wrong
+    data = mk.IsobaricDataset(rig.table.assign(force=("point", force)))
+    found = identify_with_friction(ExponentialLaw, data, friction=friction)
+    assert (found.points_read, found.points_slack) == (len(data), int(data.slack.sum()))
+    assert found.points_used + found.points_slack + found.points_left_out == found.points_read
+    assert found.points_left_out >= len(found.outliers) == (wrong > 0)
+    assert {"points_read", "points_used", "points_slack", "points_left_out"} <= found.to_dict()["scalars"].keys()
+
+
 def test_without_friction_the_fit_is_that_of_identify(rig):
     found = identify_with_friction(ExponentialLaw, rig, friction=False)
     assert found.law == fit_law(ExponentialLaw, rig).law

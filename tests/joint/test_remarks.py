@@ -3,19 +3,48 @@
 import pytest
 
 from mckibben import catalog
+from mckibben.errors import McKibbenWarning, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
-from mckibben.muscle import Domain, Muscle, ReynoldsLaw, Specimen
+from mckibben.muscle import Domain, ForceLaw, Muscle, PiecewiseLaw, ReynoldsLaw, Specimen
 from mckibben.result import Severity
 from mckibben.units import bar, mm
 
 
-@pytest.mark.parametrize(("slope", "severe"), [(-280, 1), (280, 0)])
-def test_a_muscle_that_pulls_more_the_shorter_it_is_is_severe(slope, severe):
-    law = ReynoldsLaw(f0=3, f1=60 / bar, k0=0, k1=slope / bar, domain=Domain(pressure_max=6 * bar))
+def joint_of(law: ForceLaw) -> AntagonisticJoint:
     muscle = Muscle(Specimen("mine", 300 * mm), law)
     pulley = Pulley(radius=30 * mm, rest_length=275 * mm)
-    remarks = AntagonisticJoint(PairedPaths(pulley, pulley), muscle, muscle).remarks
-    assert [remark.severity for remark in remarks] == [Severity.SEVERE] * severe
+    return AntagonisticJoint(PairedPaths(pulley, pulley), muscle, muscle)
+
+
+SIX_BAR = Domain(pressure_max=6 * bar)
+WRONG = {
+    "rises with contraction": ReynoldsLaw(f0=3, f1=60 / bar, k0=0, k1=-280 / bar, domain=SIX_BAR),
+    "falls with pressure": ReynoldsLaw(f0=300, f1=-10 / bar, k0=500, k1=100 / bar, domain=SIX_BAR),
+    "falls with pressure at 0 % and 3 bar": PiecewiseLaw(
+        (1 * bar, 3 * bar, 6 * bar), (200.0, 500.0, 400.0), (1e3, 1e3, 1e3), SIX_BAR
+    ),
+    "does not pull": ReynoldsLaw(f0=-30, f1=-10 / bar, k0=500, k1=100 / bar, domain=SIX_BAR),
+}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_a_law_that_no_muscle_has_is_named_where_it_enters_and_with_its_joint(words):
+    with pytest.warns(McKibbenWarning, match=f"'mine'.*{words}"):
+        joint = joint_of(WRONG[words])
+    assert [(remark.severity, words in remark.text) for remark in joint.remarks] == [(Severity.SEVERE, True)]
+
+
+@pytest.mark.parametrize("spring", [280 / bar, -5 / bar], ids=["stiffens", "softens"])
+def test_a_muscle_whose_spring_stiffens_or_softens_under_pressure_is_right(spring):
+    law = ReynoldsLaw(f0=3, f1=60 / bar, k0=100, k1=spring, domain=SIX_BAR)
+    assert joint_of(law).remarks == []
+
+
+def test_why_nothing_holds_the_joint_is_its_law():
+    with pytest.warns(McKibbenWarning):
+        joint = joint_of(WRONG["falls with pressure"])
+    with pytest.raises(UnreachableError, match="falls with pressure"):
+        joint.pressures_for(0.0, torque=0.0)
 
 
 @pytest.mark.parametrize("name", catalog.names("joints"))

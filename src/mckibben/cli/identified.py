@@ -97,7 +97,7 @@ def ranked(ranking: Ranking, source: Source) -> Report:
     fits = {f"fits/{entry.law}.yaml": entry.fit.to_yaml for entry in ranking.entries if entry.fit}
     drawings = {
         "ranking": lambda: report.ranking(ranking),
-        "fit": lambda: report.isobaric(source.points, best),
+        "fit": lambda: report.isobaric(best.points, best),
     }
     tables, remarks = titled(ranking.listings(), "points"), (*ranking.remarks(), *source.remarks())
     return Report(

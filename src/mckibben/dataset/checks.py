@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.preprocessing import pressure_levels
+from mckibben.dataset.preprocessing import contraction_rate, held_loads, pressure_levels
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.table import Question, question
 from mckibben.errors import Problem
@@ -27,9 +27,11 @@ if TYPE_CHECKING:
 
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
+_SHORTENS, _STRETCHED = ("unloading", "filling"), ("loading", "venting")  # or would, at a fixed length
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
     "rows": "leave these rows out of the file",
+    "shift": "correct these rows in the file, which may be absolute or have another zero",
     "order": "check these rows, the headers, and the signs of lengths and angles",
     "zero": "subtract the offset in the file, or measure five or more points of the slack muscle",
     "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --read 'ambient=101.3 kPa')",
@@ -51,6 +53,14 @@ class Points:
         Line of each point in its file.
     slack_force
         Force up to which the muscle counts as slack [N].
+    held
+        Whether the forces are loads that were held, as of hanging weights: then the contraction was measured.
+    side
+        Shape (points,): 1 where the muscle shortens, -1 where it is stretched, 0 where that is not known.
+    rate
+        Shape (points,): rate of the contraction [1/s], NaN where it is not known, as at reversals.
+    timed
+        Whether the points are of a recording, in which creep and friction of rests shift forces as well.
     """
 
     pressure: Floats
@@ -58,11 +68,15 @@ class Points:
     force: Floats
     lines: NDArray[np.int64]
     slack_force: float = 0.0
+    held: bool = False
+    side: Floats | None = None
+    rate: Floats | None = None
+    timed: bool = False
 
     @property
     def taut(self) -> NDArray[np.bool_]:
-        """Mask of points whose force is above 5 % of the largest, and thus clearly that of a taut muscle."""
-        return self.force > max(0.05 * self.force.max(initial=0.0), self.slack_force)
+        """Mask of points whose force is a load, or above 5 % of the largest, and thus clearly that of a taut muscle."""
+        return self.held | (self.force > max(0.05 * self.force.max(initial=0.0), self.slack_force))
 
     @property
     def table(self) -> Floats:
@@ -71,8 +85,9 @@ class Points:
 
     def every(self, step: int) -> Points:
         """Every second point, say."""
-        pressure, contraction, force = self.pressure[::step], self.contraction[::step], self.force[::step]
-        return replace(self, pressure=pressure, contraction=contraction, force=force, lines=self.lines[::step])
+        names = "pressure", "contraction", "force", "lines", "side", "rate"
+        columns = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: values[::step] for name, values in columns.items() if values is not None})
 
     def ask(self, topic: str, text: str, row: int | None = None, field: str = "", remedy: str = "") -> Question:
         """A question, about a row, with the remedy of its topic or of another."""
@@ -91,8 +106,12 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
     specimen
         Muscle whose diameter the largest force has to fit; default: any muscle.
     """
-    slack = dataset.table.attrs["slack_force"]
-    points = Points(dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines), slack)
+    slack, held = dataset.table.attrs["slack_force"], held_loads(dataset.table) is not None
+    columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
+    words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
+    signs = [np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words]
+    side = np.sum(signs, axis=0) if signs else None
+    points = Points(*columns, slack, held, side, contraction_rate(dataset.table), "time" in dataset.table)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 
@@ -123,7 +142,7 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
     if asked := list(_sign(points)) or list(_ranges(points, specimen)):
         return asked
     points = points.every(1 + len(points.force) // most)
-    checks = _copies, _saturated, _counted, _surface, _exchanged, _offsets
+    checks = _copies, _saturated, _counted, _surface, _shifted, _exchanged, _offsets
     return [asked for check in checks for asked in check(points)]
 
 
@@ -242,6 +261,8 @@ def _saturated(points: Points) -> Iterator[Question]:
     if others and some and max(usual) < 1 and bdtrc(last[0] - 1, last[1], np.mean(usual)) < 0.01:
         text = "the highest pressure repeats, and the others scatter: is the sensor saturated, first"
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
+    if points.held:  # the forces are not those of a sensor
+        return
     begins = np.flatnonzero(np.diff(points.force, prepend=np.nan) != 0)
     stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
     if np.count_nonzero(stays > 1) == 1 and 4 < stays.max() < len(points.force):  # else a weight
@@ -274,23 +295,36 @@ def _surface(points: Points) -> Iterator[Question]:
     The force has to rise with the pressure and to fall with the contraction, as the plane through the points shows. A
     point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the
     points do. Slack points count only where another one, at no more pressure and no longer, pulls, or where a lone one
-    would be taut by the surface.
+    would be taut by the surface. With known rates, friction and a damper by direction are added, and other points do
+    not count.
+
+    Where loads are held, the contraction has to rise with the pressure and to fall with the load, and it differs by a
+    quarter of its range; friction depends on p and x, and a muscle that is stretched may be stiff.
     """
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
         yield points.ask("order", "nearly all forces are below 5 % of the largest,", int(np.argmax(points.force)))
     if len(taut) < 4 or np.ptp(rows[taut, 2]) < 0.15 * largest:
         return
-    plane = force_plane(rows[taut, 1], rows[taut, 0], rows[taut, 2])
+    falls_with, measured = (2, 1) if points.held else (1, 2)
+    plane = force_plane(rows[taut, falls_with], rows[taut, 0], rows[taut, measured])
     if min(plane.falls, plane.rises) < -1 or plane.share < 1 / 2:
         text = (
             "the force does not rise with the pressure and fall with the contraction: exchanged columns, a wrong sign?"
         )
         yield points.ask("order", text, field="force")
-    if len(taut) < 12:
-        return
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
-    terms = np.column_stack([p, p * x, p * x * x, np.ones_like(p), x, np.exp(-6 * x)])
+    terms, _, slopes = _surface_terms(p, x)
+    moving = np.ones(len(rows), bool) if points.rate is None or points.held else np.isfinite(points.rate)
+    if points.held and points.side is not None:
+        terms = np.column_stack([terms, points.side, points.side * p, points.side * x])
+    elif not moving.all() and 2 * np.count_nonzero(moving) > len(rows):
+        rate, taut = np.nan_to_num(points.rate), np.flatnonzero(points.taut & moving)  # type: ignore[arg-type]
+        terms = np.column_stack([terms, np.sign(rate), rate, np.abs(rate)])
+    else:
+        moving[:] = True
+    if len(taut) < 2 * terms.shape[1]:
+        return
     scale = 1 / np.maximum(rows[taut, 2], 0.1 * largest)
     weights = scale
     for _ in range(4):  # single points must not bend the surface
@@ -298,19 +332,110 @@ def _surface(points: Points) -> Iterator[Question]:
         apart = np.abs(rows[:, 2] - terms @ solution)
         weights = scale / np.maximum(1.0, apart[taut] * scale / (3 * np.median(apart[taut] * scale) + 1e-9))
     share = apart / np.maximum(rows[:, 2], 0.15 * largest)
+    basis, sizes, _ = np.linalg.svd(terms[taut, :6] * scale[:, None], full_matrices=False)
+    leverage = np.sum(basis[:, sizes > 1e-9 * sizes[0]] ** 2, axis=1)
+    left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
+    most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
+    if points.held:
+        slope = np.abs(slopes @ solution[:6])
+        share = apart / np.maximum(slope, 1e-9) / np.ptp(x)
+        most = np.where(x[taut] < 0, np.inf, slope[taut] * np.ptp(x))
+        share[x < 0] = 0.0
     usual = np.quantile(share[taut], 0.8)
-    basis = np.linalg.qr(terms[taut] * scale[:, None])[0]
-    left_out = apart[taut] / np.maximum(1 - np.sum(basis**2, axis=1), 1e-6)  # residual of a fit without the point
     level = np.where(np.isnan(level := pressure_levels(points.pressure)), points.pressure, level)
     stronger = (
         (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1]) & (rows[:, 2] > rows[:, None, 2] + 0.03 * largest)
     )
-    lone = (len(rows) - len(taut) < 3) & (terms @ solution > 0.06 * largest)
+    lone = (np.count_nonzero(~points.taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
-    far[taut] |= left_out > np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
+    far[taut] |= left_out > most
+    far &= moving
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)
+
+
+def _surface_terms(p: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Terms of the surface at pressures and relative contractions, and their derivatives by both, (points, 6) each."""
+    ones, zeros, decayed = np.ones_like(p), np.zeros_like(p), np.exp(-6 * x)
+    terms = p, p * x, p * x * x, ones, x, decayed
+    by_pressure = ones, x, x * x, zeros, zeros, zeros
+    by_contraction = zeros, p, 2 * p * x, zeros, ones, -6 * decayed
+    first, second, third = (np.column_stack(columns) for columns in (terms, by_pressure, by_contraction))
+    return first, second, third
+
+
+def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
+    """Pressures, contractions or forces that are shifted from some row on: another zero, a gauge that became absolute.
+
+    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do.
+    """
+    taut = np.flatnonzero(points.taut)
+    if len(taut) < fewest or points.timed:
+        return
+    side = np.zeros(len(points.force)) if points.side is None else points.side
+    rows, side = points.table[taut], side[taut]
+    usual = np.median(np.abs(_linearised(rows, side)[0]))
+    shifts = [_shift(rows, side, quantity) for quantity in range(2 if points.held else 3)]
+    quantity = int(np.argmin([shift.rmse for shift in shifts]))
+    row, size, _, median = shifts[quantity]
+    least = (0.5, 0.5, 0.05 * points.force.max())[quantity]
+    if median <= 0.5 * usual and abs(size) >= least:
+        name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
+        text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
+        yield points.ask("order", text, int(taut[row]), name, "shift")
+
+
+class _Shift(NamedTuple):
+    """Row from which a quantity is shifted, by how much, and residuals [N] without it: RMS and absolute median."""
+
+    row: int
+    size: float
+    rmse: float
+    median: float
+
+
+def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> _Shift:
+    """Shift of a measured quantity, a column of pressure, contraction and force, that reduces the residuals most.
+
+    By Gauss-Newton steps: the row is that of the first, of which no more than three rows are before or after it.
+    """
+    corrected, row, size, most = measured.copy(), 0, 0.0, np.ptp(measured[:, quantity])
+    for _ in range(steps):
+        residuals, basis, slopes = _linearised(corrected, side)
+        slope = slopes[:, quantity]
+        product, shared, square = (
+            np.cumsum(values[::-1], axis=0)[::-1]  # of all rows from one on
+            for values in (slope * residuals, slope[:, None] * basis, slope**2)
+        )
+        apart = np.maximum(square - np.sum(shared**2, axis=1), 1e-6 * square + 1e-12)
+        row = row or int(np.argmax((product**2 / apart)[3:-3])) + 3
+        size = float(np.clip(size - product[row] / apart[row], -most, most))
+        corrected[row:, quantity] = measured[row:, quantity] - size
+    residuals = np.abs(_linearised(corrected, side)[0])
+    return _Shift(row, size, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
+
+
+def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
+    """Residuals of the surface, quadratic in the pressure and with friction by direction; its basis and its slopes.
+
+    Shapes (points,), (points, terms) and (points, 3), slopes of modelled less measured force.
+    """
+    p, force, scale = measured[:, 0], measured[:, 2], np.abs(measured[:, 1]).max(initial=1e-9)
+    x = measured[:, 1] / scale
+    terms, by_pressure, by_contraction = _surface_terms(p, x)
+    squares, zeros = p[:, None] ** 2 * terms[:, 3:5], np.zeros((len(p), 1))
+    all_terms = np.column_stack([terms, squares, side, side * p, side * x])
+    vectors, sizes, weights = np.linalg.svd(all_terms, full_matrices=False)
+    full_rank = sizes > 1e-9 * sizes[0]
+    basis = vectors[:, full_rank]
+    solution = weights[full_rank].T @ (basis.T @ force / sizes[full_rank])
+    slopes = [
+        np.column_stack([by_pressure, 2 * p[:, None] * terms[:, 3:5]]) @ solution[:8],
+        np.column_stack([by_contraction, zeros, p**2]) @ solution[:8] / scale,
+        np.full(len(p), -1.0),
+    ]
+    return force - basis @ (basis.T @ force), basis, np.column_stack(slopes)
 
 
 class ForcePlane(NamedTuple):

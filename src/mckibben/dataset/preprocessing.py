@@ -58,7 +58,11 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints) -> tuple[xr
     if not slack_known:
         table, more = without_offset(table)
         notes += more
+    samples = table.sizes["point"]
     table, first = _averaged(table, files[rows])
+    if len(first) < samples:
+        slack = np.count_nonzero(table["force"] <= table.attrs["slack_force"])
+        notes.append(f"{samples} samples are averaged to {len(first)} points, of which {slack} are slack")
     return with_notes(table, notes), rows[first]
 
 
@@ -146,6 +150,25 @@ def sample_rate(table: xr.Dataset) -> float:
     """Rate of samples over time [Hz]; 0 for points that were taken one by one, or without times."""
     interval = usual_interval(np.diff(table["time"].to_numpy()))[0] if "time" in table else 0.0
     return 1 / interval if 0 < interval <= 1 / _FEWEST else 0.0
+
+
+def contraction_rate(table: xr.Dataset) -> Floats | None:
+    """Rate of the contraction [1/s] of each point by differences along its stroke, shape (points,).
+
+    NaN at the ends of strokes, where the muscle may have reversed in between; None without times or directions, and of
+    points that are means, which were measured at rest.
+    """
+    if "time" not in table or "direction" not in table or "force_spread" in table:
+        return None
+    time, contraction = table["time"].to_numpy(), table["contraction"].to_numpy()
+    rate = np.full(len(time), np.nan)
+    strokes = pd.DataFrame({"direction": table["direction"].to_numpy(), "level": _levels(table)})
+    ends = (strokes != strokes.shift()).any(axis=1).to_numpy() | (np.diff(time, prepend=-np.inf) <= 0)
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(ends)):
+        if len(rows) > 2:
+            rate[rows[1:-1]] = np.gradient(contraction[rows], time[rows])[1:-1]
+    resting = np.abs(rate) < 1e-3 * np.nanmax(np.abs(rate), initial=0.0)
+    return np.where(resting, 0.0, rate)
 
 
 def _restarts(table: xr.Dataset) -> NDArray[np.bool_]:
@@ -329,7 +352,7 @@ def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
 
 
 class Slack(NamedTuple):
-    """Force of the slack muscle: zero offset and standard deviation of the noise [N], and number of points."""
+    """Force of the slack muscle: zero offset and standard deviation of the noise [N], and points that show them."""
 
     offset: float
     noise: float
@@ -341,7 +364,7 @@ class Slack(NamedTuple):
         return _NOISE * self.noise
 
     def __str__(self) -> str:
-        return f"slack muscle: {self.points} points with a force of {self.offset:.3g} +- {self.noise:.2g} N"
+        return f"slack muscle: a force of {self.offset:.3g} +- {self.noise:.2g} N"
 
 
 def _slack_of(table: xr.Dataset) -> Slack | None:

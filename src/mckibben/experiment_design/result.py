@@ -14,6 +14,7 @@ from mckibben.experiment_design.candidates import StateGrid
 from mckibben.experiment_design.information import Floats, NoiseModel
 from mckibben.experiment_design.quantities import QuantityOfInterest
 from mckibben.muscle import ForceLaw
+from mckibben.muscle.slopes import unphysical
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
@@ -112,7 +113,12 @@ class ExperimentPlan(Result):
     def remarks(self) -> list[Remark]:
         """Assumptions of the plan, and limits of the prior data."""
         fields = [("plan", text) for text in self.notes] + [("data", text) for text in self.diagnostics]
-        return [Remark.warning(field, text) for field, text in fields]
+        remarks = [Remark.warning(field, text) for field, text in fields]
+        if wrong := unphysical(self.law):
+            remarks.append(
+                Remark.severe("law", f"the law is not that of a muscle: {wrong}", "measure at more pressures")
+            )
+        return remarks
 
     def listings(self) -> list[Listing]:
         """Points in order of gain, and the standard errors of the parameters."""

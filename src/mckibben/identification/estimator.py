@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.errors import RangeError
+from mckibben.errors import IdentificationError, RangeError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -113,9 +113,16 @@ def least_squares(
         Lower and upper bounds, shape (k,) each; infinite where there is none.
     tolerance
         Relative, of values, cost and gradient.
+
+    Raises
+    ------
+    IdentificationError
+        If residuals are not finite at the start.
     """
     from scipy.optimize import least_squares as search
 
+    if not np.isfinite(residuals(start)).all():
+        raise IdentificationError("the law has no force at some of the points", remedy="use another law")
     limits = {"ftol": tolerance, "xtol": tolerance, "gtol": tolerance, "max_nfev": evaluations}
     answer = search(residuals, start, jacobian, bounds=bounds, x_scale="jac", **limits)  # type: ignore[call-overload]
     return Minimum(answer.x, answer.active_mask != 0, answer.fun, answer.jac, answer.status > 0)
@@ -194,7 +201,7 @@ def _decompose(jacobian: Floats) -> tuple[Floats, ...]:
     lengths = np.linalg.norm(factor, axis=0)
     lengths[lengths == 0] = 1.0
     _, singular, directions = np.linalg.svd(factor / lengths)
-    return lengths, singular, directions
+    return lengths, np.pad(singular, (0, len(lengths) - len(singular))), directions  # 0 with fewer rows than columns
 
 
 _SINGULAR = 1e-10  # singular values of the null space, relative to the largest

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.component.calls import CheckedCalls, checked_call, user_level
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import DomainWarning, IdentificationError, Problem, ScenarioError
 from mckibben.identification.estimator import (
     Floats,
@@ -218,7 +219,8 @@ class Fit(Result, metaclass=CheckedCalls):
         points, share = self.regression.points if self.regression else None, ""
         if points is not None and self.residuals is not None:
             share = f" ({100 * self.rmse / float((points.force - self.residuals).max()):.2g} % of the largest)"
-        unseen = f"; {lopo.rmse:.3g} N at pressures left out" if lopo else ""
+        held = "pressures" if points is None or held_loads(points.table) is None else "loads"
+        unseen = f"; {lopo.rmse:.3g} N at {held} left out" if lopo else ""
         law = type(self.law).__name__
         return f"{law} describes {self.points_used} points of {name} to {self.rmse:.3g} N{share}{unseen}"
 

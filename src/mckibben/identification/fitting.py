@@ -36,6 +36,7 @@ from mckibben.identification.summary import (
     left_out,
     off_levels,
     places_of,
+    size_remarks,
     zero_remarks,
 )
 from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
@@ -130,6 +131,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         notes.append(Remark.warning("pressure", f"{text}: the domain is the range of the measured pressures"))
     notes += _friction_remarks(points, residuals)
     notes += left_out(outliers)
+    notes += size_remarks(points, residuals, problem.weights[: len(points)])
     notes += zero_remarks(means, float(np.sqrt(np.mean(residuals**2))))
     if ungrouped:
         notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
@@ -302,17 +304,3 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
         rates = max(rates), max(rates)
     noise = neighbours_apart(cross.residuals, points)
     return LeaveOnePressureOut(cross.rmse, cross.max_error, by_level, rates, noise), ""
-
-
-def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
-    """Residuals [N] less the mean of each direction and phase, which is friction, not an error of a static law.
-
-    The residuals have the shape (points,); NaN is ignored.
-    """
-    rest = np.array(residuals, float)
-    for name in ("direction", "phase"):
-        if name in points.table:
-            labels = points.table[name].to_numpy()
-            for label in filter(None, np.unique(labels).tolist()):
-                rest[labels == label] -= np.nanmean(rest[labels == label])
-    return rest

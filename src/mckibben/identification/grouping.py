@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
+from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Floats, Ints
 from mckibben.muscle import ForceLaw, forces
 
@@ -76,12 +77,15 @@ def measured_weights(law: ForceLaw, points: IsobaricDataset, *, step: float = 1e
     """Weights, of mean square 1, of residuals of the force [N], by which they are those of the measured quantity.
 
     Where the load is held, that is the contraction: its error times the slope of the law, by differences over a `step`,
-    is that of the force. Else all are 1.
+    is that of the force. Else all are 1. Raises `IdentificationError` if the slope is 0 at a point.
     """
     if held_loads(points.table) is None:
         return np.ones(len(points))
     left, right = (forces(law, points.contraction + side, points.pressure) for side in (-step, step))
-    weights = 1 / np.abs(right - left)
+    if not np.all((steps := np.abs(right - left)) > 0):
+        message = f"the force of {type(law).__name__} has no slope over the contraction at some of the points"
+        raise IdentificationError(message, remedy="use another law")
+    weights = 1 / steps
     return weights / np.sqrt(np.mean(weights**2))
 
 

@@ -13,6 +13,7 @@ and S. Weisberg, "Residuals and Influence in Regression", Chapman and Hall 1982,
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from mckibben.identification.summary import CONTRACTION_NOISE, Outlier
 from mckibben.muscle import ExponentialLaw
 
 
+@functools.lru_cache(maxsize=1)  # of several laws
 def find_outliers(
     means: IsobaricDataset,
     *,

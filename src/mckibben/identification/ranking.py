@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -12,10 +11,10 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.design import check_design
-from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import check_law_type, fit_law, without_direction_means
+from mckibben.identification.fitting import check_law_type
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     CrossValidation,
@@ -24,15 +23,21 @@ from mckibben.identification.regression import (
     pressure_blocks,
 )
 from mckibben.identification.summary import Outlier, left_out
-from mckibben.identification.with_friction import shows_hysteresis
+from mckibben.identification.with_friction import (
+    FRICTION_ALL_THE_SAME,
+    FitWithFriction,
+    identify_with_friction,
+    shows_hysteresis,
+)
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.muscle.slopes import unphysical
 from mckibben.notebook import Progress, notebook_progress
-from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.result import Column, Listing, Remark, Result, Severity, column
 from mckibben.units import show
 
 BLOCKS = ("pressure", "contraction")
 """Kinds of cross-validation blocks."""
+_RATIO = 1.5  # of errors up to which a law is nearly as good as another
 
 
 @dataclass(frozen=True)
@@ -42,10 +47,11 @@ class RankedLaw:
     Attributes
     ----------
     fit, refused
-        Fit to all taut points, or None and the reason if the law was refused.
+        Fit by `identify_with_friction`, or None and the reason if the law was refused, or another fitted in its place.
     cross_validation
-        Errors by available kind of block: "pressure" and "contraction" (inner blocks only); without
-         the mean difference between the directions, which is friction.
+        Errors by available kind of block: "pressure" (of a test at constant loads, the load), of which "inside" are
+        those at inner blocks, which are interpolated, and "edges" those at the lowest and the highest, which are
+        extrapolated; and "contraction" (inner blocks only).
     aicc
         Corrected Akaike information criterion; NaN with too few points.
     flags
@@ -55,7 +61,7 @@ class RankedLaw:
     """
 
     law: str
-    fit: Fit | None = None
+    fit: FitWithFriction | None = None
     refused: str = ""
     cross_validation: dict[str, CrossValidation] = field(default_factory=dict, repr=False)
     aicc: float = math.nan
@@ -63,9 +69,21 @@ class RankedLaw:
     remarks: tuple[str, ...] = ()
 
     @property
+    def held_out(self) -> dict[str, float]:
+        """Cross-validation RMSE [N] inside the data, by available kind of block."""
+        crosses = self.cross_validation
+        inner = crosses | ({"pressure": crosses["inside"]} if "inside" in crosses else {})
+        return {name: inner[name].rmse for name in BLOCKS if name in inner}
+
+    @property
+    def edge_error(self) -> float:
+        """Cross-validation RMSE [N] at the lowest and the highest pressure; infinite if they are not told apart."""
+        return self.cross_validation["edges"].rmse if "edges" in self.cross_validation else math.inf
+
+    @property
     def error(self) -> float:
-        """Geometric mean of the cross-validation RMSE [N]; infinite without any."""
-        errors = [cross.rmse for cross in self.cross_validation.values()]
+        """Geometric mean of the cross-validation RMSE [N] inside the data; infinite without any."""
+        errors = self.held_out.values()
         return math.prod(errors) ** (1 / len(errors)) if errors else math.inf
 
     @property
@@ -77,13 +95,14 @@ class RankedLaw:
 class Ranking(Result):
     """Laws by cross-validation error, the best first and the refused last.
 
-    Ordered by the geometric mean of the RMSE at blocks of pressure and of contraction. Laws that are not
-    determined without some block come last; without any blocks AICc decides.
+    Ordered by the geometric mean of the RMSE at inner blocks of pressure and of contraction. Laws that are not
+    determined without some block come last; without any blocks AICc decides. Where loading and unloading differ, each
+    law is fitted with its friction, as by `identify`.
 
     Attributes
     ----------
     points, slack
-        Taut points of all fits, and number of slack points left out.
+        Taut points, and number of slack points left out.
     missing
         Reason why a kind of block is not available, by its name.
     outliers
@@ -117,25 +136,31 @@ class Ranking(Result):
         return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
     def verdict(self) -> str:
-        """Return the best law and its errors."""
+        """Return the criterion, and the verdict on the best law: that of its own fit."""
         fitted = [entry for entry in self.entries if entry.fit]
-        refused = f" ({len(self.entries) - len(fitted)} refused)" if len(fitted) < len(self.entries) else ""
-        criterion = "cross-validation RMSE" if self.blocks else "AICc"
-        best = f": best {self.best.law}, RMSE {self.best.fit.rmse:.3g} N" if fitted and self.best.fit else ""
-        return f"{len(fitted)} laws{refused} at {len(self.points)} taut points, by {criterion}{best}"
+        refused = f" ({len(self.entries) - len(fitted)} not fitted)" if len(fitted) < len(self.entries) else ""
+        criterion = "errors at blocks left out inside the data" if self.blocks else "AICc"
+        best = f": best {self.best.law}. {self.best.fit.verdict()}" if fitted and self.best.fit else ""
+        return f"{len(fitted)} laws{refused} by {criterion}{best}"
 
     def remarks(self) -> Iterable[Remark]:
         """Return remarks on points and tests that are left out, on the choice, and on each law."""
         yield from left_out(self.outliers)
-        if not any(entry.fit for entry in self.entries):
+        fitted = [entry for entry in self.entries if entry.fit]
+        if not fitted:
             return
-        best, first = self.best.law, self.entries[0].law
-        if shows_hysteresis(self.points):
-            text = "loading and unloading differ; laws are ranked without friction"
-            remedy = f"fit {best} alone, with friction (command line: --law {best.removesuffix('Law')})"
-            yield Remark.warning("friction", text, remedy)
-        if best != first:
-            yield Remark.note("law", f"selected: {best}; {first} is flagged and not substantially better")
+        best, first = self.best, self.entries[0].law
+        assert best.fit is not None
+        yield from (note for note in best.fit.notes if note.severity is Severity.SEVERE)
+        if not best.fit.hysteresis and shows_hysteresis(self.points):
+            text = f"loading and unloading differ, but {best.law} is fitted without friction"
+            yield Remark.warning("friction", text, FRICTION_ALL_THE_SAME)
+        if best.law != first:
+            yield Remark.note("law", f"selected: {best.law}; {first} is flagged and not substantially better")
+        other = min((entry for entry in fitted if not entry.flags), key=lambda entry: entry.edge_error, default=best)
+        if _RATIO * other.edge_error < best.edge_error < math.inf:
+            errors = f"{other.edge_error:.3g} N at the outermost {self.held}s, against {best.edge_error:.3g} N"
+            yield Remark.note("law", f"{other.law} extrapolates better than {best.law}: {errors}")
         for name, reason in self.missing.items():
             yield Remark.note("cross_validation", f"no cross-validation over {name}s: {reason}")
         for entry in self.entries:
@@ -146,19 +171,30 @@ class Ranking(Result):
     def listings(self) -> Iterable[Listing]:
         """Return the laws with their errors, the best first."""
         yield from super().listings()
-        fitted = [entry for entry in self.entries if entry.fit]
-        least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
+        fits = [(entry, entry.fit) for entry in self.entries if entry.fit]
         columns: dict[str, tuple[Column, list[object]]] = {
-            "law": (Column(), [entry.law.removesuffix("Law") for entry in fitted]),
-            "parameters": (Column(), [entry.parameters for entry in fitted]),
-            "rmse": (Column("N", "RMSE", digits=3), [entry.fit.rmse for entry in fitted if entry.fit]),
+            "law": (Column(), [entry.law.removesuffix("Law") for entry, _ in fits]),
+            "parameters": (Column(), [entry.parameters for entry, _ in fits]),
+            "rmse": (Column("N", "RMSE", digits=3), [fit.rmse for _, fit in fits]),
         }
-        for name in self.blocks:
-            crosses = [entry.cross_validation.get(name) for entry in fitted]
-            errors: list[object] = [cross.rmse if cross else math.nan for cross in crosses]
-            columns[name] = Column("N", f"held-out {name}s", digits=3), errors
-        columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry in fitted]
+        kinds = {"pressure": f"held-out {self.held}s", "contraction": "held-out contractions"}
+        kinds |= {"inside": f"inner {self.held}s", "edges": f"outermost {self.held}s"}
+        for name, title in kinds.items():
+            crosses = [entry.cross_validation.get(name) for entry, _ in fits]
+            if any(crosses):
+                columns[name] = Column("N", title, digits=3), [cross.rmse if cross else math.nan for cross in crosses]
+        if any(fit.friction for _, fit in fits):
+            widths: list[object] = [fit.friction.half_width if fit.friction else math.nan for _, fit in fits]
+            columns["half_width"] = Column("N", "half width of friction", digits=3), widths
+        else:  # with friction the laws are not fitted to the same numbers
+            least = min((entry.aicc for entry, _ in fits if entry.aicc == entry.aicc), default=0.0)
+            columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry, _ in fits]
         yield Listing("laws", columns)
+
+    @property
+    def held(self) -> str:
+        """Quantity that was held along the paths of the test: "pressure" or "load"."""
+        return "pressure" if held_loads(self.points.table) is None else "load"
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -203,16 +239,16 @@ def rank(
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     check_design(points)
-    blocks, missing = _blocks(points)
     progress, entries = progress or notebook_progress(), []
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
-        entries.append(_ranked(kind, means, blocks))
+        entries.append(_ranked(kind, dataset, robust=robust))
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)
-    return Ranking(tuple(entries), points, len(means) - len(points), missing, outliers)
+    used = next((entry.fit.outliers for entry in entries if entry.fit), outliers)
+    return Ranking(tuple(entries), points, len(means) - len(points), _blocks(points)[1], used)
 
 
 def _order(entry: RankedLaw) -> tuple[bool, int, float, float]:
@@ -224,7 +260,8 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
     """Labels by kind of block, and the reasons why other kinds are missing."""
     blocks: dict[str, np.ndarray] = {}
     missing: dict[str, str] = {}
-    levels, reason = pressure_blocks(points)
+    loads = held_loads(points.table)
+    levels, reason = pressure_blocks(points) if loads is None else (loads, "")
     if levels is None:
         missing["pressure"] = reason
     else:
@@ -236,23 +273,23 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
     return blocks, missing
 
 
-def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> RankedLaw:
+def _ranked(kind: type[ForceLaw], dataset: IsobaricDataset, *, robust: bool) -> RankedLaw:
     try:
-        fit = fit_law(kind, means, robust=False)
+        fit = identify_with_friction(kind, dataset, robust=robust)
     except IdentificationError as error:
         return RankedLaw(kind.__name__, refused=str(error))
+    if type(fit.law) is not kind:
+        return RankedLaw(kind.__name__, refused=next(note.text for note in fit.notes if note.field == "law"))
     regression = fit.require_regression()
     cross_validation: dict[str, CrossValidation] = {}
     remarks: list[str] = []
+    blocks = _blocks(regression.points)[0]
     for name, labels in blocks.items():
         try:
-            cross = regression.cross_validated(name, labels)
+            cross_validation[name] = regression.cross_validated(name, labels)
         except NotIdentifiableError as error:
             block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
             remarks.append(f"without {block} {error.reason}")
-        else:
-            residuals = without_direction_means(cross.residuals, regression.points)
-            cross_validation[name] = dataclasses.replace(cross, residuals=residuals)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
     misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
@@ -261,6 +298,10 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     effective = regression.solution.effective_parameters
     if effective < len(fit.estimates):
         remarks.append(f"its prior leaves {effective:.1f} effective parameters")
+    if "pressure" in cross_validation and len(levels := np.unique(blocks["pressure"])) > 2:
+        ends = np.isin(blocks["pressure"], levels[[0, -1]])
+        for name, part in (("inside", ~ends), ("edges", ends)):
+            cross_validation[name] = cross_validation["pressure"].within(part)
     return RankedLaw(
         kind.__name__,
         fit,
@@ -271,12 +312,12 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     )
 
 
-def _nearly_as_good(entry: RankedLaw, first: RankedLaw, *, ratio: float = 1.5, difference: float = 2.0) -> bool:
-    """Whether an error is at most a `ratio` of the first or, without errors, the AICc is larger by a `difference`.
+def _nearly_as_good(entry: RankedLaw, first: RankedLaw, *, difference: float = 2.0) -> bool:
+    """Whether an error is at most a ratio of the first or, without errors, the AICc is larger by a `difference`.
 
     Up to a difference of 2, a model has substantial support: K. Burnham and D. Anderson, "Model Selection and
     Multimodel Inference", Springer 2002, section 2.6.
     """
     if first.cross_validation:
-        return entry.error <= ratio * first.error
+        return entry.error <= _RATIO * first.error
     return entry.aicc <= first.aicc + difference

@@ -65,6 +65,10 @@ class CrossValidation:
         """Largest absolute error [N]."""
         return float(np.nanmax(np.abs(self.residuals)))
 
+    def within(self, mask: Bools) -> CrossValidation:
+        """Errors at the points of a mask, shape (points,), by the same blocks."""
+        return CrossValidation(np.where(mask, self.residuals, np.nan), self.by_block)
+
 
 class NotIdentifiableError(Exception):
     """Raised if the points outside a block do not determine the law."""

@@ -7,21 +7,25 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
+from mckibben.component.calls import user_level
 from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import RangeError
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.identification.regression import Regression, RobustErrors
 from mckibben.identification.smooth import Prior, prior_scales, restored_regression
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
 from mckibben.muscle import ForceLaw
+from mckibben.muscle.muscle import CHECK_LAW
+from mckibben.muscle.slopes import unphysical
 from mckibben.result import Remark
 from mckibben.storage.files import atomic_write
 
@@ -133,9 +137,14 @@ def write_fit(fit: Any, path: Path) -> None:
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
     """Read the law of a file that `Fit.to_yaml` wrote, or of one written by hand.
 
-    Raises a `ScenarioError` with every problem of the file and its line.
+    Raises a `ScenarioError` with every problem of the file and its line; a `McKibbenWarning` names a law whose force
+    rises with contraction or falls with pressure.
     """
-    return _FitFile.read(path).law
+    law = _FitFile.read(path).law
+    if wrong := unphysical(law):
+        text = f"the law of {os.fspath(path)} is not that of a muscle: {wrong}; {CHECK_LAW}"
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
+    return law
 
 
 def read_fields(path: Path) -> dict[str, Any] | None:

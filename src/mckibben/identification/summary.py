@@ -156,6 +156,27 @@ def zero_remarks(means: IsobaricDataset, rmse: float) -> Iterator[Remark]:
         yield Remark.note("force", text, ZERO_REMEDY)
 
 
+def size_remarks(
+    points: IsobaricDataset, residuals: Floats, weights: Floats, *, far: float = 2.0, smallest: float = 0.005
+) -> Iterator[Remark]:
+    """Remark on weighted residuals far above the others, and above a load cell's error, a share of the largest force.
+
+    Far is a multiple of the limit of a normal distribution (1 %, Bonferroni), as the misfit of a law is not normal.
+    """
+    from scipy.special import ndtri
+
+    sizes, limit = np.abs(weights * residuals), float(ndtri(1 - 0.005 / len(residuals)))
+    usual = np.sqrt(np.mean(sizes[sizes <= limit * np.sqrt(np.mean(sizes**2))] ** 2))
+    large = np.abs(residuals) > smallest * points.force.max()
+    if beyond := int(np.count_nonzero(large & (sizes > far * limit * usual))):
+        worst = int(sizes.argmax())
+        where = f"{show(float(points.pressure[worst]), 'bar', 4)} and {points.contraction[worst] / percent:.4g} %"
+        size = f"the largest {show(float(residuals[worst]), 'N', 3)}, {sizes[worst] / usual:.3g} times those of others"
+        text = f"{beyond} of {len(sizes)} residuals are far above the others: {size}, at {where}"
+        remedy = "check these rows, such as those at reversals, or see how other laws fit (mk.rank, or --law all)"
+        yield Remark.warning("max_error", text, remedy)
+
+
 def domain_of(points: IsobaricDataset, measured: IsobaricDataset | None = None) -> Domain:
     """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss.
 

@@ -21,11 +21,15 @@ from mckibben.identification.grouping import at_fixed_lengths
 from mckibben.identification.loading_path import NoHysteresisError, loop_half_width, with_last_motion
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen, forces
 from mckibben.muscle.air import inner_volume, volume_terms
-from mckibben.result import Listing, Remark
+from mckibben.result import Listing, Remark, column
 from mckibben.units import Diameter, Volume
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+FRICTION_ALL_THE_SAME = "fit it with friction all the same: friction=True (command line: --friction on)"
+"""Remedy for a law that is fitted without the friction that points show."""
 
 
 class FitWithFriction(Fit):
@@ -39,6 +43,9 @@ class FitWithFriction(Fit):
         Points of the fit, corrected for friction and drift; without friction, the measured ones.
     note
         The choice between both, in words; empty if there was none.
+    points_read, points_left_out
+        Points of the dataset, which are used, slack as measured, or left out: outliers, points without a direction,
+        rows at reversals whose friction or rate is not known, and points that the law has slack.
     """
 
     figures: ClassVar = ("fit",)
@@ -48,6 +55,8 @@ class FitWithFriction(Fit):
     hysteresis: HysteresisFit | None = None
     points: IsobaricDataset = field(kw_only=True)
     note: str = ""
+    points_read: int = column("", "points read", default=0)
+    points_left_out: int = column("", "other points left out", default=0)
 
     def write(self, folder: Path) -> None:
         """Write the fit and, with an initial length, the muscle for scenarios and protocols."""
@@ -156,8 +165,8 @@ def identify_with_friction(
     if hysteresis and gap and hysteresis.rmse > gap:
         note = (
             f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; see how other laws fit "
-            "(mk.rank, or --law all)"
+            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; {FRICTION_ALL_THE_SAME}, "
+            "or see how other laws fit (mk.rank, or --law all)"
         )
         hysteresis = None
     if not hysteresis:
@@ -165,7 +174,7 @@ def identify_with_friction(
         if friction is None or not shows_hysteresis(dataset):  # a note says why there is none, or the points do not
             notes = (one for one in fit.notes if one.field != "friction" or not (note or one.remedy == WITH_FRICTION))
             fit = replace(fit, notes=tuple(notes))
-        return FitWithFriction(**vars(fit), points=dataset, note=note)
+        return FitWithFriction(**vars(fit) | _counts(fit, dataset), points=dataset, note=note)
     points = hysteresis.corrected(dataset)
     fit = replace(fit_means(law, points, ()), outliers=hysteresis.outliers)
     if at_fixed_lengths(dataset) and (lopo := fit.leave_one_pressure_out):
@@ -179,7 +188,17 @@ def identify_with_friction(
             f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
             f"{np.sqrt(np.mean(rest**2)):.3g} N"
         )
-    return FitWithFriction(**vars(fit), hysteresis=hysteresis, points=points, note=note)
+    return FitWithFriction(**vars(fit) | _counts(fit, dataset), hysteresis=hysteresis, points=points, note=note)
+
+
+def _counts(fit: Fit, dataset: IsobaricDataset) -> dict[str, int]:
+    """Numbers of points that were read, those that are slack as measured, and those that are neither that nor used."""
+    slack = int(np.count_nonzero(dataset.slack))
+    return {
+        "points_read": len(dataset),
+        "points_slack": slack,
+        "points_left_out": len(dataset) - fit.points_used - slack,
+    }
 
 
 def shows_hysteresis(dataset: IsobaricDataset) -> bool:

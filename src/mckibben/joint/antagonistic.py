@@ -20,8 +20,7 @@ from mckibben.joint.route import Route, init_states, pair_routes, update_states
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE
-from mckibben.muscle.muscle import warn_outside
-from mckibben.muscle.slopes import unphysical
+from mckibben.muscle.muscle import CHECK_LAW, warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
@@ -189,11 +188,8 @@ class AntagonisticJoint(Component):
         """Remarks on laws that are extrapolated or no muscle's, and on friction, for tables and figures."""
         texts = dict.fromkeys(muscle.extrapolation for muscle in self.muscles)
         remarks = [Remark.note("joint", text) for text in filter(None, texts)]
-        wrong = {muscle.specimen.name: unphysical(muscle.law, muscle.domain) for muscle in self.muscles}
-        for name, text in wrong.items():
-            if text:
-                remedy = "check the signs and units of its parameters, and its domain"
-                remarks.append(Remark.severe("joint", f"the law of {name!r} is not that of a muscle: {text}", remedy))
+        wrong = dict.fromkeys(muscle.violation for muscle in self.muscles)
+        remarks += [Remark.severe("joint", text, CHECK_LAW) for text in filter(None, wrong)]
         if self.has_friction:
             names = [f"muscle{number}" for number, muscle in enumerate(self.muscles, 1) if muscle.has_friction]
             have = "have" if len(names) > 1 else "has"

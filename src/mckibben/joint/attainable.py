@@ -25,6 +25,7 @@ from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.muscle.muscle import CHECK_LAW
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit, jit_inline
 from mckibben.numerics.elementary import floating
@@ -166,6 +167,8 @@ def unattainable(
         message = f"a torque of {torque + 0.0:.4g} N*m {at} is outside the attainable {low:.4g}..{high:.4g} N*m"
         return UnreachableError(message, value=torque, lower=low, upper=high, unit="N*m", remedy=remedy)
     message = f"no pressures and tensions within limits hold the joint {at} with a torque of {torque + 0.0:.4g} N*m"
+    if wrong := next(filter(None, (muscle.violation for muscle in joint.muscles)), ""):
+        message, remedy = f"{message}, as {wrong}", CHECK_LAW
     return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
 
 

@@ -9,6 +9,7 @@ from numbers import Real
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -18,15 +19,19 @@ from numpy.typing import NDArray
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import known_numbers
-from mckibben.errors import DomainWarning, RangeError
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle.adjusted import ForceCorrection, adjusted_law
 from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, warn_small_pressure
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
+from mckibben.muscle.slopes import unphysical
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import jit
 from mckibben.units import Strength, bar
+
+CHECK_LAW = "check the signs and units of its parameters, and its domain"
+"""Remedy for a law that is not that of a muscle."""
 
 
 class MuscleState(NamedTuple):
@@ -47,7 +52,8 @@ class Muscle(Component):
     from the law alone. `strength` multiplies all forces of the law (scatter among muscles, and ageing); `correction` is
     added to them. The law's domain replaces infinite bounds of the specimen's domain; the lowest pressure becomes 0
     where the law's is higher. `extrapolate` applies the law at all pressures of the specimen, not only at those
-    of its data. Raises `RangeError` if the domains of specimen and law do not overlap.
+    of its data. Raises `RangeError` if the domains of specimen and law do not overlap; a `McKibbenWarning` names a law
+    whose force rises with contraction or falls with pressure.
 
     Parameters
     ----------
@@ -100,6 +106,8 @@ class Muscle(Component):
     def __check_init__(self) -> None:
         super().__check_init__()
         self.domain  # noqa: B018  # raises if there is none
+        if self.violation:
+            warnings.warn(f"{self.violation}; {CHECK_LAW}", McKibbenWarning, stacklevel=user_level())
 
     def __repr__(self) -> str:
         parts = [self.specimen.name, type(self.law).__name__]
@@ -126,6 +134,14 @@ class Muscle(Component):
             return ""
         shown = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"
         return f"the law of the muscle {self.specimen.name!r} is extrapolated from {shown}"
+
+    @property
+    def violation(self) -> str:
+        """How the law is not that of a muscle within the domain, in words; empty if it is, or has traced numbers."""
+        if not all(isinstance(leaf, Real) for leaf in jax.tree.leaves((self.law, self.domain))):
+            return ""
+        wrong = unphysical(self.law, self.domain)
+        return wrong and f"the law of {self.specimen.name!r} is not that of a muscle: {wrong}"
 
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.muscle.base import ForceLaw
-from mckibben.muscle.muscle import forces
 from mckibben.muscle.specimen import Domain
+from mckibben.numerics.compiled import jit
 from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
@@ -16,7 +16,7 @@ Bools = NDArray[np.bool_]
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """Return the first violation, in words, of a force that falls with contraction and rises with pressure.
+    """Return the first violation, in words, of a pull that falls with contraction and rises with pressure.
 
     Sought on a grid over a domain, by default that of the law; empty if there is none. Where the domain is not bounded,
     contractions are 0 to 10 %, which every muscle reaches, and pressures 0 to 1 bar.
@@ -27,14 +27,22 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
     >>> unphysical(ReynoldsLaw(f0=3, f1=60 / bar, k0=0, k1=-280 / bar))
     'its force rises with contraction at 0 % and 0.03125 bar'
     """
-    contraction, pressure = slope_grid(law.domain if domain is None else domain)
-    force = forces(law, contraction, pressure)
+    domain = law.domain if domain is None else domain
+    contraction, pressure = slope_grid(domain)
+    force = np.asarray(_force(law, contraction, pressure))
+    if 0 < domain.pressure_max < np.inf and (force <= 0).all():
+        return f"it does not pull up to {domain.pressure_max / bar:.4g} bar"
     texts = ("it has no force", "its force rises with contraction", "its force falls with pressure")
     for violation, wrong in zip(texts, (~np.isfinite(force), *wrong_slopes(force)), strict=True):
         if wrong.any():
             i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
             return f"{violation} at {contraction[i, 0] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
     return ""
+
+
+@jit
+def _force(law: ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> Array:
+    return law.force(contraction, pressure)
 
 
 def slope_grid(

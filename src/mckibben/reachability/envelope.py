@@ -65,9 +65,9 @@ class Envelope(Result):
     def remarks(self) -> list[Remark]:
         """Feasible changes, active limits at both ends of the attainable stiffness with remedies, and the joint's."""
         static, plant = self.static, self.scenario.plant()
+        remarks = self.scenario.joint.remarks
         if not static.exists:
-            return []
-        remarks = []
+            return remarks
         if not self.reference.feasible:
             nearest = ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness or (0.0, 0.0))]
             nearest = nearest * bool(self.stiffness)
@@ -76,7 +76,6 @@ class Envelope(Result):
             remarks.append(Remark.warning("reference", text))
         ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
         limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
-        remarks += self.scenario.joint.remarks
         return remarks + [Remark.note("stiffness", text) for text in limits]
 
     def listings(self) -> list[Listing]:

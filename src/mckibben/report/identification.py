@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _MOST = 6  # laws whose residuals are drawn, and pressures with their own panel
 _LOOKS: dict[str, Look] = {
     "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
-    "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
+    "pressure": {"color": BLUE, "marker": "o", "label": "held-out inner pressures"},
     "contraction": {"color": ORANGE, "marker": "v", "label": "held-out contractions"},
 }
 
@@ -69,7 +69,7 @@ def ranking(ranked: Ranking) -> Figure:
     scale = Normalize(float(levels.min()), float(levels.max()) if len(levels) > 1 else float(levels.min()) + 1)
     grid = panels(lower, len(shown), 3, sharex=True)
     for i, (axes, entry) in enumerate(zip(grid, shown, strict=True)):
-        _residuals(axes, entry, ranked, scale)
+        _residuals(axes, entry, scale)
         letter(axes, i + 1, _short(entry.law))
         if i % 3 == 0:
             axes.set_ylabel("measured − law [N]")
@@ -85,9 +85,7 @@ def _errors(axes: Axes, fitted: list[RankedLaw], ranked: Ranking) -> None:
     places = np.arange(len(fitted))
     kinds = {"seen": [entry.fit.rmse if entry.fit else np.nan for entry in fitted]}
     for name in ranked.blocks:
-        kinds[name] = [
-            entry.cross_validation[name].rmse if name in entry.cross_validation else np.nan for entry in fitted
-        ]
+        kinds[name] = [entry.held_out.get(name, np.nan) for entry in fitted]
     for name, errors in kinds.items():
         size = 60 if name == "seen" else 26
         axes.scatter(errors, places, s=size, zorder=3 + (name != "seen"), **_LOOKS[name])
@@ -107,12 +105,12 @@ def _errors(axes: Axes, fitted: list[RankedLaw], ranked: Ranking) -> None:
         beside(axes, "shaded: flagged, see the table")
 
 
-def _residuals(axes: Axes, entry: RankedLaw, ranked: Ranking, scale: Normalize) -> None:
+def _residuals(axes: Axes, entry: RankedLaw, scale: Normalize) -> None:
     """Draw the residuals [N] of a law over contraction [%], coloured by pressure."""
     assert entry.fit is not None
     residuals = entry.fit.residuals
     assert residuals is not None
-    points = ranked.points
+    points = entry.fit.require_regression().points
     axes.axhline(0, color="#888888", linewidth=0.6, zorder=1)
     axes.scatter(
         points.contraction / percent,
