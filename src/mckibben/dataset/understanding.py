@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque, needed_at_joint
-from mckibben.dataset.clock import seconds_of
+from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
@@ -305,14 +305,14 @@ class _Reader:
     def _convert(self, entry: _Entry) -> None:
         """Add a column in SI units, or a question."""
         column, header, source, gain, offset = entry
-        name = header.quantity
+        name, remarks = header.quantity, list[str]()
         if name == "time":
             clock = seconds_of(header, column.cells)
             if clock is None:
                 self.table.ignored.append(column.name)
                 self.table.clock = column.name
                 return
-            values = clock
+            values, remarks = continuous(clock)
         elif name in _WORDS:
             values = self._meaning(name, column)
         elif problem := self._not_convertible(column, header):
@@ -323,7 +323,7 @@ class _Reader:
             values = gain * self._numbers(column, name)
             values += offset  # in place, as there may be ten million
             values *= si_factor(header)
-        remarks = [] if offset == 0 and abs(gain) == 1 else [f"{gain:g} x {offset:+g}"]
+        remarks += [] if offset == 0 and abs(gain) == 1 else [f"{gain:g} x {offset:+g}"]
         remarks += ["sign reversed"] * (gain < 0)
         if self._is_absolute(header) and self.recipe.ambient is not None:
             values = values - self.recipe.ambient
