@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -20,6 +21,7 @@ from mckibben.units import bar, kPa, percent
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_STEEPEST = 0.1  # contraction over which no muscle loses more than its largest force
 _CONTINUOUS = (
     "if length or pressure change slowly all the time, fit the samples: mk.read_dataset(path) (command line: mckibben "
     "identify FILE)"
@@ -120,6 +122,7 @@ class Recording(MeasuredTable):
         contraction_tolerance: float = 0.1 * percent,
         dwell: float = 1.0,
         settle: float = 0.0,
+        accept: Sequence[str] = (),
     ) -> ExtractedPoints:
         """Points of the steady segments: means of pressure, contraction and force.
 
@@ -132,6 +135,8 @@ class Recording(MeasuredTable):
             Minimum duration of a steady segment [s].
         settle
             Initial part of a segment excluded from the means [s], in addition to a twentieth of `dwell` at either end.
+        accept
+            Topics of questions that are answered with yes, as for `read_dataset`.
 
         Returns
         -------
@@ -139,7 +144,8 @@ class Recording(MeasuredTable):
             The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is the direction
             of the last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was
             filled or vented. If the recording has no slack force, it and the load cell's offset are estimated from the
-            points, as by `read_dataset`.
+            points, as by `read_dataset`. Plateaus in which a sensor is stuck, the clock is set back, or the force
+            changes at once are left out, with a warning.
 
         Raises
         ------
@@ -147,7 +153,7 @@ class Recording(MeasuredTable):
             If an argument is invalid, the contraction is unknown, or no segment was steady for long enough; the error
             lists the samples left out, with reasons.
         DatasetError
-            If most forces are negative, and do not rise with the pressure: the sign is wrong.
+            With the questions that the points raise, as for `read_dataset`, and those of signals that are late or jump.
         """
         check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance)
         check_positive("plateaus", contraction_tolerance=contraction_tolerance)
@@ -177,10 +183,13 @@ class Recording(MeasuredTable):
         # first to last sample plus one interval: each sample stands for one
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
         first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+        slope = pressure_tolerance / np.abs(pressure).max(initial=1.0) + contraction_tolerance / _STEEPEST
+        sound = account.sound(first, last, segments.edge, 2 * slope * np.abs(force).max())
+        first, begins, ends, last = first[sound], begins[sound], ends[sound], last[sound]
         if not len(first):
             text = f"nothing in the recording is steady for {dwell:g} s\n  {format_counts(account.counts())}"
             remedy = f"give a shorter dwell (--dwell) or larger tolerances (--tolerance); {_CONTINUOUS}"
-            raise RangeError("\n  ".join([text, *account.notes]), value=dwell, unit="s", remedy=remedy)
+            raise RangeError("\n  ".join([text, *account.notes, *account.lost]), value=dwell, unit="s", remedy=remedy)
         samples = ends - begins
         used = list(map(slice, begins, ends))
         for part, whole in zip(used, map(slice, first, last), strict=True):
@@ -206,6 +215,7 @@ class Recording(MeasuredTable):
             self.table,
             account,
             samples,
+            accept,
             pressure=p,
             contraction=c,
             force=f,

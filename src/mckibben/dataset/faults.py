@@ -1,0 +1,187 @@
+"""Faults of sensors that show in samples over time: what no muscle does from one moment to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+import numpy as np
+
+from mckibben.dataset.checks import residuals_of
+from mckibben.dataset.raw import Floats
+from mckibben.dataset.segmentation import usual_interval
+from mckibben.dataset.table import Question, question
+from mckibben.units import kPa, percent, show
+
+_DWELL = 1.0  # s
+_REPEATS = 0.4  # share of samples that equal the one before: in white noise, of a converter coarser than the noise
+_MOST_STAYS = 4  # more are how the signal rests
+_TAUT = 0.05  # of the range of forces
+_MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
+"""Changes of one of these, the other at rest, which the force of a taut muscle follows."""
+_RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
+_LAGS = 40  # blocks
+_FEWEST = 3  # points before and after an offset
+_OFFSET = 50 * kPa
+_LISTED = 1000  # jumps that are looked at
+_JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
+_REMEDY = "shift its column against the others, or record again"
+
+
+def changes_at_once(force: Floats, size: int, most: float) -> bool:
+    """Whether a force at constant pressure and length changes more at once than at first: creep only slows down.
+
+    Parameters
+    ----------
+    force
+        Shape (samples,) [N].
+    size
+        Number of samples whose means are compared.
+    most
+        Change that is none [N].
+
+    >>> [changes_at_once(force, 10, 5.0) for force in (np.repeat([100.0, 60.0], 50), 100 * np.exp(-np.arange(100) / 9))]
+    [True, False]
+    """
+    if (count := len(force) // size) < 3:
+        return False
+    means = force[: count * size].reshape(count, size).mean(axis=1)
+    steps = np.abs(np.diff(means))
+    at = 1 + int(np.argmax(steps[1:]))
+    apart = abs(means[: at + 1].mean() - means[at + 1 :].mean())
+    return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
+
+
+def offset_from(time: Floats, pressure: Floats, contraction: Floats, force: Floats) -> Iterator[Question]:
+    """Question about points, shape (points,) each, from one of which on the pressures have another zero.
+
+    Least squares with ``F = p (a + b eps + c eps^2) + d + e eps``, of which d and e change at a point: they halve the
+    residuals, and are worth more than half a bar, which no friction is.
+    """
+    ones = np.ones_like(force)
+    basis = np.column_stack([pressure, pressure * contraction, pressure * contraction**2, ones, contraction])
+    before = float(np.sum(residuals_of(force, basis) ** 2))
+    fits = []
+    for at in range(_FEWEST, len(force) - _FEWEST):
+        after = (np.arange(len(force)) >= at)[:, None] * basis[:, 3:]
+        solution, *_ = np.linalg.lstsq(both := np.column_stack([basis, after]), force, rcond=None)
+        step = float(np.mean(after[at:] @ solution[5:]) / np.mean(basis[:, :3] @ solution[:3] / pressure.mean()))
+        fits.append((float(np.sum((force - both @ solution) ** 2)), at, step))
+    if fits and 4 * min(fits)[0] < before and abs(min(fits)[2]) > _OFFSET:
+        _, at, step = min(fits)
+        text = f"from {time[at]:.6g} s on, forces are as at pressures that are {show(abs(step), 'bar', 3)} "
+        text += f"{'higher' if step > 0 else 'lower'}: has the sensor another zero, absolute for gauge?"
+        yield question(text, "gauge", field="pressure", remedy=_JUMPED)
+
+
+class Signals:
+    """Signals of a recording, and their means over blocks of a quarter of a second.
+
+    Parameters
+    ----------
+    time
+        Shape (samples,) [s].
+    values
+        Pressure [Pa], contraction [-] if it is known, and force [N], shape (samples,) each.
+    """
+
+    def __init__(self, time: Floats, values: Mapping[str, Floats]) -> None:
+        self.time, self.values = time, values
+        self.interval = usual_interval(np.diff(time))[0]
+        self.size = max(1, round(_DWELL / 4 / self.interval))
+        self.edges = np.arange(0, max(len(time) - self.size + 1, 1), self.size)
+        sizes = np.diff(self.edges, append=len(time))
+        self.means = {name: np.add.reduceat(part, self.edges) / sizes for name, part in values.items()}
+
+    def stuck(self) -> dict[str, list[slice]]:
+        """Samples of a second or more in which a signal stays that should not.
+
+        Its noise ends; or it is the force of a taut muscle while pressure or length alone changes. Weights that are
+        typed in stay on purpose.
+        """
+        stuck: dict[str, list[slice]] = {name: [] for name in self.values}
+        for name, values in self.values.items():
+            begins = np.append(np.flatnonzero(np.diff(values, prepend=np.nan) != 0), len(values))
+            lengths, heights = np.diff(begins), values[begins[:-1]]
+            stays = lengths * self.interval >= _DWELL
+            others = lengths[~stays]
+            if len(others) <= 2 * np.count_nonzero(stays):  # typed in
+                continue
+            steps = np.diff(heights[~stays])  # change signs from sample to sample in noise
+            noisy = len(others) > (1 - _REPEATS) * others.sum() and np.mean(steps[:-1] * steps[1:] < 0) > _REPEATS
+            noisy &= np.count_nonzero(stays) < _MOST_STAYS
+            inside = (heights > values.min()) & (heights < values.max())  # else saturated
+            taut = heights > values.min() + _TAUT * np.ptp(values)
+            for at in np.flatnonzero(stays):
+                part = slice(begins[at], begins[at + 1])
+                if (noisy and inside[at]) or (name == "force" and taut[at] and self._moves(part)):
+                    stuck[name].append(part)
+        return stuck
+
+    def _moves(self, part: slice) -> bool:
+        """Whether pressure or contraction alone changes in samples, within a second or in all."""
+        blocks = slice(-(-part.start // self.size), part.stop // self.size)
+        still = np.zeros(max(blocks.stop - blocks.start, 0))
+        parts = {name: self.means.get(name, still)[blocks] for name in _MOVES}
+        for span in (4, len(still) - 1):
+            changes = {name: np.abs(part[span:] - part[:-span]) for name, part in parts.items() if span > 0}
+            for name, other in (("pressure", "contraction"), ("contraction", "pressure")) if changes else ():
+                if np.any((changes[name] > _MOVES[name]) & (changes[other] < _RESTS[other])):
+                    return True
+        return False
+
+    def questions(self) -> list[Question]:
+        """Questions about a signal that is late, or that jumps while the others rest."""
+        return [*self._late(), *self._jumps()]
+
+    def _late(self) -> Iterator[Question]:
+        """Signal that changes earlier or later than the others.
+
+        Least squares of the changes of the force from block to block, or of the contraction where weights hang, with
+        those of the others. A delay is one that explains half of the variance, and leaves less than half of what is
+        left without it.
+        """
+        steps = {name: np.diff(part) for name, part in self.means.items()}
+        if len(steps["force"]) < 4 * _LAGS or not all(map(np.any, steps.values())):
+            return
+        lags = [lag for lag in range(-_LAGS, _LAGS + 1) if abs(lag) > 1]
+        for response in ("force", "contraction"):
+            if response not in steps:
+                continue
+            trials = {(name, lag): self._unexplained(response, name, lag) for name in steps for lag in lags}
+            (name, lag), least = min(trials.items(), key=lambda trial: trial[1])
+            if 2 * least < min(1.0, self._unexplained(response, name, 0)):
+                seconds = show(abs(lag) * self.size * self.interval, "s", 2)
+                text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
+                yield question(text, "order", field=name, remedy=_REMEDY)
+                return
+
+    def _unexplained(self, response: str, late: str, lag: int) -> float:
+        """Share of the variance of the changes of a signal that the others leave, one of them shifted by a lag."""
+        shifted = {name: np.roll(part, -lag) if name == late else part for name, part in self.means.items()}
+        shifted = {name: part[_LAGS:-_LAGS] for name, part in shifted.items()}
+        steps = {name: np.diff(part) for name, part in shifted.items()}
+        others = [name for name in steps if name != response]
+        columns = [steps[name] for name in others]
+        columns += [steps[name] * shifted[other][:-1] for name, other in product(others, others)]
+        basis = np.column_stack(columns)
+        scale = np.abs(basis).max(axis=0)
+        rest = residuals_of(steps[response], basis / np.where(scale > 0, scale, 1.0))
+        return float(rest @ rest) / float(steps[response] @ steps[response] or 1.0)
+
+    def _jumps(self) -> Iterator[Question]:
+        """Pressure or contraction that jumps from one sample to the next, while the others of a taut muscle stay."""
+        force = self.values["force"]
+        taut, most = force.min() + _TAUT * np.ptp(force), 0.02 * np.ptp(force)
+        for name in _MOVES.keys() & self.values.keys():
+            values, others = self.values[name], [other for other in self.values if other != name]
+            for at in np.flatnonzero(np.abs(np.diff(values)) > _MOVES[name])[:_LISTED] + 1:
+                near = [slice(max(at - 3 * self.size, 0), at), slice(at, at + 3 * self.size)]
+                level = {key: [part[rows].mean() for rows in near] for key, part in self.values.items()}
+                stays = all(abs(np.diff(level[other])[0]) < {**_RESTS, "force": most}[other] for other in others)
+                rests = max(np.ptp(values[rows]) for rows in near) < _MOVES[name]
+                if stays and rests and abs(np.diff(level[name])[0]) > _MOVES[name] and min(level["force"]) > taut:
+                    step = show(float(values[at] - values[at - 1]), "bar" if name == "pressure" else "%", 3)
+                    text = f"{name} jumps by {step} at {self.time[at]:.6g} s, and no other signal follows"
+                    yield question(text, "order", field=name, remedy=_JUMPED)
+                    break
