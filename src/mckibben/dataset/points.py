@@ -178,8 +178,7 @@ def extracted_points(
         points, more = with_passes(points, np.zeros(len(spread), np.int64))
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
-    asked = [*account.signals.questions()]
-    asked += offset_from(points["time"].to_numpy(), dataset.pressure, dataset.contraction, dataset.force)
+    asked = [*account.signals.questions(), *offset_from(dataset)]
     for query in questions_of(dataset, np.arange(len(dataset))):
         at = "" if query.problem.line is None else f", at {points['time'].to_numpy()[query.problem.line]:.6g} s"
         asked.append(query._replace(problem=replace(query.problem, message=query.problem.message + at, line=None)))
