@@ -50,6 +50,8 @@ class Points:
         Line of each point in its file.
     slack_force
         Force up to which the muscle counts as slack [N].
+    scatter
+        Force up to which points may be off the surface, a share of the largest.
     """
 
     pressure: Floats
@@ -57,6 +59,7 @@ class Points:
     force: Floats
     lines: NDArray[np.int64]
     slack_force: float = 0.0
+    scatter: float = 0.0
 
     @property
     def taut(self) -> NDArray[np.bool_]:
@@ -80,7 +83,9 @@ class Points:
         return question(f"{text}{place}", topic, line=line, field=field, remedy=_REMEDIES[remedy or topic])
 
 
-def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None) -> list[Question]:
+def questions_of(
+    dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None, scatter: float = 0.0
+) -> list[Question]:
     """Questions that the numbers and labels of a dataset raise.
 
     Parameters
@@ -89,9 +94,11 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
         Shape (points,): line of each point in its file.
     specimen
         Muscle whose diameter the largest force has to fit; default: any muscle.
+    scatter
+        Force up to which points may be off the surface, a share of the largest.
     """
     slack = dataset.table.attrs["slack_force"]
-    points = Points(dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines), slack)
+    points = Points(dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines), slack, scatter)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 
@@ -292,6 +299,7 @@ def _surface(points: Points) -> Iterator[Question]:
     lone = (len(rows) - len(taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
     far[taut] |= left_out > np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
+    far &= apart > points.scatter * largest
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)
@@ -330,7 +338,7 @@ def force_plane(contraction: Floats, pressure: Floats, force: Floats) -> ForcePl
         basis = np.column_stack([ones, other])
         own, rest = residuals_of(values, basis), residuals_of(force, basis)
         half = float(stdtrit(freedom, 0.975) * np.sqrt(left / freedom * (own @ own)))
-        return float(own @ rest) / half if half else 0.0
+        return float(own @ rest) / half if np.ptp(own) > 1e-9 * np.abs(values).max() else 0.0
 
     return ForcePlane(-ratio(contraction, pressure), ratio(pressure, contraction), 1 - left / total)
 

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.checks import residuals_of
+from mckibben.dataset.isobaric import IsobaricDataset, format_list
+from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
-from mckibben.dataset.segmentation import usual_interval
+from mckibben.dataset.segmentation import going_on, usual_interval
 from mckibben.dataset.table import Question, question
+from mckibben.errors import McKibbenWarning
 from mckibben.units import bar, kPa, percent, show
 
 if TYPE_CHECKING:
-    from mckibben.dataset.isobaric import IsobaricDataset
+    import xarray as xr
 
+LOST = "samples are lost"
+"""Begin of the notes on faults, which are warnings, too."""
 _DWELL = 1.0  # s
 _REPEATS = 0.4  # share of samples that equal the one before: in white noise, of a converter coarser than the noise
 _MOST_STAYS = 4  # more are how the signal rests
@@ -26,7 +34,7 @@ _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
 _EVENTS = 16  # effective number of changes, twice the terms of a fit
-_FEWEST = 6  # points before and after an offset
+_FEWEST = 4  # points before and after an offset
 _OUT, _BACK = ("unloading", "filling"), ("loading", "venting")
 _LISTED = 1000  # jumps that are looked at
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
@@ -80,6 +88,35 @@ def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
     if 4 * least < fits[0][0] and 0.1 < abs(step) / force.max() < 1:
         text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
         yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
+
+
+def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], list[Question]]:
+    """Samples over time without those of a stuck sensor, and within a second of a clock that was set back.
+
+    Returns
+    -------
+    Table, whose `preprocessing` says what is left out, the rows that are left, and questions about other faults.
+    """
+    time, lost, notes = table["time"].to_numpy(), np.zeros(table.sizes["point"], bool), list[str]()
+    signals = Signals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
+    back = np.flatnonzero(np.diff(time) < 0) + 1
+    near = round(_DWELL / signals.interval)
+    parts = {f"the {name} is stuck": spans for name, spans in signals.stuck().items() if spans}
+    parts |= {"the clock went back": [slice(max(at - near, 0), at + near) for at in back]} if len(back) else {}
+    for reason, spans in parts.items():
+        for span in spans:
+            lost[span] = True
+        notes.append(f"{LOST}, as {reason}: {places(time, spans)}")
+    for note in notes:
+        warnings.warn(note, McKibbenWarning, stacklevel=user_level())
+    table = table.assign(time=("point", signals.time))
+    return with_notes(table, notes).isel(point=~lost), np.flatnonzero(~lost), signals.questions()
+
+
+def places(time: Floats, spans: Sequence[slice]) -> str:
+    """Begin and end of spans of samples, as text."""
+    shown = [f"{time[span.start]:.6g} to {time[min(span.stop, len(time)) - 1]:.6g} s" for span in spans]
+    return format_list(np.array(shown), most=5)
 
 
 class Signals:

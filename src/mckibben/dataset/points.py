@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.faults import Signals, changes_at_once, offset_from
+from mckibben.dataset.faults import LOST, Signals, changes_at_once, offset_from, places
 from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
 from mckibben.dataset.schema import OF_FILE
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     from mckibben.dataset.recipe import Recipe
 
-LOST = "plateaus are lost"
-"""Begin of the notes on faults, which are warnings, too."""
 _AT_REST = "the force jumps at constant pressure and length"
+_LEVELS = "saturation", "pressure"  # the highest repeats where it is held
+_SCATTER = 0.1  # of the largest force, as by friction
 _LEAST = 10  # samples in a row
 _LONGER = 10  # times the usual value in the channel
 _JITTER = 0.25  # share of second differences that change sign: 0.73 in white noise
@@ -179,10 +179,10 @@ def extracted_points(
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
     asked = [*account.signals.questions(), *offset_from(dataset)]
-    for query in questions_of(dataset, np.arange(len(dataset))):
+    for query in questions_of(dataset, np.arange(len(dataset)), scatter=_SCATTER):
         at = "" if query.problem.line is None else f", at {points['time'].to_numpy()[query.problem.line]:.6g} s"
         asked.append(query._replace(problem=replace(query.problem, message=query.problem.message + at, line=None)))
-    asked = [query for query in asked if query.topic != "rows"]  # of tables
+    asked = [query for query in asked if query.topic != "rows" and (query.topic, query.problem.field) != _LEVELS]
     if problems := open_problems(asked, accept) if len(dataset) else []:
         raise DatasetError(dataset.table.attrs["source"] or "recording", problems)
     notes += [query.problem.message for query in asked]
@@ -245,11 +245,10 @@ class SampleAccount:
 
     def lose(self, parts: Sequence[slice], reason: str) -> None:
         """Leave out samples of a fault, with a note that is also a warning."""
-        for part in parts:
-            self.assign_reason(part, reason)
-        if parts:
-            places = [f"{self.time[part.start]:.6g} to {self.time[part.stop - 1]:.6g} s" for part in parts]
-            self.lost.append(f"{LOST}, as {reason}: {format_list(np.array(places), most=5)}")
+        if parts := [part for part in parts if (self.of[part] < 0).any()]:
+            for part in parts:
+                self.assign_reason(part, reason)
+            self.lost.append(f"{LOST}, as {reason}: {places(self.time, parts)}")
 
     def sound(self, first: NDArray[np.int64], last: NDArray[np.int64], edge: int, most: float) -> NDArray[np.bool_]:
         """Mask of plateaus without a fault; the samples of others are left out.

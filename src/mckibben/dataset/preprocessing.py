@@ -107,7 +107,7 @@ def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     under = pressure > _LEVEL
     for seconds in _DWELLS:
         held = np.zeros(len(pressure), bool)
-        segments = steady_segments([(pressure, _LEVEL)], _restarts(table), int(seconds * rate))
+        segments = steady_segments([(pressure, _LEVEL)], restarts(table), int(seconds * rate))
         for first, last in zip(segments.first, segments.last, strict=True):
             held[first:last] = True
         held[held] = np.isfinite(pressure_levels(pressure[held]))  # no slow sweep
@@ -148,7 +148,8 @@ def sample_rate(table: xr.Dataset) -> float:
     return 1 / interval if 0 < interval <= 1 / _FEWEST else 0.0
 
 
-def _restarts(table: xr.Dataset) -> NDArray[np.bool_]:
+def restarts(table: xr.Dataset) -> NDArray[np.bool_]:
+    """Mask of the points before which the clock was set back."""
     time = table["time"].to_numpy()
     return np.diff(time, prepend=time[:1]) < 0
 
@@ -196,7 +197,7 @@ def _rests(table: xr.Dataset) -> list[str]:
     if not (rate := sample_rate(table)):
         return []
     signals = [(table["pressure"].to_numpy(), 2 * kPa), (table["contraction"].to_numpy(), 1e-3)]
-    segments = steady_segments(signals, _restarts(table), int(rate))
+    segments = steady_segments(signals, restarts(table), int(rate))
     share = float(np.sum(segments.last - segments.first)) / table.sizes["point"]
     text = f"{share:.0%} of the samples rest, in {len(segments.first)} plateaus: identify their means, by {POINTS}"
     return [text] if share > 0.5 else []

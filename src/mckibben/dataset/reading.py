@@ -14,10 +14,11 @@ import numpy as np
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.clocks import join_clocks
+from mckibben.dataset.faults import without_faults
 from mckibben.dataset.file_names import add_from_name
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.preprocessing import preprocess
+from mckibben.dataset.preprocessing import preprocess, restarts, sample_rate
 from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
@@ -92,9 +93,15 @@ def read_dataset(
     if own and len(parts) == 1:
         return dataset
     known = recipe.slack_force is not None or bool(dataset.table.attrs["slack_force"])
-    files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
-    table, rows = preprocess(dataset.table, slack_known=known, files=files)
-    dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, rows)))
+    files, samples, faults = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts]), dataset.table, []
+    sound = np.arange(len(files))
+    if not own and sample_rate(samples):
+        files += np.cumsum(restarts(samples))
+        samples, sound, faults = without_faults(samples)
+    if problems := open_problems(faults, recipe.accept):
+        raise DatasetError(source, problems)
+    table, rows = preprocess(samples, slack_known=known, files=files[sound])
+    dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, sound[rows])))
     if not own:
         check_points(dataset, source, recipe.accept)
     return dataset

@@ -13,7 +13,7 @@ from mckibben.component.checks import check_positive
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points, format_counts
 from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
-from mckibben.dataset.segmentation import approaches, steady_segments
+from mckibben.dataset.segmentation import approaches, going_on, steady_segments
 from mckibben.errors import RangeError
 from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
@@ -200,7 +200,7 @@ class Recording(MeasuredTable):
             origin = values[begins]  # subtracted to preserve precision in sums of many samples
             return origin + [(values[part] - values[part.start]).mean() for part in used]
 
-        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
+        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(going_on(time))
         spread = np.array([force[part].std() for part in used])
         levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
         direction, phase = approaches(self.table, account.broken, first, last, levels)
