@@ -117,3 +117,43 @@ def test_a_counter_that_rolls_over_goes_on(tmp_path, span, unit, scale):
     recording = read_recording(path)
     np.testing.assert_allclose(np.diff(recording.time), 0.01, atol=1e-5)
     assert "overflow" in recording.table.attrs["columns_read"]
+
+
+def plotted(folder, *, padded: bool, second: float = 0.05, start: float = 0.0):
+    """A file of a plot tool: time and pressure, time and length, time and force, of other rates each."""
+    clocks = [start * at + np.arange(0, 40, step) for at, step in enumerate((second, 0.02, 0.1))]
+    signals = [2 + np.sin(0.3 * clocks[0]), 200 - clocks[1] / 4, 100 + 40 * np.sin(0.3 * clocks[2])]
+    count = max(map(len, clocks)) if padded else min(map(len, clocks))
+    columns = [
+        [f"{value:.4f}" for value in part[:count]] + [""] * (count - len(part))
+        for pair in zip(clocks, signals, strict=True)
+        for part in pair
+    ]
+    lines = [",".join(row) for row in zip(*columns, strict=True)]
+    path = folder / "plot.csv"
+    path.write_text("\n".join(["time_s,pressure_bar,time_s,length_mm,time_s,force_N", *lines]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("padded", [True, False])
+def test_signals_with_times_of_their_own_are_asked_about_and_read_with_one_key(tmp_path, padded):
+    path = plotted(tmp_path, padded=padded)
+    with pytest.raises(DatasetError, match="clocks=paired"):
+        read_recording(path, initial_length=0.2)
+    recording = read_recording(path, initial_length=0.2, clocks="paired")
+    assert recording.time[-1] == pytest.approx(39.9 if padded else 8, abs=0.2)
+    np.testing.assert_allclose(recording.pressure / 1e5, 2 + np.sin(0.3 * recording.time), atol=1e-3)
+    np.testing.assert_allclose(recording.force, 100 + 40 * np.sin(0.3 * recording.time), atol=0.1)
+    np.testing.assert_allclose(recording.contraction, recording.time / 800, atol=1e-5)
+
+
+def test_times_that_are_equal_or_only_rounded_are_one_clock(tmp_path):
+    time = np.arange(0, 30, 0.05)
+    rows = np.column_stack([time, 1e3 * time, 2 + 0 * time, np.floor(time), 100 + 0 * time])
+    path = tmp_path / "a.csv"
+    np.savetxt(path, rows, "%.2f", ",", header="time_s,time_ms,pressure_bar,elapsed_s,force_N", comments="")
+    np.testing.assert_allclose(read_recording(path).time, time, atol=1e-9)
+    rows[:, 3] = time + 4
+    np.savetxt(path, rows, "%.2f", ",", header="time_s,time_ms,pressure_bar,elapsed_s,force_N", comments="")
+    with pytest.raises(DatasetError, match="another clock"):
+        read_recording(path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +12,12 @@ import numpy as np
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.segmentation import usual_interval
+from mckibben.dataset.text import to_numbers
 from mckibben.dataset.vocabulary import Header, parse_header, parse_line
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import quantity
 
-ESTIMATED = "estimated"
+ESTIMATED, PAIRED = "estimated", "paired"
 _STATED = "state when the second clock starts on the first: --read 'clocks=12.5 s' or, with its drift, '12.5 s, 0.01 %'"
 
 
@@ -112,6 +113,41 @@ def _at_times(first: RawTable, time: Floats, second: RawTable, times: Floats) ->
         words=[*first.words, *second.words],
         questions=[*first.questions, *second.questions],
     )
+
+
+def join_pairs(path: Path, table: RawTable, mapping: Mapping[str, str]) -> tuple[RawTable, list[str]]:
+    """Table of signals that each follow a time of their own, as plot tools write them, at the times of the first.
+
+    Also returns the columns of the other times, to be ignored. Raises a `DatasetError` if there are not several times.
+    """
+    clocks = [at for at, column in enumerate(table.columns) if _header(column, mapping).quantity == "time"]
+    parts = [table.columns[at:end] for at, end in zip(clocks, [*clocks[1:], None], strict=True)]
+    parts = [_filled(table, part) for part in parts if len(part) > 1]
+    timed = [_timed(part, mapping)[0] for part in parts]
+    if len(parts) < 2 or any(time is None or np.any(np.diff(time) <= 0) for time in timed):
+        problem = Problem(
+            "has no columns of rising times before its signals", field="clocks", remedy="leave clocks out"
+        )
+        raise DatasetError(str(path), [problem])
+    joined = replace(parts[0], columns=[*table.columns[: clocks[0]], *parts[0].columns])
+    for part, times in zip(parts[1:], timed[1:], strict=True):
+        part = replace(part, words=[], questions=[])
+        joined = _at_times(joined, np.asarray(_timed(joined, mapping)[0]), part, np.asarray(times))
+    return joined, [part.columns[0].name for part in parts[1:]]
+
+
+def _filled(table: RawTable, columns: Sequence[RawColumn]) -> RawTable:
+    """Table of some columns, up to the last row that is not empty in all of them."""
+    texts = [column.cells for column in columns if not isinstance(column.cells, np.ndarray)]
+    ends = [max((row for row, cell in enumerate(cells, 1) if cell.strip()), default=0) for cells in texts]
+    count = max(ends, default=len(table.lines)) if len(texts) == len(columns) else len(table.lines)
+    cut = [
+        column
+        if isinstance(column.cells, np.ndarray)
+        else replace(column, cells=to_numbers(column.cells[:count], table.decimal))
+        for column in columns
+    ]
+    return replace(table, columns=cut, lines=np.asarray(table.lines)[:count])
 
 
 def _rows(column: RawColumn, inside: np.ndarray) -> Floats | list[str]:

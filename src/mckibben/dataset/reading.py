@@ -13,13 +13,13 @@ import numpy as np
 
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.clocks import join_clocks
+from mckibben.dataset.clocks import PAIRED, join_clocks, join_pairs
 from mckibben.dataset.faults import without_faults
 from mckibben.dataset.file_names import add_from_name
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.preprocessing import preprocess, restarts, sample_rate
-from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn
+from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
@@ -213,7 +213,7 @@ def _files(
     if len(recipe.loads) not in (0, len(paths)):
         text, remedy = f"{len(recipe.loads)} loads are given for {len(paths)} files", "give one load for each file"
         raise DatasetError(str(paths[0]), [Problem(text, field="loads", remedy=remedy)])
-    if recipe.clocks:
+    if recipe.clocks and recipe.clocks != PAIRED:
         return [(paths[0], recipe, paths[1:])]
     return [(path, recipe.with_options({"loads": recipe.loads[at : at + 1]}), ()) for at, path in enumerate(paths)]
 
@@ -223,9 +223,14 @@ def _understood(
 ) -> tuple[Table, bool]:
     """Table of a file, joined with others over time, and whether this program wrote it."""
     raw = read_table(path, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
+    needless: list[str] = []
+    if recipe.clocks == PAIRED:
+        raw, needless = join_pairs(path, raw, recipe.columns or {})
     for other in others:
         more = read_table(other, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
-        raw, needless = join_clocks(other, raw, more, recipe.columns or {}, recipe.clocks or "")
+        raw, further = join_clocks(other, raw, more, recipe.columns or {}, recipe.clocks or "")
+        needless += further
+    if needless:
         recipe = recipe.with_options({"columns": {**(recipe.columns or {}), **dict.fromkeys(needless, "ignore")}})
     if recipe.from_name:
         add_from_name(raw, path, recipe.from_name)
@@ -262,7 +267,6 @@ def _read_points(
         dataset = _own(IsobaricDataset, path, recipe)
         return dataset, dataset.table.attrs.pop("samples", "") == ""
     table, own = _understood(path, recipe, others, _POINTS, geometry)
-    Budget(path).spend(rows=len(table.lines))  # a longer recording is read as one
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
     table.ask(recipe.accept)

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STEEPEST = 0.1  # contraction over which no muscle loses more than its largest force
-_CONTINUOUS = (
-    "if length or pressure change slowly all the time, fit the samples: mk.read_dataset(path) (command line: mckibben "
-    "identify FILE)"
-)
+_CONTINUOUS = "fit the samples of loops and sweeps: mk.read_dataset(path) (command line: mckibben identify FILE)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,8 +184,8 @@ class Recording(MeasuredTable):
         sound = account.sound(first, last, segments.edge, 2 * slope * np.abs(force).max())
         first, begins, ends, last = first[sound], begins[sound], ends[sound], last[sound]
         if not len(first):
-            text = f"nothing in the recording is steady for {dwell:g} s\n  {format_counts(account.counts())}"
-            remedy = f"give a shorter dwell (--dwell) or larger tolerances (--tolerance); {_CONTINUOUS}"
+            text = f"there are no plateaus: nothing is steady for {dwell:g} s\n  {format_counts(account.counts())}"
+            remedy = f"{_CONTINUOUS}; of plateaus, give a shorter dwell (--dwell) or larger tolerances (--tolerance)"
             raise RangeError("\n  ".join([text, *account.notes, *account.lost]), value=dwell, unit="s", remedy=remedy)
         samples = ends - begins
         used = list(map(slice, begins, ends))
@@ -201,6 +198,12 @@ class Recording(MeasuredTable):
             return origin + [(values[part] - values[part.start]).mean() for part in used]
 
         p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(going_on(time))
+        if 2 * np.sum(last - first) < len(time):
+            text = f"{1 - np.sum(last - first) / len(time):.0%} of the samples are in no plateau"
+            swept = [max(np.ptp(values) - 20 * tolerance, 0.0) for values, tolerance in signals]
+            if np.ptp(p) < 0.1 * swept[0] or np.ptp(c) < 0.1 * swept[1]:
+                raise RangeError(f"{text}, as of loops or sweeps", remedy=_CONTINUOUS)
+            account.notes.append(f"{text}: {_CONTINUOUS}")
         spread = np.array([force[part].std() for part in used])
         levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
         direction, phase = approaches(self.table, account.broken, first, last, levels)

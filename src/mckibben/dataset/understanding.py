@@ -15,6 +15,7 @@ from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
+from mckibben.dataset.segmentation import usual_interval
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
 from mckibben.dataset.text import NUMBER, to_numbers
 from mckibben.dataset.vocabulary import (
@@ -285,12 +286,33 @@ class _Reader:
             if other is entry:
                 continue
             self.table.ignored.append(entry.column.name)
+            if kind == "time" and self._disagree(other, entry):
+                text = f"is another clock than {other.column.name!r}"
+                remedy = f"if each is that of the columns after it: --read clocks=paired; {_NEEDLESS}"
+                self.ask(text, field=entry.column.name, remedy=remedy.format(entry.column.name))
             if kind != "time" and (other.source == "columns") == (entry.source == "columns"):
                 self.asked_about.add(kind)
                 meant = _COLUMN_REMEDY.format(entry.column.name, f"{entry.header.quantity}_{entry.header.unit}")
                 text = f"and {other.column.name!r} are both a {kind.replace('_', ' ')}"
                 self.ask(text, field=entry.column.name, remedy=f"of the two, {meant}")
         return sorted(chosen.values(), key=understood.index)
+
+    def _disagree(self, first: _Entry, second: _Entry) -> bool:
+        """Whether two clocks differ by more than two of their steps and a drift of 0.1 %, or one ends early.
+
+        Of elapsed times in front of signals each, the offset counts, too.
+        """
+        if any(not isinstance(entry.column.cells, np.ndarray) and entry.header.unit for entry in (first, second)):
+            return True
+        time, other = (seconds_of(entry.header, entry.column.cells) for entry in (first, second))
+        if time is None or other is None or not len(time):
+            return False
+        place = [self.raw.columns.index(entry.column) for entry in (first, second)]
+        apart = other - time
+        if abs(place[0] - place[1]) == 1 or not (first.header.unit and second.header.unit):
+            apart = apart - apart[0]
+        steps = max(usual_interval(np.diff(part))[0] for part in (time, other))
+        return bool(np.abs(apart).max() > 2 * steps + 1e-3 * np.ptp(time))
 
     def _check_mapping(self) -> None:
         """Questions about headers of the recipe that the file does not have."""
