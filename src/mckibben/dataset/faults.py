@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
@@ -101,7 +102,7 @@ def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], lis
     signals = Signals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
     back = np.flatnonzero(np.diff(time) < 0) + 1
     near = round(_DWELL / signals.interval)
-    parts = {f"the {name} is stuck": spans for name, spans in signals.stuck().items() if spans}
+    parts = {f"the {name} is stuck": spans for name, spans in signals.stuck.items() if spans}
     parts |= {"the clock went back": [slice(max(at - near, 0), at + near) for at in back]} if len(back) else {}
     for reason, spans in parts.items():
         for span in spans:
@@ -138,6 +139,7 @@ class Signals:
         sizes = np.diff(self.edges, append=len(time))
         self.means = {name: np.add.reduceat(part, self.edges) / sizes for name, part in values.items()}
 
+    @functools.cached_property
     def stuck(self) -> dict[str, list[slice]]:
         """Samples of a second or more in which a signal stays that should not.
 
@@ -224,7 +226,9 @@ class Signals:
         taut, most = force.min() + _TAUT * np.ptp(force), 0.02 * np.ptp(force)
         for name in _MOVES.keys() & self.values.keys():
             values, others = self.values[name], [other for other in self.values if other != name]
-            for at in np.flatnonzero(np.abs(np.diff(values)) > _MOVES[name])[:_LISTED] + 1:
+            lost = [end for span in self.stuck[name] for end in (span.start, span.stop)]
+            jumps = np.flatnonzero(np.abs(np.diff(values)) > _MOVES[name]) + 1
+            for at in jumps[~np.isin(jumps, lost)][:_LISTED]:
                 near = [slice(max(at - 3 * self.size, 0), at), slice(at, at + 3 * self.size)]
                 level = {key: [part[rows].mean() for rows in near] for key, part in self.values.items()}
                 stays = all(abs(np.diff(level[other])[0]) < {**_RESTS, "force": most}[other] for other in others)

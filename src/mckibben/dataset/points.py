@@ -178,7 +178,7 @@ def extracted_points(
         points, more = with_passes(points, np.zeros(len(spread), np.int64))
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
-    asked = [*account.signals.questions(), *offset_from(dataset)]
+    asked = [*offset_from(dataset)]
     for query in questions_of(dataset, np.arange(len(dataset)), scatter=_SCATTER):
         at = "" if query.problem.line is None else f", at {points['time'].to_numpy()[query.problem.line]:.6g} s"
         asked.append(query._replace(problem=replace(query.problem, message=query.problem.message + at, line=None)))
@@ -233,7 +233,7 @@ class SampleAccount:
             self._ends(name)
         names = [name for name in ("pressure", "contraction", "force") if name in table]
         self.signals = Signals(self.time, {name: table[name].to_numpy() for name in names})
-        for name, parts in self.signals.stuck().items():
+        for name, parts in self.signals.stuck.items():
             self.lose(parts, f"the {name} is stuck")
 
     def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
@@ -242,6 +242,13 @@ class SampleAccount:
             self.reasons.append(reason)
         part = self.of[where]
         self.of[where] = np.where(part < 0, self.reasons.index(reason), part)
+
+    def ask(self, accept: Sequence[str]) -> None:
+        """Raise a `DatasetError` with the questions about signals that no topic of `accept` answers."""
+        asked = self.signals.questions()
+        if problems := open_problems(asked, accept):
+            raise DatasetError(self.table.attrs["source"] or "recording", problems)
+        self.notes += [query.problem.message for query in asked]
 
     def lose(self, parts: Sequence[slice], reason: str) -> None:
         """Leave out samples of a fault, with a note that is also a warning."""

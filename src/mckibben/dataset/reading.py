@@ -25,6 +25,7 @@ from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
 from mckibben.dataset.table import Table, open_problems, question
 from mckibben.dataset.understanding import understand
+from mckibben.dataset.vocabulary import OF_MUSCLES
 from mckibben.errors import DatasetError, Problem, RangeError, described
 from mckibben.units import show
 
@@ -138,6 +139,17 @@ def read_torques(
     table = _understood(*files[0], ("angle", "torque", "pressure1", "pressure2"), geometry)[0]
     table.ask(files[0][1].accept)
     return table
+
+
+def read_signals(path: Path, needed: Sequence[str], recipe: Recipe | None = None) -> dict[str, np.ndarray]:
+    """Columns of a joint over time by quantity, in SI units, with pairs of muscles; errors as of `read_dataset`."""
+    recipe = (recipe or Recipe()).with_options({"joint": "joint"})
+    table = _understood(path, recipe, (), needed, None)[0]
+    names = {name for pair in OF_MUSCLES if {*pair} & {*table.columns} for name in pair}
+    if missing := sorted(names - {*table.columns, *needed}):
+        table.questions.append(question(f"no column for {missing[0]}, of two muscles", field=missing[0]))
+    table.ask(recipe.accept)
+    return {name: column.values for name, column in table.columns.items()}
 
 
 def read_columns(

@@ -169,6 +169,7 @@ class Recording(MeasuredTable):
                 "give a longer dwell (command line: --dwell)"
             )
             raise RangeError(text, field="dwell", value=dwell, lower=interval, unit="s", remedy=remedy)
+        account.ask(accept)
         signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
         unusable = account.broken | (account.of >= 0)
@@ -181,6 +182,7 @@ class Recording(MeasuredTable):
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
         first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
         slope = pressure_tolerance / np.abs(pressure).max(initial=1.0) + contraction_tolerance / _STEEPEST
+        rest = np.sum(last - first) / len(time)
         sound = account.sound(first, last, segments.edge, 2 * slope * np.abs(force).max())
         first, begins, ends, last = first[sound], begins[sound], ends[sound], last[sound]
         if not len(first):
@@ -198,8 +200,8 @@ class Recording(MeasuredTable):
             return origin + [(values[part] - values[part.start]).mean() for part in used]
 
         p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(going_on(time))
-        if 2 * np.sum(last - first) < len(time):
-            text = f"{1 - np.sum(last - first) / len(time):.0%} of the samples are in no plateau"
+        if 2 * rest < 1:
+            text = f"{1 - rest:.0%} of the samples are in no plateau"
             swept = [max(np.ptp(values) - 20 * tolerance, 0.0) for values, tolerance in signals]
             if np.ptp(p) < 0.1 * swept[0] or np.ptp(c) < 0.1 * swept[1]:
                 raise RangeError(f"{text}, as of loops or sweeps", remedy=_CONTINUOUS)

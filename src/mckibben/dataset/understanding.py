@@ -20,6 +20,7 @@ from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
 from mckibben.dataset.text import NUMBER, to_numbers
 from mckibben.dataset.vocabulary import (
     ABSOLUTE,
+    OF_MUSCLES,
     QUANTITIES,
     Header,
     dimension_of,
@@ -72,7 +73,7 @@ _LISTED = 1000  # corrupt cells of a column that are named
 _WORDS_LISTED = 20  # unknown words of a column that are named
 _LONGEST = 20.0  # m
 _MASS = re.compile(r"weight|mass|gewicht|last\b|poids|重量|质量|質量|砝码|おもり", re.IGNORECASE)
-_OF_JOINTS = ("angle", "torque", "pressure1", "pressure2")
+_OF_JOINTS = ("angle", "torque", *(name for pair in OF_MUSCLES for name in pair))
 _NEEDLESS_UNITS = ("time", "angle", "torque")
 _KINDS = {
     "length": ", where KIND is length, shortening or lengthening",
@@ -136,7 +137,7 @@ class _Reader:
         self._check_mapping()
         for entry in chosen:
             self._convert(entry)
-        if self.recipe.joint is not None:
+        if self.recipe.joint is not None and "time" not in needed:
             needed = self._at_joint(needed, geometry)
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
