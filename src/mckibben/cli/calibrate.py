@@ -48,7 +48,7 @@ def calibrate(
     json: bool,
     reading: Reading,
 ) -> Calibration:
-    """Identify the controller's joint model on the joint, with a known weight, or its valves.
+    """Identify the controller's joint model with a known weight, or its valves.
 
     Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
 
@@ -65,7 +65,7 @@ def calibrate(
     rig : RIG.yaml
         Rig, see examples/rig/ (default: simulated).
     recording : FILE
-        Use a recording (a data file, or result.nc of `rig control`) instead; repeatable.
+        Use a recording instead (a data file, or result.nc of `rig control`); repeatable.
     weighted : FILE
         A recording with the weight clipped on; repeatable.
     held_out : FILE
