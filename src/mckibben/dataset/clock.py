@@ -15,8 +15,6 @@ from mckibben.dataset.vocabulary import Header
 _EPOCH = 0.9e9, 4.2e9  # s since 1970: from 1998 to 2103
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units [s] in which loggers count an epoch."""
-_COUNTERS = 2.0**16 * 1e-3, 2.0**32 * 1e-6, 2.0**32 * 1e-3
-"""Ranges [s] of counters of 16 and 32 bits in ms and us."""
 _TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d:\d\d(?:\.\d{1,9})?")
 _FRACTION = re.compile(r"(:\d\d:\d\d)[,:](\d{1,9})")  # of a second, behind a comma or a colon
 _DATE = re.compile(r"(\d{1,2})[./-](\d{1,2})[./-](\d{4})[T,\s]+")
@@ -82,11 +80,20 @@ def _of_stamps(cells: Sequence[str]) -> Floats | None:
     return readings[0] if readings and all(np.array_equal(readings[0], other) for other in readings) else None
 
 
-def continuous(time: Floats) -> tuple[Floats, list[str]]:
+def continuous(
+    time: Floats, counters: Sequence[float] = (65.536, 4294.967296, 4294967.296)
+) -> tuple[Floats, list[str]]:
     """Times of a counter that goes on where it rolled over, and in which samples of one stamp follow each other evenly.
 
     A counter rolled over if it falls by its range, less an interval or a few. Samples that share a stamp are spread up
     to the next stamp, but not into a gap.
+
+    Parameters
+    ----------
+    time
+        Shape (samples,) [s].
+    counters
+        Ranges [s] of counters: 16 bits of ms, 32 bits of us and of ms.
 
     Returns
     -------
@@ -99,7 +106,7 @@ def continuous(time: Floats) -> tuple[Floats, list[str]]:
     """
     remarks, steps = [], np.diff(time)
     interval = usual_interval(steps)[0]
-    for span in _COUNTERS if (steps < 0).any() else ():
+    for span in counters if (steps < 0).any() else ():
         over = (steps < 0) & (np.abs(steps + span - interval) <= 2 * interval)
         if count := int(np.count_nonzero(over)):
             time = time + span * np.cumsum(np.append(False, over))

@@ -61,14 +61,7 @@ def join_clocks(
     DatasetError
         If the second clock is not determined.
     """
-    taken = {column.name for column in first.columns}
-    named = [
-        replace(column, name=f"{column.name} (2)", label=column.label or column.name)
-        if column.name in taken
-        else column
-        for column in second.columns
-    ]
-    second = replace(second, columns=named)
+    second = _renamed(second, {column.name for column in first.columns})
     (time1, own, _), (time2, others, remarks) = (_timed(table, mapping) for table in (first, second))
     shared = [name for name in own if name in others]
     clock, doubt, remedy = None, "", _STATED
@@ -93,6 +86,17 @@ def join_clocks(
     joined = _at_times(first, time1, second, clock.of(time2))
     needless = [column.name for column in second.columns if _header(column, mapping).quantity in ("time", *shared)]
     return replace(joined, comments=first.comments | {"clocks": said}), needless
+
+
+def _renamed(table: RawTable, taken: set[str]) -> RawTable:
+    """Table whose columns have other names than those of another table."""
+    columns = [
+        replace(column, name=f"{column.name} (2)", label=column.label or column.name)
+        if column.name in taken
+        else column
+        for column in table.columns
+    ]
+    return replace(table, columns=columns)
 
 
 def _at_times(first: RawTable, time: Floats, second: RawTable, times: Floats) -> RawTable:

@@ -37,7 +37,6 @@ _LAGS = 40  # blocks
 _EVENTS = 16  # effective number of changes, twice the terms of a fit
 _FEWEST = 4  # points before and after an offset
 _OUT, _BACK = ("unloading", "filling"), ("loading", "venting")
-_LISTED = 1000  # jumps that are looked at
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
 
@@ -99,7 +98,7 @@ def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], lis
     Table, whose `preprocessing` says what is left out, the rows that are left, and questions about other faults.
     """
     time, lost, notes = table["time"].to_numpy(), np.zeros(table.sizes["point"], bool), list[str]()
-    signals = Signals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
+    signals = RecordedSignals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
     back = np.flatnonzero(np.diff(time) < 0) + 1
     near = round(_DWELL / signals.interval)
     parts = {f"the {name} is stuck": spans for name, spans in signals.stuck.items() if spans}
@@ -120,7 +119,7 @@ def places(time: Floats, spans: Sequence[slice]) -> str:
     return format_list(np.array(shown), most=5)
 
 
-class Signals:
+class RecordedSignals:
     """Signals of a recording, and their means over blocks of a quarter of a second.
 
     Parameters
@@ -133,7 +132,7 @@ class Signals:
 
     def __init__(self, time: Floats, values: Mapping[str, Floats]) -> None:
         self.time, self.values = time, values
-        self.interval = usual_interval(np.diff(time))[0]
+        self.interval, self.gaps = usual_interval(np.diff(time))
         self.size = max(1, round(_DWELL / 4 / self.interval))
         self.edges = np.arange(0, max(len(time) - self.size + 1, 1), self.size)
         sizes = np.diff(self.edges, append=len(time))
@@ -220,15 +219,15 @@ class Signals:
         rest = residuals_of(steps[response], basis / np.where(scale > 0, scale, 1.0))
         return float(rest @ rest) / float(steps[response] @ steps[response] or 1.0)
 
-    def _jumps(self) -> Iterator[Question]:
+    def _jumps(self, listed: int = 1000) -> Iterator[Question]:
         """Pressure or contraction that jumps from one sample to the next, while the others of a taut muscle stay."""
         force = self.values["force"]
         taut, most = force.min() + _TAUT * np.ptp(force), 0.02 * np.ptp(force)
         for name in _MOVES.keys() & self.values.keys():
             values, others = self.values[name], [other for other in self.values if other != name]
             lost = [end for span in self.stuck[name] for end in (span.start, span.stop)]
-            jumps = np.flatnonzero(np.abs(np.diff(values)) > _MOVES[name]) + 1
-            for at in jumps[~np.isin(jumps, lost)][:_LISTED]:
+            jumps = np.flatnonzero((np.abs(np.diff(values)) > _MOVES[name]) & ~self.gaps) + 1
+            for at in jumps[~np.isin(jumps, lost)][:listed]:
                 near = [slice(max(at - 3 * self.size, 0), at), slice(at, at + 3 * self.size)]
                 level = {key: [part[rows].mean() for rows in near] for key, part in self.values.items()}
                 stays = all(abs(np.diff(level[other])[0]) < {**_RESTS, "force": most}[other] for other in others)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.faults import LOST, Signals, changes_at_once, offset_from, places
+from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, offset_from, places
 from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
 from mckibben.dataset.schema import OF_FILE
@@ -232,7 +232,7 @@ class SampleAccount:
         for name in ("pressure", "force"):
             self._ends(name)
         names = [name for name in ("pressure", "contraction", "force") if name in table]
-        self.signals = Signals(self.time, {name: table[name].to_numpy() for name in names})
+        self.signals = RecordedSignals(self.time, {name: table[name].to_numpy() for name in names})
         for name, parts in self.signals.stuck.items():
             self.lose(parts, f"the {name} is stuck")
 
