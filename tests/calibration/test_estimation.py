@@ -9,11 +9,19 @@ import pytest
 from scipy.optimize import minimize
 
 from mckibben import catalog
-from mckibben.calibration import JointCalibration, JointEstimate, JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration import (
+    JointCalibration,
+    JointEstimate,
+    JointPrior,
+    JointRecording,
+    calibrate_joint,
+    read_joint_recording,
+)
 from mckibben.calibration.equations import COEFFICIENTS, OF_MUSCLE, PARAMETERS, derivatives, halves_of, problem_of
 from mckibben.calibration.estimation import minimised, quantities_of, supported
 from mckibben.calibration.fitting import LocalMinimum
-from mckibben.errors import IdentificationError, RangeError, ScenarioError
+from mckibben.dataset import Recipe
+from mckibben.errors import DatasetError, IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
@@ -316,3 +324,21 @@ def test_the_search_finds_the_minimum_that_scipy_finds_and_stops_above_a_ceiling
     found, value, _ = minimised(terms, start, iterations=100, tolerance=1e-12)
     np.testing.assert_allclose(found, minimize(lambda z: terms(z)[0], start, tol=1e-10).x, atol=1e-5)
     assert minimised(terms, start, ceiling=value - 1)[1] > value
+
+
+def test_a_recording_of_uneven_samples_with_named_columns_is_read(tmp_path):
+    time = np.cumsum(np.random.default_rng(0).uniform(0.002, 0.012, 3000))
+    rows = np.column_stack([1e3 * time, 10 * np.sin(time), 200 + 0 * time, 300 + 10 * np.cos(time)])
+    path = tmp_path / "rig.csv"
+    np.savetxt(path, rows, "%.5f", ";", header="millis;Winkel [deg];Druck links [kPa];p2 [kPa]", comments="")
+    with pytest.raises(DatasetError, match="Druck links"):
+        read_joint_recording(path)
+    recording = read_joint_recording(path, Recipe(columns={"Druck links [kPa]": "pressure1_kPa"}))
+    np.testing.assert_allclose(recording.pressures[:, 1], 1e3 * rows[:, 3])
+    first, second = halves_of(recording)
+    np.testing.assert_allclose(first.angle, second.angle, atol=1e-5)
+    assert np.ptp(first.angle) == pytest.approx(20 * deg, rel=1e-3)
+    rest = (time < 5) | (time > 5.2)
+    changes = {name: getattr(recording, name)[rest] for name in ("time", "angle", "pressures")}
+    with pytest.raises(IdentificationError, match=r"ms apart at 4\.9"):
+        halves_of(dataclasses.replace(recording, **changes))

@@ -48,7 +48,7 @@ class JointRecording:
     Attributes
     ----------
     time, angle
-        Equally spaced times [s] and angles [rad], shape (samples,).
+        Times [s] and angles [rad], shape (samples,).
     pressures, tensions
         Gauge pressures [Pa] of muscles 1 and 2, and their tensions [N] if there are load cells; shape (samples, 2).
     added_mass, distance
@@ -181,16 +181,20 @@ class _Corrected(NamedTuple):
 
 
 def sampling_period(recording: JointRecording, *, longest: float = 0.01) -> float:
-    """Sampling period [s]; `IdentificationError` for samples that are too sparse or not equally spaced."""
-    time = recording.time
+    """Mean sampling period [s]; `IdentificationError` for samples that are too sparse, have gaps or do not follow."""
+    time, steps = recording.time, np.diff(recording.time)
     period = float(time[-1] - time[0]) / (time.size - 1)
-    if period > longest or np.ptp(np.diff(time)) > period:
-        message = (
-            f"samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced"
-        )
-        remedy = f"record at {1 / longest:.0f} Hz or more"
-        raise IdentificationError(message, value=period, unit="s", remedy=remedy)
+    if period > longest or steps.max() > 5 * longest or steps.min() <= 0:
+        worst = int(np.argmin(steps) if steps.min() <= 0 else np.argmax(steps))
+        message = f"samples, {period * 1e3:.3g} ms apart on average, are {steps[worst] * 1e3:.3g} ms apart"
+        remedy = f"record at {1 / longest:.0f} Hz or more, without gaps of {5 * longest * 1e3:.0f} ms"
+        raise IdentificationError(f"{message} at {time[worst]:.6g} s", value=period, unit="s", remedy=remedy)
     return period
+
+
+def evenly(time: Floats, values: Floats, period: float) -> Floats:
+    """Values at equally spaced times from the first on, linear in between, shape (samples,)."""
+    return np.interp(time[0] + period * np.arange(time.size), time, values)
 
 
 def check_recording(recording: JointRecording, *, shortest: float = 5.0) -> None:
@@ -231,7 +235,7 @@ def halves_of(recording: JointRecording) -> Halves:
     Raises
     ------
     IdentificationError
-        If numbers are not finite, or the samples are too few, too sparse or uneven.
+        If numbers are not finite, or the samples are too few, too sparse or have gaps.
     """
     check_recording(recording)
     time, period = recording.time, 2 * sampling_period(recording)  # of a half
@@ -240,7 +244,8 @@ def halves_of(recording: JointRecording) -> Halves:
 
     def half(begin: int) -> JointSamples:
         def fit(column: Floats, derivative: int = 0) -> Floats:
-            return np.interp(grid, time[begin::2], local_cubic(column[begin::2], period, derivative))
+            places, even = time[begin::2], evenly(time[begin::2], column[begin::2], period)
+            return np.interp(grid, places[0] + period * np.arange(places.size), local_cubic(even, period, derivative))
 
         tensions = recording.tensions
         return JointSamples(

@@ -22,6 +22,8 @@ from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estim
 from mckibben.codegen.native import over_periods
 from mckibben.component.schema import independent, replaced, write_text
 from mckibben.control import Multisine, Reference, Sine
+from mckibben.dataset import Recipe
+from mckibben.dataset.reading import read_signals
 from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, Measurement, ScaledArms
 from mckibben.joint.attainable import stiffness_range
@@ -34,11 +36,9 @@ from mckibben.rig.simulated.joint import Sensing
 from mckibben.scenario import Scenario, Start, run_scenario
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.engine import compiled
-from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write, make_folder
 
 _PRESSURES = ("pressure1", "pressure2")
-_OPTIONAL = {"command": "Pa", "tension": "N"}
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
 """
@@ -295,26 +295,22 @@ def recording_of(result: SimulationResult, *, added_mass: float = 0.0, distance:
 
 
 def read_joint_recording(
-    path: str | os.PathLike[str], *, added_mass: float = 0.0, distance: float = 0.0
+    path: str | os.PathLike[str], recipe: Recipe | None = None, *, added_mass: float = 0.0, distance: float = 0.0
 ) -> JointRecording:
-    """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
+    """Read a recording: a file of any format of `read_dataset` with columns such as ``time_s,angle_deg,p1_bar,p2_bar``.
 
     Columns ``command1_bar,command2_bar`` give commands, for the valves, ``tension1_N,tension2_N`` the readings of load
-    cells. A ``result.nc`` of `mckibben rig control` is read as well.
+    cells; `recipe` names others. A ``result.nc`` of `mckibben rig control` is read as well. Raises a `DatasetError`
+    with every problem of the file.
     """
     file = Path(path)
     if file.suffix == ".nc":
         return recording_of(SimulationResult.from_netcdf(file), added_mass=added_mass, distance=distance)
-
-    def wanted(header: list[str]) -> dict[str, str]:
-        begins = {title.partition("_")[0] for title in header}
-        more = {f"{kind}{i}": unit for kind, unit in _OPTIONAL.items() if f"{kind}1" in begins for i in (1, 2)}
-        return {"angle": "rad", **dict.fromkeys(_PRESSURES, "Pa"), **more}
-
-    times, columns = read_columns(file, wanted)
+    columns = read_signals(file, ("time", "angle", *_PRESSURES), recipe)
+    times = columns["time"]
 
     def pair(kind: str) -> Any:
-        return np.stack([columns[f"{kind}1"], columns[f"{kind}2"]], axis=1) if f"{kind}1" in columns else None
+        return np.stack([columns[f"{kind}{i}"] for i in (1, 2)], axis=1) if f"{kind}1" in columns else None
 
     readings = columns["angle"], pair("pressure"), pair("tension")
     return JointRecording(times, *readings, added_mass, distance, commands=pair("command"))

@@ -24,6 +24,7 @@ from mckibben.calibration.equations import (
     Number,
     Samples,
     check_recording,
+    evenly,
     local_cubic,
     sampling_period,
 )
@@ -330,8 +331,11 @@ def _record_of(recording: JointRecording, number: int = 0) -> _Record:
     period = sampling_period(recording)
     if not np.ptp(recording.commands, axis=0).any():
         raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
-    angle = local_cubic(recording.angle, period)
-    pressures, commands = recording.pressures.T, recording.commands.T
+    angle = local_cubic(evenly(recording.time, recording.angle, period), period)
+    pressures, commands = (
+        [evenly(recording.time, column, period) for column in pair.T]
+        for pair in (recording.pressures, recording.commands)
+    )
     return _Record(angle, (pressures[0], pressures[1]), (commands[0], commands[1]), np.float64(period), number)
 
 

@@ -19,6 +19,7 @@ from mckibben.cli.options import (
     required_folder,
     results_folder,
 )
+from mckibben.cli.reading import Reading
 from mckibben.cli.rig import run_line
 from mckibben.errors import ParameterError, StoppedError
 
@@ -45,8 +46,9 @@ def calibrate(
     out: Path | None,
     force: bool,
     json: bool,
+    reading: Reading,
 ) -> Calibration:
-    """Identify the controller's joint model on the joint, with a known weight, or its valves.
+    """Identify the controller's joint model with a known weight, or its valves.
 
     Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
 
@@ -63,7 +65,7 @@ def calibrate(
     rig : RIG.yaml
         Rig, see examples/rig/ (default: simulated).
     recording : FILE
-        Use a recording (CSV, or result.nc of `rig control`) instead; repeatable.
+        Use a recording instead (a data file, or result.nc of `rig control`); repeatable.
     weighted : FILE
         A recording with the weight clipped on; repeatable.
     held_out : FILE
@@ -90,10 +92,10 @@ def calibrate(
     deviations = calibration.JointPrior() if prior is None else calibration.JointPrior.read(prior)
     read, measure = Scenario.read(scenario), calibration.read_joint_recording
     recordings = [
-        *(measure(path) for path in recording or ()),
-        *(measure(path, added_mass=mass, distance=length) for path in weighted or ()),
+        *(measure(path, reading.recipe) for path in recording or ()),
+        *(measure(path, reading.recipe, added_mass=mass, distance=length) for path in weighted or ()),
     ]
-    unused = [measure(path) for path in held_out or ()]
+    unused = [measure(path, reading.recipe) for path in held_out or ()]
     if valves:
         experiment = calibration.ValveExperiment(low, high, seconds)
         recordings = recordings or _measured(read, experiment, out, rig, quiet=json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,6 +47,8 @@ def points(
     plot
         Draw the points in the terminal, force over contraction.
     """
+    from mckibben.dataset.faults import LOST
+
     contraction, pressure = parse_pair("--tolerance", tolerance, "0.1 %, 2 kPa")
     limits = {
         "contraction_tolerance": parse_quantity("--tolerance", contraction, "1"),
@@ -54,7 +57,9 @@ def points(
         "settle": parse_quantity("--settle", settle, "s"),
     }
     samples = reading.recording(recording)
-    plateaus = samples.plateaus(**limits)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", LOST)  # printed with the points
+        plateaus = samples.plateaus(**limits, accept=reading.recipe.accept)
     repairs = samples.table.attrs.get("repairs", "").splitlines()
     notes = [*plateaus.notes, *(f"left out: {repair}" for repair in repairs)]
     if plot and not json:

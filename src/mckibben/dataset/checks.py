@@ -61,6 +61,8 @@ class Points:
         Shape (points,): rate of the contraction [1/s], NaN where it is not known, as at reversals.
     timed
         Whether the points are of a recording, in which creep and friction of rests shift forces as well.
+    scatter
+        Force up to which points may be off the surface, a share of the largest.
     """
 
     pressure: Floats
@@ -72,6 +74,7 @@ class Points:
     side: Floats | None = None
     rate: Floats | None = None
     timed: bool = False
+    scatter: float = 0.0
 
     @property
     def taut(self) -> NDArray[np.bool_]:
@@ -96,7 +99,9 @@ class Points:
         return question(f"{text}{place}", topic, line=line, field=field, remedy=_REMEDIES[remedy or topic])
 
 
-def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None) -> list[Question]:
+def questions_of(
+    dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None, scatter: float = 0.0
+) -> list[Question]:
     """Questions that the numbers and labels of a dataset raise.
 
     Parameters
@@ -105,13 +110,15 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
         Shape (points,): line of each point in its file.
     specimen
         Muscle whose diameter the largest force has to fit; default: any muscle.
+    scatter
+        Force up to which points may be off the surface, a share of the largest.
     """
     slack, held = dataset.table.attrs["slack_force"], held_loads(dataset.table) is not None
     columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
     words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
     signs = [np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words]
     side = np.sum(signs, axis=0) if signs else None
-    points = Points(*columns, slack, held, side, contraction_rate(dataset.table), "time" in dataset.table)
+    points = Points(*columns, slack, held, side, contraction_rate(dataset.table), "time" in dataset.table, scatter)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 
@@ -349,7 +356,7 @@ def _surface(points: Points) -> Iterator[Question]:
     lone = (np.count_nonzero(~points.taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
     far[taut] |= left_out > most
-    far &= moving
+    far &= moving & (apart > points.scatter * largest)
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)
@@ -471,7 +478,7 @@ def force_plane(contraction: Floats, pressure: Floats, force: Floats) -> ForcePl
         basis = np.column_stack([ones, other])
         own, rest = residuals_of(values, basis), residuals_of(force, basis)
         half = float(stdtrit(freedom, 0.975) * np.sqrt(left / freedom * (own @ own)))
-        return float(own @ rest) / half if half else 0.0
+        return float(own @ rest) / half if np.ptp(own) > 1e-9 * np.abs(values).max() else 0.0
 
     return ForcePlane(-ratio(contraction, pressure), ratio(pressure, contraction), 1 - left / total)
 

@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from mckibben.dataset.raw import Floats
+from mckibben.dataset.segmentation import usual_interval
 from mckibben.dataset.vocabulary import Header
 
 _EPOCH = 0.9e9, 4.2e9  # s since 1970: from 1998 to 2103
@@ -77,3 +78,44 @@ def _of_stamps(cells: Sequence[str]) -> Floats | None:
             stamps = pd.to_datetime(texts, format=form)
             readings.append((stamps - stamps[0]).total_seconds().to_numpy())
     return readings[0] if readings and all(np.array_equal(readings[0], other) for other in readings) else None
+
+
+def continuous(
+    time: Floats, counters: Sequence[float] = (65.536, 4294.967296, 4294967.296)
+) -> tuple[Floats, list[str]]:
+    """Times of a counter that goes on where it rolled over, and in which samples of one stamp follow each other evenly.
+
+    A counter rolled over if it falls by its range, less an interval or a few. Samples that share a stamp are spread up
+    to the next stamp, but not into a gap.
+
+    Parameters
+    ----------
+    time
+        Shape (samples,) [s].
+    counters
+        Ranges [s] of counters: 16 bits of ms, 32 bits of us and of ms.
+
+    Returns
+    -------
+    Times [s], shape (samples,), and what was done, as text.
+
+    Examples
+    --------
+    >>> continuous(np.array([65.53, 65.53, 0.004, 0.014]))
+    (array([65.53 , 65.535, 65.54 , 65.55 ]), ['1 overflow of its counter continued', '1 repeated stamp spread evenly'])
+    """
+    remarks, steps = [], np.diff(time)
+    interval = usual_interval(steps)[0]
+    for span in counters if (steps < 0).any() else ():
+        over = (steps < 0) & (np.abs(steps + span - interval) <= 2 * interval)
+        if count := int(np.count_nonzero(over)):
+            time = time + span * np.cumsum(np.append(False, over))
+            remarks.append(f"{count} overflow{'s' * (count > 1)} of its counter continued")
+    first = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
+    if (repeats := len(time) - len(first)) and len(first) > 1:
+        steps, counts = np.diff(time[first]), np.diff(first, append=len(time))
+        interval, gaps = usual_interval(steps)
+        steps = np.append(np.where(gaps | (steps < 0), interval, steps), interval)
+        time = time + (np.arange(len(time)) - np.repeat(first, counts)) * np.repeat(steps / counts, counts)
+        remarks.append(f"{repeats} repeated stamp{'s' * (repeats > 1)} spread evenly")
+    return time, remarks

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.clock import seconds_of
+from mckibben.dataset.cells import to_numbers
+from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
+from mckibben.dataset.segmentation import usual_interval
 from mckibben.dataset.vocabulary import Header, parse_header, parse_line
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import quantity
 
-ESTIMATED = "estimated"
+ESTIMATED, PAIRED = "estimated", "paired"
 _STATED = "state when the second clock starts on the first: --read 'clocks=12.5 s' or, with its drift, '12.5 s, 0.01 %'"
 
 
@@ -59,19 +61,18 @@ def join_clocks(
     DatasetError
         If the second clock is not determined.
     """
-    taken = {column.name for column in first.columns}
-    named = [
-        replace(column, name=f"{column.name} (2)", label=column.label or column.name)
-        if column.name in taken
-        else column
-        for column in second.columns
-    ]
-    second = replace(second, columns=named)
-    (time1, own), (time2, others) = (_timed(table, mapping) for table in (first, second))
+    second = _renamed(second, {column.name for column in first.columns})
+    (time1, own, _), (time2, others, remarks) = (_timed(table, mapping) for table in (first, second))
     shared = [name for name in own if name in others]
-    clock, doubt = None, ""
+    clock, doubt, remedy = None, "", _STATED
     if time1 is None or time2 is None:
-        doubt = "not both files have a column of the time that is understood"
+        doubt = f"the {'second' if time1 is not None else 'first'} file has no column of the time that is understood"
+        remedy = "name it: --column 'HEADER=time_ms'"
+    elif backward := [name for name, time in (("first", time1), ("second", time2)) if np.any(np.diff(time) <= 0)]:
+        doubt, remedy = (
+            f"the clock of the {backward[0]} file does not advance, or goes back",
+            "leave out the rows before",
+        )
     elif clocks != ESTIMATED:
         clock = Clock.parse(clocks)
     elif shared:
@@ -79,27 +80,78 @@ def join_clocks(
     else:
         doubt = "no quantity is in both files, from which the second clock could be estimated"
     if clock is None or time1 is None or time2 is None:
-        raise DatasetError(str(path), [Problem(doubt, field="clocks", remedy=_STATED)])
-    times = clock.of(time2)
-    inside = (time1 >= times[0]) & (time1 <= times[-1])
+        raise DatasetError(str(path), [Problem(doubt, field="clocks", remedy=remedy)])
+    said = f"second clock: starts at {clock.offset:.6g} s of the first and runs {1e6 * clock.drift:.3g} ppm slow"
+    said = ", ".join([said, *remarks])
+    joined = _at_times(first, time1, second, clock.of(time2))
+    needless = [column.name for column in second.columns if _header(column, mapping).quantity in ("time", *shared)]
+    return replace(joined, comments=first.comments | {"clocks": said}), needless
+
+
+def _renamed(table: RawTable, taken: set[str]) -> RawTable:
+    """Table whose columns have other names than those of another table."""
+    columns = [
+        replace(column, name=f"{column.name} (2)", label=column.label or column.name)
+        if column.name in taken
+        else column
+        for column in table.columns
+    ]
+    return replace(table, columns=columns)
+
+
+def _at_times(first: RawTable, time: Floats, second: RawTable, times: Floats) -> RawTable:
+    """Rows of the first table, at its times, to which the second has samples on both sides, without a gap."""
+    before = np.searchsorted(times, time, side="right") - 1
+    inside = (time >= times[0]) & (time <= times[-1])
+    inside &= ~np.append(usual_interval(np.diff(times))[1], False)[before] | (time == times[before])
     columns = [replace(column, cells=_rows(column, inside)) for column in first.columns]
     columns += [
-        replace(column, cells=np.interp(time1[inside], times, column.cells))
+        replace(column, cells=np.interp(time[inside], times, column.cells))
         for column in second.columns
         if isinstance(column.cells, np.ndarray)
     ]
-    needless = [column.name for column in second.columns if _header(column, mapping).quantity in ("time", *shared)]
-    said = f"second clock: starts at {clock.offset:.6g} s of the first and runs {1e6 * clock.drift:.3g} ppm slow"
-    lines = np.asarray(first.lines)[inside].tolist()
-    joined = replace(
+    return replace(
         first,
         columns=columns,
-        lines=lines,
+        lines=np.asarray(first.lines)[inside],
         words=[*first.words, *second.words],
         questions=[*first.questions, *second.questions],
-        comments=first.comments | {"clocks": said},
     )
-    return joined, needless
+
+
+def join_pairs(path: Path, table: RawTable, mapping: Mapping[str, str]) -> tuple[RawTable, list[str]]:
+    """Table of signals that each follow a time of their own, as plot tools write them, at the times of the first.
+
+    Also returns the columns of the other times, to be ignored. Raises a `DatasetError` if there are not several times.
+    """
+    clocks = [at for at, column in enumerate(table.columns) if _header(column, mapping).quantity == "time"]
+    parts = [table.columns[at:end] for at, end in zip(clocks, [*clocks[1:], None], strict=True)]
+    parts = [_filled(table, part) for part in parts if len(part) > 1]
+    timed = [_timed(part, mapping)[0] for part in parts]
+    if len(parts) < 2 or any(time is None or np.any(np.diff(time) <= 0) for time in timed):
+        problem = Problem(
+            "has no columns of rising times before its signals", field="clocks", remedy="leave clocks out"
+        )
+        raise DatasetError(str(path), [problem])
+    joined = replace(parts[0], columns=[*table.columns[: clocks[0]], *parts[0].columns])
+    for part, times in zip(parts[1:], timed[1:], strict=True):
+        part = replace(part, words=[], questions=[])
+        joined = _at_times(joined, np.asarray(_timed(joined, mapping)[0]), part, np.asarray(times))
+    return joined, [part.columns[0].name for part in parts[1:]]
+
+
+def _filled(table: RawTable, columns: Sequence[RawColumn]) -> RawTable:
+    """Table of some columns, up to the last row that is not empty in all of them."""
+    texts = [column.cells for column in columns if not isinstance(column.cells, np.ndarray)]
+    ends = [max((row for row, cell in enumerate(cells, 1) if cell.strip()), default=0) for cells in texts]
+    count = max(ends, default=len(table.lines)) if len(texts) == len(columns) else len(table.lines)
+    cut = [
+        column
+        if isinstance(column.cells, np.ndarray)
+        else replace(column, cells=to_numbers(column.cells[:count], table.decimal))
+        for column in columns
+    ]
+    return replace(table, columns=cut, lines=np.asarray(table.lines)[:count])
 
 
 def _rows(column: RawColumn, inside: np.ndarray) -> Floats | list[str]:
@@ -113,16 +165,17 @@ def _header(column: RawColumn, mapping: Mapping[str, str]) -> Header:
     return parse_header(parse_line(name)[2]) if name else parse_header(label, column.unit)
 
 
-def _timed(table: RawTable, mapping: Mapping[str, str]) -> tuple[Floats | None, dict[str, Floats]]:
-    """Time [s] of a table, None if it is not plain, and its columns of numbers by quantity."""
-    time, signals = None, {}
+def _timed(table: RawTable, mapping: Mapping[str, str]) -> tuple[Floats | None, dict[str, Floats], list[str]]:
+    """Time [s] of a table, None if none is understood, its columns of numbers by quantity, and remarks on the time."""
+    time, signals, remarks = None, dict[str, Floats](), list[str]()
     for column in table.columns:
         header = _header(column, mapping)
         if header.quantity == "time":
-            time = seconds_of(header, column.cells)
+            if (clock := seconds_of(header, column.cells)) is not None:
+                time, remarks = continuous(clock)
         elif header.quantity and isinstance(column.cells, np.ndarray):
             signals[header.quantity] = column.cells
-    return time if time is not None and np.all(np.diff(time) > 0) else None, signals
+    return time, signals, remarks
 
 
 def estimate_clock(time1: Floats, signal1: Floats, time2: Floats, signal2: Floats) -> tuple[Clock | None, str]:

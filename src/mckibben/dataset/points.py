@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.checks import questions_of
+from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, offset_from, places
 from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.dataset.segmentation import usual_interval
-from mckibben.errors import DatasetError, RangeError
+from mckibben.dataset.table import open_problems
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.result import Remark, Result, column
 from mckibben.units import show
 
@@ -23,6 +28,9 @@ if TYPE_CHECKING:
 
     from mckibben.dataset.recipe import Recipe
 
+_AT_REST = "the force jumps at constant pressure and length"
+_LEVELS = "saturation", "pressure"  # the highest repeats where it is held
+_SCATTER = 0.1  # of the largest force, as by friction
 _LEAST = 10  # samples in a row
 _LONGER = 10  # times the usual value in the channel
 _JITTER = 0.25  # share of second differences that change sign: 0.73 in white noise
@@ -131,7 +139,11 @@ class ExtractedPoints(Result):
 
 
 def extracted_points(
-    table: xr.Dataset, account: SampleAccount, samples: NDArray[np.int64], **columns: ArrayLike | None
+    table: xr.Dataset,
+    account: SampleAccount,
+    samples: NDArray[np.int64],
+    accept: Sequence[str] = (),
+    **columns: ArrayLike | None,
 ) -> ExtractedPoints:
     """Points of a recording's table.
 
@@ -141,19 +153,23 @@ def extracted_points(
     ----------
     samples
         Shape (points,): number of samples of each point.
+    accept
+        Topics of questions that are answered with yes.
     columns
         Columns of the dataset and ``force_spread``, each of shape (points,).
 
     Raises
     ------
     DatasetError
-        If most forces are negative, and do not rise with the pressure.
+        With the questions that remain.
     """
     spread = np.asarray(columns.pop("force_spread"), np.float64)
     attrs = {name: value for name, value in table.attrs.items() if name not in (*OF_FILE, "preprocessing")}
     points = IsobaricDataset.of(**columns, **attrs).table  # type: ignore[arg-type]
     points = points.assign(force_spread=("point", spread)).assign_attrs(table.attrs)
-    notes = [*account.notes]
+    notes = [*account.notes, *account.lost]
+    for text in account.lost:
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     if not points.attrs["slack_force"]:
         points, more = without_offset(points)
         points, notes = with_notes(points, more), notes + more
@@ -162,10 +178,14 @@ def extracted_points(
         points, more = with_passes(points, np.zeros(len(spread), np.int64))
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
-    asked = questions_of(dataset, np.arange(1, len(dataset) + 1))
-    if wrong := [question.problem for question in asked if not question.topic and len(dataset)]:
-        raise DatasetError(dataset.table.attrs["source"] or "recording", wrong)
-    notes += [question.problem.message for question in asked]
+    asked = [*offset_from(dataset)]
+    for query in questions_of(dataset, np.arange(len(dataset)), scatter=_SCATTER):
+        at = "" if query.problem.line is None else f", at {points['time'].to_numpy()[query.problem.line]:.6g} s"
+        asked.append(query._replace(problem=replace(query.problem, message=query.problem.message + at, line=None)))
+    asked = [query for query in asked if query.topic != "rows" and (query.topic, query.problem.field) != _LEVELS]
+    if problems := open_problems(asked, accept) if len(dataset) else []:
+        raise DatasetError(dataset.table.attrs["source"] or "recording", problems)
+    notes += [query.problem.message for query in asked]
     words = [
         points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in ("direction", "phase")
     ]
@@ -192,22 +212,29 @@ class SampleAccount:
     ----------
     of
         Shape (samples,): index in `reasons`, or -1.
-    broken
-        Shape (samples,): samples after a gap.
+    broken, back
+        Shape (samples,): samples after a gap; and indices of those at which the clock was set back.
     interval
         Usual sampling interval [s].
-    notes
-        Findings, as text.
+    signals
+        Signals, with their faults.
+    notes, lost
+        Findings, and samples lost to faults, as text.
     """
 
     def __init__(self, table: xr.Dataset) -> None:
-        self.table = table
+        self.table, self.time = table, table["time"].to_numpy()
         self.reasons: list[str] = ["used"]
         self.of = np.full(table.sizes["sample"], -1, np.int8)
         self.notes: list[str] = []
+        self.lost: list[str] = []
         self.broken = self._breaks()
         for name in ("pressure", "force"):
             self._ends(name)
+        names = [name for name in ("pressure", "contraction", "force") if name in table]
+        self.signals = RecordedSignals(self.time, {name: table[name].to_numpy() for name in names})
+        for name, parts in self.signals.stuck.items():
+            self.lose(parts, f"the {name} is stuck")
 
     def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
         """Assign a reason to samples that do not have one yet."""
@@ -215,6 +242,40 @@ class SampleAccount:
             self.reasons.append(reason)
         part = self.of[where]
         self.of[where] = np.where(part < 0, self.reasons.index(reason), part)
+
+    def ask(self, accept: Sequence[str]) -> None:
+        """Raise a `DatasetError` with the questions about signals that no topic of `accept` answers."""
+        asked = self.signals.questions()
+        if problems := open_problems(asked, accept):
+            raise DatasetError(self.table.attrs["source"] or "recording", problems)
+        self.notes += [query.problem.message for query in asked]
+
+    def lose(self, parts: Sequence[slice], reason: str) -> None:
+        """Leave out samples of a fault, with a note that is also a warning."""
+        if parts := [part for part in parts if (self.of[part] < 0).any()]:
+            for part in parts:
+                self.assign_reason(part, reason)
+            self.lost.append(f"{LOST}, as {reason}: {places(self.time, parts)}")
+
+    def sound(self, first: NDArray[np.int64], last: NDArray[np.int64], edge: int, most: float) -> NDArray[np.bool_]:
+        """Mask of plateaus without a fault; the samples of others are left out.
+
+        Parameters
+        ----------
+        first, last
+            Shape (plateaus,): first and one past the last sample.
+        edge
+            Samples at either end that are not used.
+        most
+            Change of the force that pressure and length within their tolerances explain [N].
+        """
+        force, spans = self.signals.values["force"], [*map(slice, first, last)]
+        back = np.any((self.back > first[:, None] - 3 * edge) & (self.back < last[:, None] + 3 * edge), axis=1)
+        parts = (force[span.start + edge : span.stop - edge] for span in spans)
+        moved = np.array([changes_at_once(part, self.signals.size, most) for part in parts], bool)
+        self.lose([span for span, lost in zip(spans, back, strict=True) if lost], "the clock went back")
+        self.lose([span for span, lost in zip(spans, moved & ~back, strict=True) if lost], _AT_REST)
+        return ~(back | moved)
 
     def counts(self) -> dict[str, int]:
         """Number of samples by reason; samples without one are not steady."""
@@ -224,13 +285,14 @@ class SampleAccount:
 
     def _breaks(self) -> NDArray[np.bool_]:
         """Samples after a gap or a backward clock step."""
-        time = self.table["time"].to_numpy()
+        time = self.time
         steps = np.diff(time)
         broken = np.zeros(len(time), bool)
         self.interval, gaps = usual_interval(steps)
         if not self.interval:
             remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
             raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
+        self.back = np.flatnonzero(steps < 0) + 1
         for what, where in (("gap", gaps), ("clock went back", steps < 0)):
             places = np.flatnonzero(where)
             if len(places):

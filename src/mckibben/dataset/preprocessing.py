@@ -28,6 +28,7 @@ Ints = NDArray[np.int_]
 _DWELLS = 1, 5, 25  # s: at a pressure, as it may rise slowly between two
 _LEVEL = 10 * kPa  # pressures closer than this are of one level
 _MOST = 100  # points of a stroke
+_STROKES, _TOTAL = 1_000, 20_000  # strokes that are read, and about as many points in all
 _FEWEST = 3  # points of a level, and of a pass on average
 POINTS = "mckibben points"
 """Command for samples most of which rest."""
@@ -55,6 +56,8 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints) -> tuple[xr
     notes += more
     table, more = with_passes(table, files[rows])
     notes += more + _rests(table)
+    table, strokes, more = _thinned(table)
+    notes, rows = notes + more, rows[strokes]
     if not slack_known:
         table, more = without_offset(table)
         notes += more
@@ -111,7 +114,7 @@ def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     under = pressure > _LEVEL
     for seconds in _DWELLS:
         held = np.zeros(len(pressure), bool)
-        segments = steady_segments([(pressure, _LEVEL)], _restarts(table), int(seconds * rate))
+        segments = steady_segments([(pressure, _LEVEL)], restarts(table), int(seconds * rate))
         for first, last in zip(segments.first, segments.last, strict=True):
             held[first:last] = True
         held[held] = np.isfinite(pressure_levels(pressure[held]))  # no slow sweep
@@ -123,8 +126,24 @@ def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     return table.isel(point=held), rows[held], [note]
 
 
+def _thinned(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
+    """Samples over time of at most `_STROKES` strokes, evenly chosen by repeat, their rows, and a note."""
+    rows = np.arange(table.sizes["point"])
+    if not sample_rate(table) or "repeat" not in table or "direction" not in table:
+        return table, rows, []
+    repeat = table["repeat"].to_numpy()
+    strokes = 1 + np.count_nonzero(np.diff(repeat) | (table["direction"].to_numpy()[1:] != table["direction"][:-1]))
+    if (step := -(-strokes // _STROKES)) < 2:
+        return table, rows, []
+    rows = np.flatnonzero(repeat % step == 0)
+    note = (
+        f"{strokes:,} strokes of {table.sizes['point']:,} samples: one repeat in {step} is read, {len(rows):,} samples"
+    )
+    return table.isel(point=rows), rows, [note]
+
+
 def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
-    """Means of successive samples over time, at most `_MOST` of a stroke or 20 times as many, and the first of each.
+    """Means of successive samples over time, at most `_MOST` of a stroke or 20 times as many, fewer of many strokes.
 
     A fit of more points takes longer, and rates from the differences of single samples are noise.
     """
@@ -133,8 +152,8 @@ def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
         return table, first
     names = [name for name in ("set_pressure", "set_force", "direction", "repeat") if name in table]
     strokes = pd.DataFrame({name: table[name].to_numpy() for name in names} | {"file": files}).fillna(-1.0)
-    most = _MOST if "direction" in table else 20 * _MOST
     begins = np.flatnonzero((strokes != strokes.shift()).any(axis=1))
+    most = min(_MOST if "direction" in table else 20 * _MOST, max(_TOTAL // len(begins), _TOTAL // _STROKES))
     sizes = np.diff(np.append(begins, len(first)))
     run = -(-np.repeat(sizes, sizes) // most)  # samples of a mean
     first = first[(first - np.repeat(begins, sizes)) % run == 0]
@@ -171,7 +190,8 @@ def contraction_rate(table: xr.Dataset) -> Floats | None:
     return np.where(resting, 0.0, rate)
 
 
-def _restarts(table: xr.Dataset) -> NDArray[np.bool_]:
+def restarts(table: xr.Dataset) -> NDArray[np.bool_]:
+    """Mask of the points before which the clock was set back."""
     time = table["time"].to_numpy()
     return np.diff(time, prepend=time[:1]) < 0
 
@@ -219,7 +239,7 @@ def _rests(table: xr.Dataset) -> list[str]:
     if not (rate := sample_rate(table)):
         return []
     signals = [(table["pressure"].to_numpy(), 2 * kPa), (table["contraction"].to_numpy(), 1e-3)]
-    segments = steady_segments(signals, _restarts(table), int(rate))
+    segments = steady_segments(signals, restarts(table), int(rate))
     share = float(np.sum(segments.last - segments.first)) / table.sizes["point"]
     text = f"{share:.0%} of the samples rest, in {len(segments.first)} plateaus: identify their means, by {POINTS}"
     return [text] if share > 0.5 else []

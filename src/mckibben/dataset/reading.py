@@ -14,18 +14,20 @@ import numpy as np
 
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.clocks import join_clocks
+from mckibben.dataset.clocks import PAIRED, join_clocks, join_pairs
+from mckibben.dataset.faults import without_faults
 from mckibben.dataset.file_names import SeveralPartsError, add_from_name, numbers_in
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.matrix import MATRIX
-from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn, RawTable
+from mckibben.dataset.preprocessing import preprocess, restarts, sample_rate
+from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn, RawTable
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
 from mckibben.dataset.table import Table, open_problems, question
 from mckibben.dataset.understanding import understand
+from mckibben.dataset.vocabulary import OF_MUSCLES
 from mckibben.errors import DatasetError, Problem, RangeError, described
 from mckibben.units import show
 
@@ -95,9 +97,16 @@ def read_dataset(
     if own and len(parts) == 1:
         return dataset
     known = recipe.slack_force is not None or bool(dataset.table.attrs["slack_force"])
-    numbers = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
-    table, rows = preprocess(dataset.table, slack_known=known, files=numbers)
-    dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, rows)))
+    files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
+    samples, faults = dataset.table, []
+    sound = np.arange(len(files))
+    if not own and sample_rate(samples):
+        files += np.cumsum(restarts(samples))
+        samples, sound, faults = without_faults(samples)
+    if problems := open_problems(faults, recipe.accept):
+        raise DatasetError(source, problems)
+    table, rows = preprocess(samples, slack_known=known, files=files[sound])
+    dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, sound[rows])))
     if not own:
         check_points(dataset, source, recipe.accept)
     return dataset
@@ -135,6 +144,18 @@ def read_torques(
     table = _understood(files[0], ("angle", "torque", "pressure1", "pressure2"), geometry)[0]
     table.ask(files[0].recipe.accept)
     return table
+
+
+def read_signals(path: Path, needed: Sequence[str], recipe: Recipe | None = None) -> dict[str, np.ndarray]:
+    """Columns of a joint over time by quantity, in SI units, with pairs of muscles; errors as of `read_dataset`."""
+    (file, *_) = _files(path, recipe, {"joint": "joint"})
+    recipe = file.recipe
+    table = _understood(file, needed, None)[0]
+    names = {name for pair in OF_MUSCLES if {*pair} & {*table.columns} for name in pair}
+    if missing := sorted(names - {*table.columns, *needed}):
+        table.questions.append(question(f"no column for {missing[0]}, of two muscles", field=missing[0]))
+    table.ask(recipe.accept)
+    return {name: column.values for name, column in table.columns.items()}
 
 
 def read_columns(
@@ -231,7 +252,7 @@ def _files(path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]
     if len(recipe.loads) not in (0, len(files)):
         text, remedy = f"{len(recipe.loads)} loads are given for {len(files)} files", "give one load for each file"
         raise DatasetError(str(files[0].path), [Problem(text, field="loads", remedy=remedy)])
-    if recipe.clocks:
+    if recipe.clocks and recipe.clocks != PAIRED:
         return [files[0]._replace(others=files[1:])]
     loads = [recipe.loads[at : at + 1] for at in range(len(files))]
     return [
@@ -252,8 +273,13 @@ def _parts_named(path: Path, recipe: Recipe) -> tuple[str, ...]:
 def _understood(file: _File, needed: Sequence[str], geometry: JointPaths | None) -> tuple[Table, bool]:
     """Table of a file, joined with others over time, and whether this program wrote it."""
     raw, recipe = file.raw(), file.recipe
+    needless: list[str] = []
+    if recipe.clocks == PAIRED:
+        raw, needless = join_pairs(file.path, raw, recipe.columns or {})
     for other in file.others:
-        raw, needless = join_clocks(other.name, raw, other.raw(), recipe.columns or {}, recipe.clocks or "")
+        raw, further = join_clocks(other.name, raw, other.raw(), recipe.columns or {}, recipe.clocks or "")
+        needless += further
+    if needless:
         recipe = recipe.with_options({"columns": {**(recipe.columns or {}), **dict.fromkeys(needless, "ignore")}})
     if recipe.from_name:
         add_from_name(raw, file.name, recipe.from_name)
@@ -288,7 +314,6 @@ def _read_points(file: _File, geometry: JointPaths | None) -> tuple[IsobaricData
         dataset = _own(IsobaricDataset, file)
         return dataset, dataset.table.attrs.pop("samples", "") == ""
     table, own = _understood(file, _POINTS, geometry)
-    Budget(file.path).spend(rows=len(table.lines))  # a longer recording is read as one
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
     table.ask(file.recipe.accept)

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
-from mckibben.dataset.clocks import ESTIMATED, Clock
+from mckibben.dataset.clocks import ESTIMATED, PAIRED, Clock
 from mckibben.dataset.file_names import pattern_problem
 from mckibben.dataset.matrix import MATRIX
 from mckibben.dataset.table import TOPICS
@@ -26,11 +26,11 @@ def _check_pattern(pattern: str) -> str:
 
 
 def _check_clocks(text: str) -> str:
-    if text != ESTIMATED:
+    if text not in (ESTIMATED, PAIRED):
         try:
             Clock.parse(text)
         except UnitError as error:
-            fail_validation(error.message, f"write {ESTIMATED}, '12.5 s' or '12.5 s, 0.01 %'")
+            fail_validation(error.message, f"write {ESTIMATED}, {PAIRED}, '12.5 s' or '12.5 s, 0.01 %'")
     return text
 
 
@@ -100,7 +100,8 @@ class Recipe(DocumentModel):
         L190mm.csv. If the names of all sheets of measurements match, all are read.
     clocks
         Of two recordings of one test by devices with clocks of their own: "estimated", from a quantity in both, or when
-        the second clock starts on the first: ``"12.5 s"``, with its drift ``"12.5 s, 0.01 %"``.
+        the second clock starts on the first: ``"12.5 s"``, with its drift ``"12.5 s, 0.01 %"``. Of one file whose
+        signals each follow a time of their own: "paired".
     accept
         Topics of questions that are answered with yes: `mckibben.dataset.TOPICS` lists them.
 

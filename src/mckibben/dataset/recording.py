@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -12,7 +13,7 @@ from mckibben.component.checks import check_positive
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points, format_counts
 from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
-from mckibben.dataset.segmentation import approaches, steady_segments
+from mckibben.dataset.segmentation import approaches, going_on, steady_segments
 from mckibben.errors import RangeError
 from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
@@ -20,10 +21,8 @@ from mckibben.units import bar, kPa, percent
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_CONTINUOUS = (
-    "if length or pressure change slowly all the time, fit the samples: mk.read_dataset(path) (command line: mckibben "
-    "identify FILE)"
-)
+_STEEPEST = 0.1  # contraction over which no muscle loses more than its largest force
+_CONTINUOUS = "fit the samples of loops and sweeps: mk.read_dataset(path) (command line: mckibben identify FILE)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,6 +119,7 @@ class Recording(MeasuredTable):
         contraction_tolerance: float = 0.1 * percent,
         dwell: float = 1.0,
         settle: float = 0.0,
+        accept: Sequence[str] = (),
     ) -> ExtractedPoints:
         """Points of the steady segments: means of pressure, contraction and force.
 
@@ -132,6 +132,8 @@ class Recording(MeasuredTable):
             Minimum duration of a steady segment [s].
         settle
             Initial part of a segment excluded from the means [s], in addition to a twentieth of `dwell` at either end.
+        accept
+            Topics of questions that are answered with yes, as for `read_dataset`.
 
         Returns
         -------
@@ -139,7 +141,8 @@ class Recording(MeasuredTable):
             The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is the direction
             of the last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was
             filled or vented. If the recording has no slack force, it and the load cell's offset are estimated from the
-            points, as by `read_dataset`.
+            points, as by `read_dataset`. Plateaus in which a sensor is stuck, the clock is set back, or the force
+            changes at once are left out, with a warning.
 
         Raises
         ------
@@ -147,7 +150,7 @@ class Recording(MeasuredTable):
             If an argument is invalid, the contraction is unknown, or no segment was steady for long enough; the error
             lists the samples left out, with reasons.
         DatasetError
-            If most forces are negative, and do not rise with the pressure: the sign is wrong.
+            With the questions that the points raise, as for `read_dataset`, and those of signals that are late or jump.
         """
         check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance)
         check_positive("plateaus", contraction_tolerance=contraction_tolerance)
@@ -166,6 +169,7 @@ class Recording(MeasuredTable):
                 "give a longer dwell (command line: --dwell)"
             )
             raise RangeError(text, field="dwell", value=dwell, lower=interval, unit="s", remedy=remedy)
+        account.ask(accept)
         signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
         unusable = account.broken | (account.of >= 0)
@@ -177,10 +181,14 @@ class Recording(MeasuredTable):
         # first to last sample plus one interval: each sample stands for one
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
         first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+        slope = pressure_tolerance / np.abs(pressure).max(initial=1.0) + contraction_tolerance / _STEEPEST
+        rest = np.sum(last - first) / len(time)
+        sound = account.sound(first, last, segments.edge, 2 * slope * np.abs(force).max())
+        first, begins, ends, last = first[sound], begins[sound], ends[sound], last[sound]
         if not len(first):
-            text = f"nothing in the recording is steady for {dwell:g} s\n  {format_counts(account.counts())}"
-            remedy = f"give a shorter dwell (--dwell) or larger tolerances (--tolerance); {_CONTINUOUS}"
-            raise RangeError("\n  ".join([text, *account.notes]), value=dwell, unit="s", remedy=remedy)
+            text = f"there are no plateaus: nothing is steady for {dwell:g} s\n  {format_counts(account.counts())}"
+            remedy = f"{_CONTINUOUS}; of plateaus, give a shorter dwell (--dwell) or larger tolerances (--tolerance)"
+            raise RangeError("\n  ".join([text, *account.notes, *account.lost]), value=dwell, unit="s", remedy=remedy)
         samples = ends - begins
         used = list(map(slice, begins, ends))
         for part, whole in zip(used, map(slice, first, last), strict=True):
@@ -191,7 +199,13 @@ class Recording(MeasuredTable):
             origin = values[begins]  # subtracted to preserve precision in sums of many samples
             return origin + [(values[part] - values[part.start]).mean() for part in used]
 
-        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
+        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(going_on(time))
+        if 2 * rest < 1:
+            text = f"{1 - rest:.0%} of the samples are in no plateau"
+            swept = [max(np.ptp(values) - 20 * tolerance, 0.0) for values, tolerance in signals]
+            if np.ptp(p) < 0.1 * swept[0] or np.ptp(c) < 0.1 * swept[1]:
+                raise RangeError(f"{text}, as of loops or sweeps", remedy=_CONTINUOUS)
+            account.notes.append(f"{text}: {_CONTINUOUS}")
         spread = np.array([force[part].std() for part in used])
         levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
         direction, phase = approaches(self.table, account.broken, first, last, levels)
@@ -206,6 +220,7 @@ class Recording(MeasuredTable):
             self.table,
             account,
             samples,
+            accept,
             pressure=p,
             contraction=c,
             force=f,

@@ -35,6 +35,16 @@ def usual_interval(steps: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]
     return float(ranked[np.searchsorted(np.cumsum(ranked), ranked.sum() / 2)]), gaps
 
 
+def going_on(time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times in their order: those of a clock that was set back go on after the usual interval.
+
+    >>> going_on(np.array([0.0, 1.0, 2.0, 0.5, 1.5])).tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0]
+    """
+    steps = np.diff(time, prepend=time[:1])
+    return time + np.cumsum(np.where(steps < 0, usual_interval(steps)[0] - steps, 0.0)) if (steps < 0).any() else time
+
+
 class Segments(NamedTuple):
     """Steady segments: first and one past the last sample; uncertain samples at the ends."""
 

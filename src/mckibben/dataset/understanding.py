@@ -13,12 +13,14 @@ import numpy as np
 
 from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque, needed_at_joint
 from mckibben.dataset.cells import NUMBER, to_numbers
-from mckibben.dataset.clock import seconds_of
+from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
+from mckibben.dataset.segmentation import usual_interval
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
 from mckibben.dataset.vocabulary import (
     ABSOLUTE,
+    OF_MUSCLES,
     QUANTITIES,
     Header,
     dimension_of,
@@ -71,7 +73,7 @@ _LISTED = 1000  # corrupt cells of a column that are named
 _WORDS_LISTED = 20  # unknown words of a column that are named
 _LONGEST = 20.0  # m
 _MASS = re.compile(r"weight|mass|gewicht|last\b|poids|重量|质量|質量|砝码|おもり", re.IGNORECASE)
-_OF_JOINTS = ("angle", "torque", "pressure1", "pressure2")
+_OF_JOINTS = ("angle", "torque", *(name for pair in OF_MUSCLES for name in pair))
 _NEEDLESS_UNITS = ("time", "angle", "torque")
 _KINDS = {
     "length": ", where KIND is length, shortening or lengthening",
@@ -136,7 +138,7 @@ class _Reader:
         self._check_mapping()
         for entry in chosen:
             self._convert(entry)
-        if self.recipe.joint is not None:
+        if self.recipe.joint is not None and "time" not in needed:
             needed = self._at_joint(needed, geometry)
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
@@ -299,12 +301,33 @@ class _Reader:
             if other is entry:
                 continue
             self.table.ignored.append(entry.column.name)
+            if kind == "time" and self._disagree(other, entry):
+                text = f"is another clock than {other.column.name!r}"
+                remedy = f"if each is that of the columns after it: --read clocks=paired; {_NEEDLESS}"
+                self.ask(text, field=entry.column.name, remedy=remedy.format(entry.column.name))
             if kind != "time" and (other.source == "columns") == (entry.source == "columns"):
                 self.asked_about.add(kind)
                 meant = _COLUMN_REMEDY.format(entry.column.name, f"{entry.header.quantity}_{entry.header.unit}")
                 text = f"and {other.column.name!r} are both a {kind.replace('_', ' ')}"
                 self.ask(text, field=entry.column.name, remedy=f"of the two, {meant}")
         return sorted(chosen.values(), key=understood.index)
+
+    def _disagree(self, first: _Entry, second: _Entry) -> bool:
+        """Whether two clocks differ by more than two of their steps and a drift of 0.1 %, or one ends early.
+
+        Of elapsed times in front of signals each, the offset counts, too.
+        """
+        if any(not isinstance(entry.column.cells, np.ndarray) and entry.header.unit for entry in (first, second)):
+            return True
+        time, other = (seconds_of(entry.header, entry.column.cells) for entry in (first, second))
+        if time is None or other is None or not len(time):
+            return False
+        place = [self.raw.columns.index(entry.column) for entry in (first, second)]
+        apart = other - time
+        if abs(place[0] - place[1]) == 1 or not (first.header.unit and second.header.unit):
+            apart = apart - apart[0]
+        steps = max(usual_interval(np.diff(part))[0] for part in (time, other))
+        return bool(np.abs(apart).max() > 2 * steps + 1e-3 * np.ptp(time))
 
     def _check_mapping(self) -> None:
         """Questions about headers of the recipe that the file does not have."""
@@ -319,14 +342,14 @@ class _Reader:
     def _convert(self, entry: _Entry) -> None:
         """Add a column in SI units, or a question."""
         column, header, source, gain, offset = entry
-        name = header.quantity
+        name, remarks = header.quantity, list[str]()
         if name == "time":
             clock = seconds_of(header, column.cells)
             if clock is None:
                 self.table.ignored.append(column.name)
                 self.table.clock = column.name
                 return
-            values = clock
+            values, remarks = continuous(clock)
         elif name in _WORDS:
             values = self._meaning(name, column)
         elif problem := self._not_convertible(column, header):
@@ -337,7 +360,7 @@ class _Reader:
             values = gain * self._numbers(column, name)
             values += offset  # in place, as there may be ten million
             values *= si_factor(header)
-        remarks = [] if offset == 0 and abs(gain) == 1 else [f"{gain:g} x {offset:+g}"]
+        remarks += [] if offset == 0 and abs(gain) == 1 else [f"{gain:g} x {offset:+g}"]
         remarks += ["sign reversed"] * (gain < 0)
         if self._is_absolute(header) and self.recipe.ambient is not None:
             values = values - self.recipe.ambient

@@ -20,9 +20,12 @@ UNITS: Mapping[str, str] = {
     "torque": "N*m N*mm N*cm mN*m kN*m kgf*cm kgf*m lbf*in",
 }
 """Units in which each quantity is read, the usual one first."""
+OF_MUSCLES = ("pressure1", "pressure2"), ("command1", "command2"), ("tension1", "tension2")
+"""Quantities of the muscles of a joint: pressures, their commands, and forces."""
 QUANTITIES: Mapping[str, tuple[str, ...]] = {
     **{name: tuple(units.split()) for name, units in UNITS.items()},
-    **dict.fromkeys(("set_pressure", "pressure1", "pressure2"), tuple(UNITS["pressure"].split())),
+    **dict.fromkeys(("set_pressure", *OF_MUSCLES[0], *OF_MUSCLES[1]), tuple(UNITS["pressure"].split())),
+    **dict.fromkeys(OF_MUSCLES[2], tuple(UNITS["force"].split())),
     "set_force": tuple(UNITS["force"].split()),
     **dict.fromkeys(("displacement", "shortening"), tuple(UNITS["length"].split())),
     "lengthening": (*UNITS["length"].split(), *UNITS["contraction"].split()),
@@ -32,7 +35,7 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 """Units of each quantity of a column.
 
 `shortening` and `lengthening` are displacements with a known direction, the latter also relative to the initial length,
-as `relative_length` is. `pressure1` and `pressure2` are those of the muscles of a joint.
+as `relative_length` is.
 """
 
 _NAMES: Mapping[str, str] = {
@@ -57,6 +60,7 @@ _NAMES: Mapping[str, str] = {
     "torque": """torque, joint torque, moment, tau, τ, drehmoment, gelenkmoment, couple, 扭矩, 力矩, 转矩, トルク""",
     "pressure1": "p1, pressure1",
     "pressure2": "p2, pressure2",
+    **{name: name for pair in OF_MUSCLES[1:] for name in pair},
     "set_pressure": """set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure,
         target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
         sollwert druck, druck sollwert""",

@@ -1,0 +1,239 @@
+"""Faults of sensors that show in samples over time: what no muscle does from one moment to the next."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.component.calls import user_level
+from mckibben.dataset.checks import residuals_of
+from mckibben.dataset.isobaric import IsobaricDataset, format_list
+from mckibben.dataset.preprocessing import with_notes
+from mckibben.dataset.raw import Floats
+from mckibben.dataset.segmentation import going_on, usual_interval
+from mckibben.dataset.table import Question, question
+from mckibben.errors import McKibbenWarning
+from mckibben.units import bar, kPa, percent, show
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LOST = "samples are lost"
+"""Begin of the notes on faults, which are warnings, too."""
+_DWELL = 1.0  # s
+_REPEATS = 0.4  # share of samples that equal the one before: in white noise, of a converter coarser than the noise
+_MOST_STAYS = 4  # more are how the signal rests
+_TAUT = 0.05  # of the range of forces
+_MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
+"""Changes of one of these, the other at rest, which the force of a taut muscle follows."""
+_RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
+_LAGS = 40  # blocks
+_EVENTS = 16  # effective number of changes, twice the terms of a fit
+_FEWEST = 4  # points before and after an offset
+_OUT, _BACK = ("unloading", "filling"), ("loading", "venting")
+_JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
+_REMEDY = "shift its column against the others, or record again"
+
+
+def changes_at_once(force: Floats, size: int, most: float) -> bool:
+    """Whether a force at constant pressure and length changes more at once than at first: creep only slows down.
+
+    Parameters
+    ----------
+    force
+        Shape (samples,) [N].
+    size
+        Number of samples whose means are compared.
+    most
+        Change that is none [N].
+
+    >>> [changes_at_once(force, 10, 5.0) for force in (np.repeat([100.0, 60.0], 50), 100 * np.exp(-np.arange(100) / 9))]
+    [True, False]
+    """
+    if (count := len(force) // size) < 3:
+        return False
+    means = force[: count * size].reshape(count, size).mean(axis=1)
+    steps = np.abs(np.diff(means))
+    at = 1 + int(np.argmax(steps[1:]))
+    apart = abs(means[: at + 1].mean() - means[at + 1 :].mean())
+    return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
+
+
+def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
+    """Question about points in the order of a test, from one of which on a sensor has another zero.
+
+    Least squares of the taut points with ``F = p (a + b eps + c eps^2) + d + e eps`` and friction in either way, from
+    one point on with another plane. It halves the residuals, by a tenth of the largest force on average.
+    """
+    points = dataset.select(dataset.force > _TAUT * dataset.force.max(initial=0.0))
+    force, pressure, contraction = points.force, points.pressure / bar, points.contraction
+    ways = [points.table[name].to_numpy() for name in ("direction", "phase") if name in points.table]
+    sides = [sign * np.isin(way, words) for way in ways for sign, words in ((1.0, _OUT), (-1.0, _BACK))]
+    side, ones = np.sum([0 * force, *sides], axis=0), np.ones_like(force)
+    plane = [ones, contraction, pressure]
+    basis = np.column_stack([*plane, pressure * contraction, pressure * contraction**2, side, side * pressure])
+    fits = [(float(np.sum(residuals_of(force, basis) ** 2)), 0, 0.0)]
+    for at in range(_FEWEST, len(force) - _FEWEST if len(force) > 2 * basis.shape[1] else 0):
+        after = (np.arange(len(force)) >= at)[:, None] * basis[:, :3]
+        solution = np.linalg.lstsq(np.column_stack([basis, after]), force, rcond=None)[0]
+        left = force - np.column_stack([basis, after]) @ solution
+        fits.append((float(left @ left), at, float(np.mean(after[at:] @ solution[-3:]))))
+    least, at, step = min(fits)
+    if 4 * least < fits[0][0] and 0.1 < abs(step) / force.max() < 1:
+        text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
+        yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
+
+
+def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], list[Question]]:
+    """Samples over time without those of a stuck sensor, and within a second of a clock that was set back.
+
+    Returns
+    -------
+    Table, whose `preprocessing` says what is left out, the rows that are left, and questions about other faults.
+    """
+    time, lost, notes = table["time"].to_numpy(), np.zeros(table.sizes["point"], bool), list[str]()
+    signals = RecordedSignals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
+    back = np.flatnonzero(np.diff(time) < 0) + 1
+    near = round(_DWELL / signals.interval)
+    parts = {f"the {name} is stuck": spans for name, spans in signals.stuck.items() if spans}
+    parts |= {"the clock went back": [slice(max(at - near, 0), at + near) for at in back]} if len(back) else {}
+    for reason, spans in parts.items():
+        for span in spans:
+            lost[span] = True
+        notes.append(f"{LOST}, as {reason}: {places(time, spans)}")
+    for note in notes:
+        warnings.warn(note, McKibbenWarning, stacklevel=user_level())
+    table = table.assign(time=("point", signals.time))
+    return with_notes(table, notes).isel(point=~lost), np.flatnonzero(~lost), signals.questions()
+
+
+def places(time: Floats, spans: Sequence[slice]) -> str:
+    """Begin and end of spans of samples, as text."""
+    shown = [f"{time[span.start]:.6g} to {time[min(span.stop, len(time)) - 1]:.6g} s" for span in spans]
+    return format_list(np.array(shown), most=5)
+
+
+class RecordedSignals:
+    """Signals of a recording, and their means over blocks of a quarter of a second.
+
+    Parameters
+    ----------
+    time
+        Shape (samples,) [s].
+    values
+        Pressure [Pa], contraction [-] if it is known, and force [N], shape (samples,) each.
+    """
+
+    def __init__(self, time: Floats, values: Mapping[str, Floats]) -> None:
+        self.time, self.values = time, values
+        self.interval, self.gaps = usual_interval(np.diff(time))
+        self.size = max(1, round(_DWELL / 4 / self.interval))
+        self.edges = np.arange(0, max(len(time) - self.size + 1, 1), self.size)
+        sizes = np.diff(self.edges, append=len(time))
+        self.means = {name: np.add.reduceat(part, self.edges) / sizes for name, part in values.items()}
+
+    @functools.cached_property
+    def stuck(self) -> dict[str, list[slice]]:
+        """Samples of a second or more in which a signal stays that should not.
+
+        Its noise ends; or it is the force of a taut muscle while pressure or length alone changes. Weights that are
+        typed in stay on purpose.
+        """
+        stuck: dict[str, list[slice]] = {name: [] for name in self.values}
+        for name, values in self.values.items():
+            begins = np.append(np.flatnonzero(np.diff(values, prepend=np.nan) != 0), len(values))
+            lengths, heights = np.diff(begins), values[begins[:-1]]
+            stays = lengths * self.interval >= _DWELL
+            others = lengths[~stays]
+            if len(others) <= 2 * np.count_nonzero(stays):  # typed in
+                continue
+            steps = np.diff(heights[~stays])  # change signs from sample to sample in noise
+            repeats = 1 - len(others) / others.sum()
+            noisy = repeats < _REPEATS < np.mean(steps[:-1] * steps[1:] < 0) and np.count_nonzero(stays) < _MOST_STAYS
+            noisy &= lengths * np.log(max(repeats, 1e-9)) < 2 * np.log(1e-6 / len(values))  # no chance, in half of them
+            inside = (heights > values.min()) & (heights < values.max())  # else saturated
+            taut = heights > values.min() + _TAUT * np.ptp(values)
+            for at in np.flatnonzero(stays):
+                part = slice(begins[at], begins[at + 1])
+                if (noisy[at] and inside[at]) or (name == "force" and taut[at] and self._moves(part)):
+                    stuck[name].append(part)
+        return stuck
+
+    def _moves(self, part: slice) -> bool:
+        """Whether pressure or contraction alone changes in samples, within a second or in all."""
+        blocks = slice(-(-part.start // self.size), part.stop // self.size)
+        still = np.zeros(max(blocks.stop - blocks.start, 0))
+        parts = {name: self.means.get(name, still)[blocks] for name in _MOVES}
+        for span in (4, len(still) - 1):
+            changes = {name: np.abs(part[span:] - part[:-span]) for name, part in parts.items() if span > 0}
+            for name, other in (("pressure", "contraction"), ("contraction", "pressure")) if changes else ():
+                if np.any((changes[name] > _MOVES[name]) & (changes[other] < _RESTS[other])):
+                    return True
+        return False
+
+    def questions(self) -> list[Question]:
+        """Questions about a signal that is late, or that jumps while the others rest."""
+        return [*self._late(), *self._jumps()]
+
+    def _late(self) -> Iterator[Question]:
+        """Signal that changes earlier or later than the others.
+
+        Least squares of the changes of the force from block to block, or of the contraction where weights hang, with
+        those of the others. A delay is one that explains half of the variance, and leaves less than half of what is
+        left without it.
+        """
+        steps = {name: np.diff(part) for name, part in self.means.items()}
+        if len(steps["force"]) < 4 * _LAGS or not all(map(np.any, steps.values())):
+            return
+        lags = [lag for lag in range(-_LAGS, _LAGS + 1) if abs(lag) > 1]
+        for response in [name for name in ("force", "contraction") if name in steps]:
+            energy = steps[response] ** 2
+            if energy.sum() ** 2 < _EVENTS * (energy @ energy):
+                continue  # too few changes
+            trials = {(name, lag): self._unexplained(response, name, lag) for name in steps for lag in lags}
+            (name, lag), least = min(trials.items(), key=lambda trial: trial[1])
+            at_once = self._unexplained(response, response, 0)
+            if 2 * least < min(1.0, at_once):
+                seconds = show(abs(lag) * self.size * self.interval, "s", 2)
+                text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
+                yield question(text, "order", field=name, remedy=_REMEDY)
+            if 2 * min(least, at_once) < 1:
+                return
+
+    def _unexplained(self, response: str, late: str, lag: int) -> float:
+        """Share of the variance of the changes of a signal that the others leave, one of them shifted by a lag."""
+        shifted = {name: np.roll(part, -lag) if name == late else part for name, part in self.means.items()}
+        shifted = {name: part[_LAGS:-_LAGS] for name, part in shifted.items()}
+        steps = {name: np.diff(part) for name, part in shifted.items()}
+        others = [name for name in steps if name != response]
+        columns = [steps[name] for name in others]
+        columns += [steps[name] * shifted[other][:-1] for name, other in product(others, others)]
+        basis = np.column_stack(columns)
+        scale = np.abs(basis).max(axis=0)
+        rest = residuals_of(steps[response], basis / np.where(scale > 0, scale, 1.0))
+        return float(rest @ rest) / float(steps[response] @ steps[response] or 1.0)
+
+    def _jumps(self, listed: int = 1000) -> Iterator[Question]:
+        """Pressure or contraction that jumps from one sample to the next, while the others of a taut muscle stay."""
+        force = self.values["force"]
+        taut, most = force.min() + _TAUT * np.ptp(force), 0.02 * np.ptp(force)
+        for name in _MOVES.keys() & self.values.keys():
+            values, others = self.values[name], [other for other in self.values if other != name]
+            lost = [end for span in self.stuck[name] for end in (span.start, span.stop)]
+            jumps = np.flatnonzero((np.abs(np.diff(values)) > _MOVES[name]) & ~self.gaps) + 1
+            for at in jumps[~np.isin(jumps, lost)][:listed]:
+                near = [slice(max(at - 3 * self.size, 0), at), slice(at, at + 3 * self.size)]
+                level = {key: [part[rows].mean() for rows in near] for key, part in self.values.items()}
+                stays = all(abs(np.diff(level[other])[0]) < {**_RESTS, "force": most}[other] for other in others)
+                rests = max(np.ptp(values[rows]) for rows in near) < _MOVES[name]
+                if stays and rests and abs(np.diff(level[name])[0]) > _MOVES[name] and min(level["force"]) > taut:
+                    step = show(float(values[at] - values[at - 1]), "bar" if name == "pressure" else "%", 3)
+                    text = f"{name} jumps by {step} at {self.time[at]:.6g} s, and no other signal follows"
+                    yield question(text, "order", field=name, remedy=_JUMPED)
+                    break

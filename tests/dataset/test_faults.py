@@ -1,0 +1,206 @@
+"""Recordings with faults of known truth: their plateaus are lost, or a question stops; right ones raise nothing."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError
+from mckibben.units import bar, percent
+
+RATE = 100.0
+LARGEST = 400.0  # N
+
+
+def law(pressure, contraction):
+    return np.maximum(0, (1.1e-3 * pressure - 40) * (1 - 3.2 * contraction) - 250 * contraction)
+
+
+class Samples:
+    """Holds of 3 s after moves of 0.5 s: strokes at four pressures, or pressures at four lengths; or strokes alone."""
+
+    def __init__(self, kind="strokes", *, noise=1.0, steps=(0.0, 0.0, 0.0), friction=6.0, hold=3.0, seed=0):
+        if kind == "strokes":
+            ends = np.concatenate([np.arange(0, 0.21, 0.04), np.arange(0.16, -0.01, -0.04)])
+            plan = [(level * bar, end) for level in (1, 2, 3, 4) for end in ends]
+        elif kind == "stairs":
+            levels = np.concatenate([np.arange(0.5, 4.1, 0.5), np.arange(3.5, 0.4, -0.5)])
+            plan = [(level * bar, end) for end in (0.0, 0.05, 0.1, 0.15) for level in levels]
+        else:
+            plan = [(level * bar, end) for level in (1, 2, 3, 4) for end in (0.0, 0.2) * 6]
+        move = np.linspace(0, 1, int((5 if kind == "loops" else 0.5) * RATE), endpoint=False)[:, None]
+        before = [(0.0, 0.0), *plan[:-1]]
+        parts = [np.array(a) + (np.array(b) - a) * move for a, b in zip(before, plan, strict=True)]
+        rests = [np.tile(end, (int((0 if kind == "loops" else hold) * RATE), 1)) for end in plan]
+        self.pressure, self.contraction = np.concatenate([r for pair in zip(parts, rests, strict=True) for r in pair]).T
+        self.time = np.arange(len(self.pressure)) / RATE
+        travel = np.diff(self.contraction, prepend=0.0)
+        way = np.sign(travel[np.maximum.accumulate(np.where(travel != 0, np.arange(len(travel)), 0))])
+        clean = law(self.pressure, self.contraction)
+        self.force = clean - friction * way * (clean > 0)
+        rng = np.random.default_rng(seed)
+        for name, scatter, step in zip(("pressure", "contraction", "force"), (300.0, 2e-5, 0.4), steps, strict=True):
+            values = getattr(self, name) + noise * scatter * rng.normal(size=len(self.time))
+            setattr(self, name, np.round(values / step) * step if step else values)
+
+    def record(self) -> Recording:
+        return Recording.of(
+            time=self.time, pressure=self.pressure, force=self.force, contraction=self.contraction, slack_force=2.0
+        )
+
+
+def stuck(samples, name, begin, seconds):
+    values = getattr(samples, name)
+    at = int(begin * len(values))
+    values[at : at + int(seconds * RATE)] = values[at]
+
+
+def late(samples, name, seconds):
+    values, shift = getattr(samples, name), int(seconds * RATE)
+    setattr(samples, name, np.concatenate([np.full(shift, values[0]), values[:-shift]]))
+
+
+def absolute(samples, begin):
+    samples.pressure[int(begin * len(samples.time)) :] += 1.013 * bar
+
+
+def right(points: IsobaricDataset, friction=6.0):
+    """Whether all forces are within friction and 3 % of the law."""
+    return np.all(np.abs(points.force - law(points.pressure, points.contraction)) < friction + 0.03 * LARGEST)
+
+
+FINE = (1000.0, 2.5e-4, 0.5)  # steps of converters
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"kind": "stairs", "friction": 0.0},
+        {"noise": 0.0},
+        {"steps": FINE},
+        {"steps": FINE, "noise": 0.0},
+        {"kind": "stairs", "friction": 0.0, "steps": (5e3, 1e-3, 1.0), "noise": 0.0},
+    ],
+)
+def test_right_recordings_lose_nothing_and_raise_no_question(options):
+    samples = Samples(**options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        points = samples.record().plateaus()
+    assert len(points.dataset) >= 44 and right(points.dataset)
+    assert {*points.counts} <= {"used", "settling", "not steady"}
+
+
+def test_a_slow_creep_and_weights_that_are_typed_in_are_no_faults():
+    time = np.arange(0, 300, 0.02)
+    pressure = np.interp(time, [0, 5, 5.5, 300], [0, 0, 4e5, 4e5]) + np.random.default_rng(0).normal(0, 200, len(time))
+    force = law(4e5, 0.05) * np.where(time < 5.2, 0.0, 1 - 0.15 * np.exp(-(time - 5.2) / 30))
+    record = Recording.of(time=time, pressure=pressure, force=force, contraction=0.05)
+    assert len(record.plateaus().dataset) == 2
+    levels = np.repeat([2.0, 2.5, 3.0, 3.5, 3.0, 2.5, 2.0], 400)
+    loads = (40.0, 90.0, 150.0)
+    pressure = np.tile(levels, 3) * bar + np.random.default_rng(1).normal(0, 300, 8400)
+    grid = np.linspace(-0.1, 0.4, 2001)
+    ends = [[np.interp(-load, -law(level * bar, grid), grid) for level in levels] for load in loads]
+    contraction = np.concatenate(ends) + np.random.default_rng(2).normal(0, 2e-5, 8400)
+    record = Recording.of(
+        time=np.arange(8400) / RATE, pressure=pressure, force=np.repeat(loads, 2800), contraction=contraction
+    )
+    assert len(record.plateaus().dataset) == 21
+
+
+@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
+@pytest.mark.parametrize("begin", [0.2, 0.55])
+def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
+    samples = Samples()
+    stuck(samples, name, begin, 40)
+    with pytest.warns(McKibbenWarning, match=f"{name} is stuck"):
+        points = samples.record().plateaus()
+    assert right(points.dataset) and 30 <= len(points.dataset) <= 36
+    assert points.counts[f"the {name} is stuck"] == pytest.approx(40 * RATE, abs=2)
+    samples.record().to_netcdf(tmp_path / "a.nc")
+    with pytest.warns(McKibbenWarning, match=f"{name} is stuck"):
+        data = read_dataset(tmp_path / "a.nc", accept=["order"])
+    first, last = begin * samples.time[-1], begin * samples.time[-1] + 40
+    assert not np.any((data.table["time"] > first + 1) & (data.table["time"] < last - 1))
+    assert "is stuck" in data.table.attrs["preprocessing"]
+
+
+def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
+    samples = Samples(noise=0.0, steps=FINE)
+    stuck(samples, "force", 0.55, 40)
+    with pytest.warns(McKibbenWarning, match="force is stuck"):
+        assert right(samples.record().plateaus().dataset)
+
+
+@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
+@pytest.mark.parametrize("seconds", [1.0, 2.0, 5.0])
+def test_a_late_signal_is_a_question(name, seconds, tmp_path):
+    samples = Samples()
+    late(samples, name, seconds)
+    with warnings.catch_warnings(), pytest.raises(DatasetError, match=f"{seconds:g} s apart") as caught:
+        warnings.simplefilter("ignore")
+        samples.record().plateaus()
+    assert "accept=order" in caught.value.problems[0].remedy
+    samples.record().to_netcdf(tmp_path / "a.nc")
+    with warnings.catch_warnings(), pytest.raises(DatasetError, match=f"{seconds:g} s apart"):
+        warnings.simplefilter("ignore")
+        read_dataset(tmp_path / "a.nc")
+
+
+@pytest.mark.parametrize("kind", ["strokes", "stairs"])
+@pytest.mark.parametrize("begin", [0.3, 0.5, 0.8])
+def test_a_gauge_pressure_that_turns_absolute_is_a_question(kind, begin):
+    samples = Samples(kind, friction=6.0 if kind == "strokes" else 0.0)
+    absolute(samples, begin)
+    with pytest.raises(DatasetError) as caught:
+        samples.record().plateaus()
+    assert any(f"{begin * samples.time[-1]:.0f}"[:1] in problem.message for problem in caught.value.problems)
+
+
+def test_a_load_cell_that_changes_its_zero_in_a_plateau_costs_it_and_is_a_question():
+    samples = Samples()
+    at = int(82.5 * RATE)  # in a plateau
+    samples.force[at:] += 0.3 * LARGEST
+    with pytest.warns(McKibbenWarning, match="jumps"), pytest.raises(DatasetError):
+        samples.record().plateaus()
+
+
+def test_a_clock_that_is_set_back_goes_on_in_points_and_samples(tmp_path):
+    samples = Samples()
+    samples.time[8000:] -= 60
+    with pytest.warns(McKibbenWarning, match="the clock went back"):
+        points = samples.record().plateaus()
+    assert np.all(np.diff(points.time) > 0) and right(points.dataset) and len(points.dataset) >= 42
+    samples.record().to_netcdf(tmp_path / "a.nc")
+    with pytest.warns(McKibbenWarning, match="the clock went back"):
+        data = read_dataset(tmp_path / "a.nc")
+    assert np.all(np.diff(data.table["time"]) > 0)
+
+
+def test_loops_have_no_plateaus_and_the_error_says_what_fits_them():
+    with pytest.raises(RangeError, match="no plateaus") as caught:
+        Samples("loops").record().plateaus()
+    assert "mckibben identify" in caught.value.remedy
+
+
+def test_many_strokes_are_thinned_with_a_note(monkeypatch):
+    from mckibben.dataset import preprocessing
+
+    monkeypatch.setattr(preprocessing, "_STROKES", 20)
+    samples = Samples("loops")
+    data = IsobaricDataset.of(
+        time=samples.time, pressure=samples.pressure, contraction=samples.contraction, force=samples.force
+    )
+    table, _ = preprocessing.preprocess(data.table, slack_known=True, files=np.zeros(len(data), int))
+    (note,) = [note for note in table.attrs["preprocessing"].splitlines() if "one repeat in" in note]
+    assert "46 strokes" in note
+    assert len(np.unique(table["set_pressure"])) == 4 and {*np.unique(table["direction"])} == {"loading", "unloading"}
+    assert len(table["force"]) < 6000
+
+
+def test_the_means_of_a_plateau_say_nothing_of_the_ends_of_a_sensor():
+    samples = Samples(noise=0.0, steps=(2.5e3, 1 * percent / 40, 1.0))
+    samples.record().plateaus()
