@@ -16,10 +16,10 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from mckibben.containment.limits import Limits
 from mckibben.control import Reference, Sine, Step
 from mckibben.export import export
-from mckibben.firmware import Hardware
+from mckibben.export.containment.limits import Limits
+from mckibben.export.hardware import Hardware
 from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
 from mckibben.study.compare import Suite

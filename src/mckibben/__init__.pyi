@@ -106,7 +106,7 @@ from .scenario import (
     Scenario as Scenario,
     read_scenario as read_scenario,
 )
-from .study.inputs import (
+from .scenario.inputs import (
     identify as identify,
 )
 from .study.sweep import (

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 import mckibben as mk
 from mckibben.actuator import SecondOrderValve
-from mckibben.report.tables import SETTINGS, plant_of
+from mckibben.paper.tables import SETTINGS, plant_of
 
 C, SUPPLY = 5e-9, 7e5
 CLOSED = [

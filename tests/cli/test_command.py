@@ -143,12 +143,12 @@ def test_words_and_values_are_completed(cli, monkeypatch, tmp_path, typed, compl
 
 
 def test_a_fault_of_ours_ends_with_1_and_says_what_to_do(cli, monkeypatch):
-    import mckibben.study.inputs
+    import mckibben.scenario.inputs
 
     def faulty(*_, **__):
         raise ZeroDivisionError("deep inside")
 
-    monkeypatch.setattr(mckibben.study.inputs, "data_named", faulty)
+    monkeypatch.setattr(mckibben.scenario.inputs, "data_named", faulty)
     found = cli("identify", "festo-tool-10mm")
     assert (found.code, found.out) == (1, "")
     assert found.err.startswith("failed: ZeroDivisionError: deep inside\n")

@@ -14,7 +14,7 @@ from mckibben.codegen import SourceModule, write_js
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.controller import controller_functions, controller_program
-from mckibben.firmware import Hardware
+from mckibben.export.hardware import Hardware
 from mckibben.scenario import Scenario
 
 NODE = shutil.which("node")

@@ -15,11 +15,11 @@ from jax import lax
 from mckibben.codegen import write_c
 from mckibben.codegen.c import comment_text
 from mckibben.codegen.native import compiler
-from mckibben.containment.limits import Limits
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
+from mckibben.export.containment.limits import Limits
 from mckibben.export.controller import controller_functions, controller_program
-from mckibben.firmware import Hardware
+from mckibben.export.hardware import Hardware
 from mckibben.serial_protocol import FaultCode, FirmwareState
 
 pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")

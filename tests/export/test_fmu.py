@@ -10,7 +10,7 @@ import pytest
 
 from mckibben.errors import ExportError
 from mckibben.export import export
-from mckibben.firmware import Hardware
+from mckibben.export.hardware import Hardware
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import FaultCode, FirmwareState

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
-from mckibben.containment.limits import Limits, containment_of
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export import export
+from mckibben.export.containment.limits import Limits, containment_of
 from mckibben.export.controller_files import c_files
+from mckibben.export.hardware import Hardware
 from mckibben.export.targets import Exported, filled
-from mckibben.firmware import Hardware
 from mckibben.result import Severity
 from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario

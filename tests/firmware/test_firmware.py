@@ -12,7 +12,7 @@ import pytest
 from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, ScenarioError
 from mckibben.export import export
-from mckibben.firmware import Hardware
+from mckibben.export.hardware import Hardware
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import (
     CommandSource,

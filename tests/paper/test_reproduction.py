@@ -187,7 +187,7 @@ def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name)
 
 
 def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys, tmp_path, reproduction):
-    import mckibben.report
+    import mckibben.paper.page
     from mckibben.cli import app
 
     calls = []
@@ -198,7 +198,7 @@ def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys,
         return out / "report.html"
 
     monkeypatch.setattr(paper, "reproduce", lambda *, quick, progress: reproduction)
-    monkeypatch.setattr(mckibben.report, "write_report", write_report)
+    monkeypatch.setattr(mckibben.paper.page, "write_report", write_report)
     monkeypatch.setattr(SimulationResult, "to_netcdf", lambda *_: None)  # `folder` has the trajectories
     monkeypatch.setenv("COLUMNS", "160")
     out = tmp_path / "deep" / "report"

@@ -45,11 +45,12 @@ def page_of():
 @pytest.fixture(scope="session")
 def written(reproduction, tmp_path_factory):
     """A written report: its folder, and the figures that it has, by name."""
-    from mckibben.report import figures, write_report
+    from mckibben.paper.figures import figures
+    from mckibben.paper.page import write_report
 
     folder, drawn = tmp_path_factory.mktemp("report"), list(figures(reproduction))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mckibben.report.page.figures", lambda _: drawn)
+        patch.setattr("mckibben.paper.page.figures", lambda _: drawn)
         write_report(reproduction, folder)
     return folder, {figure.name: figure for figure in drawn}
 

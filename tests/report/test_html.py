@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from mckibben.report.page import SOURCES, typeset
-from mckibben.report.tables import NAMES, number, with_error
+from mckibben.paper.page import SOURCES, typeset
+from mckibben.paper.tables import NAMES, number, with_error
 
 pytestmark = pytest.mark.slow  # they need the whole reproduction
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mckibben import serial_protocol as wire
 from mckibben.codegen.native import compiler
 from mckibben.errors import ParameterError, RigError
-from mckibben.firmware import link_files
+from mckibben.export.firmware import link_files
 
 PROGRAM = r"""
 #include "link.h"

@@ -6,7 +6,7 @@ from mckibben import catalog
 from mckibben.errors import FileError, NotInCatalogError
 from mckibben.identification import fit_law
 from mckibben.muscle import ChouLaw, ExponentialLaw, ThresholdLaw
-from mckibben.study.inputs import data_named, geometry_named, law_named, law_type_named
+from mckibben.scenario.inputs import data_named, geometry_named, law_named, law_type_named
 
 
 def test_data_of_the_catalog_by_name_and_of_a_file_by_path(tmp_path):

@@ -67,7 +67,7 @@ def reproduce(out: Path = Path("mckibben-report"), quick: bool = False) -> None:
         done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
         report("writing results", 0.8)
         done.save(out, force=True)  # before the figures
-        from mckibben.report import write_report
+        from mckibben.paper.page import write_report
 
         report("figures and report", 0.85)
         page = write_report(done, out)

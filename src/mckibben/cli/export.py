@@ -44,8 +44,8 @@ def export(
     if not to:
         raise ParameterError("the export needs a format", remedy="give one with --to FORMAT, such as --to c --out DIR")
     from mckibben.export import export as write
+    from mckibben.export.hardware import Hardware
     from mckibben.export.targets import CONTROLLERS, check_target
-    from mckibben.firmware import Hardware
     from mckibben.scenario import Scenario, read_scenario
 
     check_target(to)

@@ -68,7 +68,7 @@ def of_torque(files: list[str], law: str, reading: Reading) -> Report:
     """Report of the law of two equal muscles, from torques of their joint."""
     from mckibben.dataset.reading import read_torques
     from mckibben.identification import identify_torque
-    from mckibben.study.inputs import geometry_named, law_type_named
+    from mckibben.scenario.inputs import geometry_named, law_type_named
 
     recipe = reading.recipe
     length, geometry = recipe.initial_length, geometry_named(recipe.joint)

@@ -70,7 +70,7 @@ def identify(
         return identify_pressure_creep(reading.recordings(data))
     from mckibben.cli.identified import Source, identified, ranked
     from mckibben.identification import rank
-    from mckibben.study import inputs
+    from mckibben.scenario import inputs
 
     law_type, robust = inputs.law_type_named(law) if law != _ALL else None, not keep_outliers
     if law_type is None:
@@ -101,7 +101,7 @@ def validate(law: str, data: Data, *, reading: Reading) -> Result:
         A file of a fit or a muscle, a law from the catalog, or 'chou'.
     """
     from mckibben.identification import validate as run
-    from mckibben.study.inputs import law_named
+    from mckibben.scenario.inputs import law_named
 
     known: ForceLaw = law_named(law, specimen=reading.recipe.specimen or "")
     return run({Path(law).name if Path(law).is_absolute() else law: known}, reading.data(data))

@@ -122,7 +122,7 @@ def plan(
     from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
     from mckibben.muscle import Domain
-    from mckibben.study.inputs import joint_named, law_type_named
+    from mckibben.scenario.inputs import joint_named, law_type_named
 
     law_type = law_type_named(law)
     interest = parse_quantity_of_interest(for_, law_type, lambda: joint_named(joint))

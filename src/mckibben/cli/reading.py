@@ -32,7 +32,7 @@ class Reading(NamedTuple):
     def data(self, names: list[str]) -> IsobaricDataset:
         """Data files or a dataset from the catalog; reading and preprocessing are reported on standard error."""
         from mckibben.dataset.preprocessing import POINTS
-        from mckibben.study.inputs import data_named
+        from mckibben.scenario.inputs import data_named
 
         dataset = data_named(names, self.recipe)
         _report(dataset.table.attrs)
@@ -49,7 +49,7 @@ class Reading(NamedTuple):
     def recording(self, paths: list[str] | list[Path]) -> Recording:
         """One recording over time, of one or more files; reading is reported on standard error."""
         from mckibben.dataset import read_recording
-        from mckibben.study.inputs import geometry_named
+        from mckibben.scenario.inputs import geometry_named
 
         recording = read_recording(paths, self.recipe, geometry=geometry_named(self.recipe.joint))
         _report(recording.table.attrs)

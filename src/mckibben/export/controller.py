@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from mckibben.codegen.native import over_periods
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
-from mckibben.containment.functions import ControllerFunctions, functions_of
-from mckibben.containment.limits import Limits, containment_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
+from mckibben.export.containment.functions import ControllerFunctions, functions_of
+from mckibben.export.containment.limits import Limits, containment_of
 from mckibben.export.evaluation import find_function
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw

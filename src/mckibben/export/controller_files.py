@@ -12,7 +12,7 @@ import mckibben
 from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js
 from mckibben.codegen.source_module import element_names
-from mckibben.containment.limits import Limits
+from mckibben.export.containment.limits import Limits
 from mckibben.export.controller import controller_functions, controller_module, controller_program
 from mckibben.export.evaluation import find_function
 from mckibben.export.targets import Exported, filled

@@ -13,7 +13,7 @@ from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
-from mckibben.containment.limits import Limits
+from mckibben.export.containment.limits import Limits
 from mckibben.export.controller import controller_functions, units_of
 from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit

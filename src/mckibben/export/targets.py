@@ -13,6 +13,7 @@ from mckibben.codegen import templates
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, closest, quoted
+from mckibben.export.hardware import Hardware
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
@@ -20,7 +21,6 @@ from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.units import ms
 
 if TYPE_CHECKING:
-    from mckibben.firmware import Hardware
     from mckibben.robot import RobotScenario
 
 
@@ -96,7 +96,7 @@ _CLOCK, _INSTRUCTIONS = 600e6, 10  # of that processor [1/s], and of it for an o
 
 TARGETS = {
     "c": ("mckibben.export.controller_files:c_files", "controller"),
-    "firmware": ("mckibben.firmware:firmware_files", "controller"),
+    "firmware": ("mckibben.export.firmware:firmware_files", "controller"),
     "js": ("mckibben.export.controller_files:js_files", "controller"),
     "fmu": ("mckibben.export.fmu:plant_fmu", "plant"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller"),

@@ -2,8 +2,6 @@ from .animation import animate as animate
 from .comparison import comparison_errors as comparison_errors
 from .comparison import comparison_front as comparison_front
 from .drawing import draw_joint as draw_joint
-from .figures import ReportFigure as ReportFigure
-from .figures import figures as figures
 from .identification import force_bands as force_bands
 from .identification import loops as loops
 from .identification import ranking as ranking
@@ -21,7 +19,6 @@ from .muscle import law_comparison as law_comparison
 from .muscle import measured_muscles as measured_muscles
 from .muscle import points as points
 from .muscle import recording as recording
-from .page import write_report as write_report
 from .robot import jump_traces as jump_traces
 from .robot import landing_forces as landing_forces
 from .robot import point_ellipses as point_ellipses

@@ -2,7 +2,7 @@
 
 A message is packed little-endian, followed by its CRC-16, encoded by consistent overhead byte stuffing (COBS) and ended
 by a zero byte. A receiver therefore finds the next message after any loss, which it counts. The same protocol in C is
-in `mckibben.firmware`.
+in `mckibben.export.firmware`.
 """
 
 from __future__ import annotations

@@ -17,12 +17,12 @@ from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
 from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG, plant_of
 from mckibben.paper.settings import FREE, SETTINGS, Setting, StiffnessReference
+from mckibben.paper.tables import SECTIONS, name_of
 from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
 from mckibben.report.drawing import draw_joint
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.robot import posture, robot_tracking
-from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
 from mckibben.robot import read_robot
 from mckibben.units import bar, deg
@@ -98,7 +98,7 @@ def described(key: str, figure: Figure | None, suffix: str = "", **values: objec
     values
         Objects whose attributes and items fill the braces of the texts.
     """
-    texts = tomllib.loads((resources.files("mckibben.report") / "figures.toml").read_text(encoding="utf-8"))[key]
+    texts = tomllib.loads((resources.files("mckibben.paper") / "figures.toml").read_text(encoding="utf-8"))[key]
     written = {name: text.format(**values).replace("N*m/rad", "N·m/rad") for name, text in texts.items()}
     return ReportFigure(key + suffix, figure=figure, **written)
 

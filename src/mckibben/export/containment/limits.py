@@ -10,9 +10,9 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.config.model import ConfigModel
-from mckibben.containment import Containment, ControlSample
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError, SimulationError
+from mckibben.export.containment import Containment, ControlSample
 from mckibben.joint import Measurement
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.robot import RobotMeasurement

@@ -13,8 +13,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, PyTree
 
-from mckibben import containment
-from mckibben.containment import ContainedState, Containment, ControlSample
+from mckibben.export import containment
+from mckibben.export.containment import ContainedState, Containment, ControlSample
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import Plant
 

@@ -94,7 +94,7 @@ class Table:
     rows: Sequence[Sequence[str]]
 
 
-_TEXTS = tomllib.loads((resources.files("mckibben.report") / "tables.toml").read_text(encoding="utf-8"))
+_TEXTS = tomllib.loads((resources.files("mckibben.paper") / "tables.toml").read_text(encoding="utf-8"))
 
 
 def _columns(key: str) -> Sequence[str]:

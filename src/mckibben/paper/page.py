@@ -17,13 +17,12 @@ import markupsafe
 from mckibben import catalog
 from mckibben.errors import printable
 from mckibben.identification import Fit
-from mckibben.paper import Reproduction, file_stem
+from mckibben.paper import Reproduction, file_stem, tables
+from mckibben.paper.figures import ReportFigure, figures
 from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference
+from mckibben.paper.tables import SECTIONS, name_of
 from mckibben.paper.tracking import PID
-from mckibben.report import tables
-from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
-from mckibben.report.tables import SECTIONS, name_of
 from mckibben.result import Severity
 from mckibben.storage.files import atomic_write, make_folder
 
@@ -75,7 +74,7 @@ def address_of(png: Path, svg: Path) -> str:
 
 
 def _resource(name: str) -> str:
-    return (resources.files("mckibben.report") / name).read_text(encoding="utf-8")
+    return (resources.files("mckibben.paper") / name).read_text(encoding="utf-8")
 
 
 SOURCES = ("lei-mas-10-180n", "dmsp-10-250-martens2017", "festo-tool-10mm")
