@@ -72,16 +72,18 @@ def neighbours_apart(errors: Floats, points: IsobaricDataset) -> float:
     return float(np.sqrt(np.mean(steps**2) / 2)) if len(steps) else 0.0
 
 
-def measured_weights(law: ForceLaw, points: IsobaricDataset, *, step: float = 1e-6) -> Floats:
+def measured_weights(
+    law: ForceLaw, points: IsobaricDataset, *, friction_slope: float | Floats = 0.0, step: float = 1e-6
+) -> Floats:
     """Weights, of mean square 1, of residuals of the force [N], by which they are those of the measured quantity.
 
     Where the load is held, that is the contraction: its error times the slope of the law, by differences over a `step`,
-    is that of the force. Else all are 1.
+    and of the friction [N] is that of the force. Else all are 1.
     """
     if held_loads(points.table) is None:
         return np.ones(len(points))
     left, right = (forces(law, points.contraction + side, points.pressure) for side in (-step, step))
-    weights = 1 / np.abs(right - left)
+    weights = 1 / (np.abs(right - left) / (2 * step) + friction_slope)
     return weights / np.sqrt(np.mean(weights**2))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, IndependentErrors, Ints, robust_errors
-from mckibben.identification.grouping import at_fixed_lengths, held_values, holds
+from mckibben.identification.grouping import at_fixed_lengths, held_values, holds, row_numbers
 from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
@@ -93,30 +93,44 @@ class LoadingPaths:
             count = stroke[rows[-1]] + 1
         return stroke
 
+    def loop(self, means: IsobaricDataset) -> Ints:
+        """Loop of each row, shape (rows,), from 0 without gaps: two successive strokes of a path."""
+        stroke, path = self.stroke(means), self.label
+        first = np.array([stroke[rows[0]] for rows in self.rows])
+        return row_numbers([path, (stroke - first[path]) // 2])
+
     def at_reversal(self, means: IsobaricDataset) -> Bools:
-        """Ends of strokes that were measured at a reversal, where the rate is unknown, shape (rows,)."""
+        """Ends of strokes at a reversal, where rate and direction are unknown, shape (rows,).
+
+        The farthest row was measured before or after the turn.
+        """
         strokes, ends = self.stroke(means), np.zeros(len(self.length), bool)
         for rows in self.rows:
-            if self.turns[rows].any():
-                changes = np.diff(strokes[rows]) != 0
-                ends[rows] = np.append(True, changes) | np.append(changes, True)
+            changes = np.diff(strokes[rows]) != 0
+            ends[rows] = np.append(self.turns[rows].any(), changes) | np.append(changes, self.turns[rows].any())
         return ends
 
     def rate(self, means: IsobaricDataset, *, ratio: float = 1.3) -> Floats | None:
-        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed.
+        """Rate of the length [m/s] by cubic splines, shape (rows,); None without times, or at one speed.
 
         Points that are means of samples were measured at rest. Speeds differ if the quotient of their quartiles exceeds
         `ratio`: else viscous friction looks like dry friction.
         """
         if "time" not in means.table or "force_spread" in means.table or at_fixed_lengths(means):
             return None
+        from scipy.interpolate import make_interp_spline  # takes 0.3 s to import
+
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
-        strokes = self.stroke(means)
+        strokes, farthest = self.stroke(means), self.at_reversal(means)
         for rows in self.rows:
             if len(rows) > 1 and (np.diff(time[rows]) <= 0).any():
                 return None
             for stroke in np.split(rows, np.flatnonzero(np.diff(strokes[rows])) + 1):
-                rate[stroke] = np.gradient(self.length[stroke], time[stroke]) if len(stroke) > 1 else 0.0
+                inside = stroke[:-1] if farthest[stroke[-1]] else stroke  # the farthest row may be behind the turn
+                if len(inside) > 3:
+                    rate[inside] = make_interp_spline(time[inside], self.length[inside])(time[inside], 1)
+                elif len(inside) > 1:
+                    rate[inside] = np.gradient(self.length[inside], time[inside])
         moving = moving_rates(rate)
         if not len(moving):
             return None

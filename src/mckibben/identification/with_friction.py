@@ -12,7 +12,7 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import WITH_FRICTION, fit_law, fit_means, law_of
+from mckibben.identification.fitting import WITH_FRICTION, fit_law, law_of
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import at_fixed_lengths
@@ -144,21 +144,13 @@ def identify_with_friction(
             if friction:
                 raise
             note = f"loading and unloading differ, but the friction is not identified: {error}"
-    if hysteresis and gap and hysteresis.rmse > gap:
-        note = (
-            f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; see how other laws fit "
-            "(mk.rank, or --law all)"
-        )
-        hysteresis = None
     if not hysteresis:
         fit = fit_law(law, dataset, robust=robust)
         if friction is None or not shows_hysteresis(dataset):  # a note says why there is none, or the points do not
             notes = (one for one in fit.notes if one.field != "friction" or not (note or one.remedy == WITH_FRICTION))
             fit = replace(fit, notes=tuple(notes))
         return FitWithFriction(**vars(fit), points=dataset, note=note)
-    points = hysteresis.corrected(dataset)
-    fit = replace(fit_means(law, points, ()), outliers=hysteresis.outliers)
+    fit = replace(hysteresis.fit, outliers=hysteresis.outliers)
     if at_fixed_lengths(dataset) and (lopo := fit.leave_one_pressure_out):
         # All points of a length have one direction: no pressure that is left out shows the error of the friction.
         rmse = float(np.hypot(lopo.rmse, hysteresis.standard_errors["half_width"]))
@@ -170,7 +162,7 @@ def identify_with_friction(
             f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
             f"{np.sqrt(np.mean(rest**2)):.3g} N"
         )
-    return FitWithFriction(**vars(fit), hysteresis=hysteresis, points=points, note=note)
+    return FitWithFriction(**vars(fit), hysteresis=hysteresis, points=hysteresis.corrected_points, note=note)
 
 
 def shows_hysteresis(dataset: IsobaricDataset) -> bool:
