@@ -280,6 +280,7 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap}
     start["log_presliding"] = float(np.log(USUAL_PRESLIDING * model.initial_length))
     free, held = ("half_width", "log_presliding"), held_loads(model.means.table) is not None
+    measured = model
     if held:
         model = model.with_held_loads(law, start)
     models = [
@@ -295,7 +296,7 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     best = int(np.argmin([solution.minimum.cost for solution in solutions]))
     model, values = models[best], solutions[best].values
     if held:
-        model = model.with_held_loads(law, values)
+        model = measured.with_held_loads(law, values)
     return model.smoothed(values), values
 
 

@@ -73,9 +73,14 @@ def neighbours_apart(errors: Floats, points: IsobaricDataset) -> float:
 
 
 def measured_weights(
-    law: ForceLaw, points: IsobaricDataset, *, friction_slope: float | Floats = 0.0, step: float = 1e-6
+    law: ForceLaw,
+    points: IsobaricDataset,
+    *,
+    friction_slope: float | Floats = 0.0,
+    scaled: bool = True,
+    step: float = 1e-6,
 ) -> Floats:
-    """Weights, of mean square 1, of residuals of the force [N], by which they are those of the measured quantity.
+    """Weights, `scaled` to a mean square of 1, of residuals of the force [N], by which they are those of the measured quantity.
 
     Where the load is held, that is the contraction: its error times the slope of the law, by differences over a `step`,
     and of the friction [N] is that of the force. Else all are 1.
@@ -84,7 +89,7 @@ def measured_weights(
         return np.ones(len(points))
     left, right = (forces(law, points.contraction + side, points.pressure) for side in (-step, step))
     weights = 1 / (np.abs(right - left) / (2 * step) + friction_slope)
-    return weights / np.sqrt(np.mean(weights**2))
+    return weights / np.sqrt(np.mean(weights**2)) if scaled else weights
 
 
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:

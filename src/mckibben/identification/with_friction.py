@@ -12,12 +12,12 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import WITH_FRICTION, fit_law, law_of
+from mckibben.identification.fitting import WITH_FRICTION, fit_law
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import at_fixed_lengths
 from mckibben.identification.loading_path import NoHysteresisError, loop_half_width, with_last_motion
-from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen, forces
+from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.result import Listing, Remark
 from mckibben.units import Diameter, Volume
@@ -156,11 +156,10 @@ def identify_with_friction(
         rmse = float(np.hypot(lopo.rmse, hysteresis.standard_errors["half_width"]))
         fit = replace(fit, leave_one_pressure_out=replace(lopo, rmse=rmse))
     if gap:
-        taut = dataset.select(hysteresis.used).taut
-        rest = taut.force - forces(law_of(law, taut), taut.contraction, taut.pressure)
+        without = (hysteresis.residuals + hysteresis.friction_force)[hysteresis.used]
         note = (
-            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
-            f"{np.sqrt(np.mean(rest**2)):.3g} N"
+            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without it, this law is "
+            f"{np.sqrt(np.mean(without**2)):.3g} N off"
         )
     return FitWithFriction(**vars(fit), hysteresis=hysteresis, points=hysteresis.corrected_points, note=note)
 
