@@ -185,7 +185,7 @@ def _weighted(problem: FitProblem, points: IsobaricDataset) -> tuple[FitProblem,
                 weights = measured_weights(problem.law(values), points, scaled=False)
                 trial = problem.weighted(weights / np.sqrt(np.mean(weights**2)))
                 values = project(trial, position).values
-            misfit = float(np.sum((weights * (points.force - _forces(problem.law(values), points))) ** 2))
+            misfit = float(np.sum((weights * (points.force - tension_of(problem.law(values), points))) ** 2))
         except IdentificationError:
             continue
         if misfit < best[0]:
@@ -193,14 +193,15 @@ def _weighted(problem: FitProblem, points: IsobaricDataset) -> tuple[FitProblem,
     return best[1:]
 
 
-def _forces(law: ForceLaw, points: IsobaricDataset) -> Floats:
-    return forces(law, points.contraction, points.pressure)
-
-
 def law_of(law_type: type[ForceLaw], points: IsobaricDataset) -> ForceLaw:
     """Law of the taut points by least squares, without the checks and errors of `fit_means`."""
     solution = _solved(law_type, _within_validity(law_type, points.taut))[0]
     return solution.problem.law(solution.values)
+
+
+def tension_of(law: ForceLaw, points: IsobaricDataset) -> Floats:
+    """Tension [N] of a law at points, shape (points,)."""
+    return np.maximum(forces(law, points.contraction, points.pressure), 0.0)
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:

@@ -16,7 +16,7 @@ from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import check_law_type, fit_means, law_of
+from mckibben.identification.fitting import check_law_type, fit_means, law_of, tension_of
 from mckibben.identification.friction_model import (
     FRICTION,
     USUAL_PRESLIDING,
@@ -34,7 +34,7 @@ from mckibben.identification.loading_path import (
 )
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.summary import DatasetSummary, Outlier, left_out
-from mckibben.muscle import ExponentialLaw, ForceLaw, MaxwellSlip, forces
+from mckibben.muscle import ExponentialLaw, ForceLaw, MaxwellSlip
 from mckibben.result import Column, Listing, Remark, Result, column, draw
 from mckibben.units import factor, show
 
@@ -75,7 +75,7 @@ class HysteresisFit(Result):
     drift
         Drift of the force sensor; None if not significant (1 %).
     rmse, max_error
-        Root mean square and largest absolute residual [N].
+        Root mean square and largest absolute residual [N] of the taut points that count.
     tension, friction_force, offset, residuals
         Shape (points,), in dataset order: force of the law, of friction, offset of the sensor, and measured minus
         modelled force [N].
@@ -249,13 +249,13 @@ def identify_hysteresis(
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
     reference = float(np.unique(means.levels[taut]).mean()), float(means.force[taut].mean())
     eq2 = law_of(ExponentialLaw, means.select(used))
-    tension = np.where(taut, np.maximum(forces(eq2, means.contraction, means.pressure), 0.0), 0.0)
+    tension = np.where(taut, tension_of(eq2, means), 0.0)
     weights = measured_weights(eq2, means)
     model = PathDependentModel(tension, paths, means, bases[-1], used, weights, *reference, rate)
+    model, start = _started(model, eq2, half_gap)
     if form is not None and (missing := model.missing(form)):
         message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
-    model, start = _started(model, eq2, half_gap)
     comparison: Mapping[FrictionForm, float] = {}
     free = set(FRICTION)
     if at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
@@ -266,7 +266,7 @@ def identify_hysteresis(
     else:
         start = model.start(start, form)
     names = tuple(name for name in form.free if name in free)
-    model, solution = _with_drift(model.smoothed(start), bases, start, names)
+    model, solution = _with_drift(_with_tension(model, start)[0].smoothed(start), bases, start, names)
     solution, undetermined, about_presliding = _presliding(model, solution)
     result = _result(model, solution, taut, form, comparison, law)
     if "half_width" not in free:
@@ -279,8 +279,8 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     """Best of the models, and its values: the state at the start of paths, and whether the muscle rested at turns."""
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap}
     start["log_presliding"] = float(np.log(USUAL_PRESLIDING * model.initial_length))
-    free, held = ("half_width", "log_presliding"), held_loads(model.means.table) is not None
-    measured = model
+    form = FrictionForm.CONSTANT if model.rate is None else FrictionForm.VISCOUS
+    start, measured, held = model.start(start, form), model, held_loads(model.means.table) is not None
     if held:
         model = model.with_held_loads(law, start)
     models = [
@@ -292,12 +292,19 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     ]
     surface = model.smoothed(start).surface
     models = [dataclasses.replace(branch, surface=surface) for branch in models]
-    solutions = [branch.fit(start, free, evaluations=20) for branch in models]
+    solutions = [branch.fit(start, form.free, evaluations=20) for branch in models]
     best = int(np.argmin([solution.minimum.cost for solution in solutions]))
-    model, values = models[best], solutions[best].values
+    values = solutions[best].values
+    model, law = _with_tension(dataclasses.replace(models[best], used=measured.used), values)
     if held:
-        model = measured.with_held_loads(law, values)
+        model = model.with_held_loads(law, values)
     return model.smoothed(values), values
+
+
+def _with_tension(model: PathDependentModel, values: Mapping[str, float]) -> tuple[PathDependentModel, ForceLaw]:
+    """Model with the tension of the points without friction of these parameters, and its law (Eq. 2)."""
+    law = law_of(ExponentialLaw, _corrected(model.means, model.tension, model.force(values), model.used))
+    return dataclasses.replace(model, tension=np.where(model.means.slack, 0.0, tension_of(law, model.means))), law
 
 
 def _with_drift(
@@ -447,7 +454,7 @@ def _result(
     offset = basis.points @ solution.offsets
     corrected = _corrected(means, model.tension, force + offset, used)
     fit = fit_means(law, corrected, ())
-    tension = np.maximum(forces(fit.law, means.contraction, means.pressure), 0.0)
+    tension = tension_of(fit.law, means)
     residuals = means.force - tension - force - offset
     friction = model.friction(solution.values)
     errors = fit.standard_errors | {name: solution.error(name) for name in FRICTION if name != "log_presliding"}
@@ -460,8 +467,8 @@ def _result(
         comparison=comparison,
         standard_errors=errors,
         drift=drift,
-        rmse=float(np.sqrt(np.mean(residuals[used] ** 2))),
-        max_error=float(np.abs(residuals[used]).max()),
+        rmse=float(np.sqrt(np.mean(residuals[used & taut] ** 2))),
+        max_error=float(np.abs(residuals[used & taut]).max()),
         corrected_points=corrected,
         tension=tension,
         friction_force=force,

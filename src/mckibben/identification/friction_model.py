@@ -121,11 +121,21 @@ class PathDependentModel:
         share, stiffness = polygon(MaxwellSlip.elements)
         return float(np.log(self.paths.step / (4 * (share / stiffness).max())))
 
-    def missing(self, form: FrictionForm) -> str:
-        """Data that a form needs and the points lack; empty if there are all."""
+    def missing(self, form: FrictionForm, *, inflation: float = 10.0) -> str:
+        """Data that a form needs and the points lack; empty if there are all.
+
+        Damping by direction at one speed for each length is a smooth force: the surface explains it to a variance
+        inflation factor of more than `inflation`.
+        """
         if form is FrictionForm.PRESSURE and len(np.unique(self.means.levels[self.used])) < 3:
             return "three pressures"
-        return "times at which the speed varies" if "viscous" in form.free and self.rate is None else ""
+        if "viscous" in form.free and self.rate is None:
+            return "times at which the speed varies"
+        if form is FrictionForm.DIRECTIONAL and self.surface is not None and self.rate is not None:
+            rows = (self.weights * np.abs(self.rate))[self.used]
+            left = self._beside_surface(rows)
+            return "strokes of several speeds over the same lengths" if inflation * left @ left < rows @ rows else ""
+        return ""
 
     def start(self, values: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
         """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction in one step."""

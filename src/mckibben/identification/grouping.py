@@ -80,10 +80,10 @@ def measured_weights(
     scaled: bool = True,
     step: float = 1e-6,
 ) -> Floats:
-    """Weights, `scaled` to a mean square of 1, of residuals of the force [N], by which they are those of the measured quantity.
+    """Weights of residuals of the force [N] by which they are those of the measured quantity.
 
-    Where the load is held, that is the contraction: its error times the slope of the law, by differences over a `step`,
-    and of the friction [N] is that of the force. Else all are 1.
+    They are `scaled` to a mean square of 1. Where the load is held, that is the contraction: its error times the slope
+    of the law, by differences over a `step`, and of the friction [N] is that of the force. Else all are 1.
     """
     if held_loads(points.table) is None:
         return np.ones(len(points))

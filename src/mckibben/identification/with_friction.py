@@ -158,8 +158,8 @@ def identify_with_friction(
     if gap:
         without = (hysteresis.residuals + hysteresis.friction_force)[hysteresis.used]
         note = (
-            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without it, this law is "
-            f"{np.sqrt(np.mean(without**2)):.3g} N off"
+            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without it, "
+            f"{np.sqrt(np.mean(without**2)):.3g} N"
         )
     return FitWithFriction(**vars(fit), hysteresis=hysteresis, points=hysteresis.corrected_points, note=note)
 
