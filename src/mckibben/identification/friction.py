@@ -256,6 +256,8 @@ def identify_hysteresis(
     if form is not None and (missing := model.missing(form)):
         message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
+    bases, about_creep = _with_creep(model, bases, start)
+    model = dataclasses.replace(model, drift=bases[-1])
     comparison: Mapping[FrictionForm, float] = {}
     free = set(FRICTION)
     if at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
@@ -271,7 +273,7 @@ def identify_hysteresis(
     result = _result(model, solution, taut, form, comparison, law)
     if "half_width" not in free:
         result.standard_errors["half_width"] = gap_error
-    notes = [*left_out(outliers), *about_presliding, *_doubts(model, solution, result)]
+    notes = [*left_out(outliers), *about_creep, *about_presliding, *_doubts(model, solution, result)]
     return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
 
 
@@ -307,6 +309,42 @@ def _with_tension(model: PathDependentModel, values: Mapping[str, float]) -> tup
     return dataclasses.replace(model, tension=np.where(model.means.slack, 0.0, tension_of(law, model.means))), law
 
 
+def _with_creep(
+    model: PathDependentModel, bases: Sequence[DriftBasis], start: Mapping[str, float]
+) -> tuple[Sequence[DriftBasis], list[Remark]]:
+    """Bases of the drift with a creep, if Schwarz's criterion is lower with it, and a remark.
+
+    On plateaus that are short against its time constant, creep looks like friction. It is told by points at rest, with
+    times.
+    """
+    means, free = model.means, FrictionForm.CONSTANT.free
+    if (
+        not {"time", "force_spread"} <= set(means.table)
+        or at_fixed_lengths(means)
+        or held_loads(means.table) is not None
+    ):
+        return bases, []
+    from scipy.optimize import minimize_scalar
+
+    def solution(basis: DriftBasis) -> PathSolution:
+        return dataclasses.replace(model, drift=basis).fit(start, free, evaluations=20)
+
+    step = float(np.median(np.diff(np.sort(means.table["time"].to_numpy()))))
+    search = minimize_scalar(
+        lambda logarithm: solution(bases[-1].with_creep(means, model.tension, np.exp(logarithm))).minimum.cost,
+        bounds=(np.log(step / 4), np.log(30 * step)),
+        method="bounded",
+        options={"xatol": 0.02},
+    )
+    tau, count = float(np.exp(search.x)), int(np.count_nonzero(model.used))
+    creeping = [basis.with_creep(means, model.tension, tau) for basis in bases]
+    share = float(solution(creeping[-1]).offsets[-1])
+    if not (share > 0 and count * np.log(solution(bases[-1]).minimum.cost / search.fun) > 2 * np.log(count)):
+        return bases, []
+    text = f"the force creeps after a move, by {share:.2g} of its change, with a time constant of {tau:.2g} s"
+    return creeping, [Remark.note("creep", f"{text}: this is not in the friction")]
+
+
 def _with_drift(
     model: PathDependentModel,
     bases: Sequence[DriftBasis],
@@ -329,7 +367,7 @@ def _with_drift(
         rate, error, freedom = _drift_rate(trial, drifting)
         significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < level
         gain = count * np.log(solution.minimum.cost / drifting.minimum.cost)
-        if significant and gain > len(basis.slope) * np.log(count):
+        if significant and gain > np.count_nonzero(basis.slope) * np.log(count):
             return trial, drifting
     return without, solution
 
@@ -459,7 +497,7 @@ def _result(
     friction = model.friction(solution.values)
     errors = fit.standard_errors | {name: solution.error(name) for name in FRICTION if name != "log_presliding"}
     errors["presliding_length"] = solution.error("log_presliding") * friction.presliding_length
-    drift = SensorDrift(*_drift_rate(model, solution)[:2]) if len(basis.slope) else None
+    drift = SensorDrift(*_drift_rate(model, solution)[:2]) if basis.slope.any() else None
     return HysteresisFit(
         fit=fit,
         friction=friction,

@@ -284,7 +284,8 @@ class PathDependentModel:
         The errors are those of a normal distribution with the same intervals for 95 %, as groups are few.
         """
         solution = self.fit(start, free)
-        minimum, inside = solution.minimum, solution.inside
+        minimum = solution.minimum
+        inside = solution.inside & (np.abs(minimum.jacobian).max(axis=0) > 0)  # no friction has no presliding length
         jacobian = minimum.jacobian[:, inside]
         whole = dataclasses.replace(self, surface=None).jacobian(solution.values, free)[:, inside]
         beside = np.linalg.norm(jacobian, axis=0) / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)

@@ -280,6 +280,18 @@ class DriftBasis:
         centred, hats = knots - knots.mean(), make_interp_spline(knots, np.eye(len(knots)), k=1)
         return [none, cls(hats(time), centred / (centred @ centred))]
 
+    def with_creep(self, means: IsobaricDataset, tension: Floats, time_constant: float) -> DriftBasis:
+        """Basis with the part of the tension that has not yet followed its changes before a point [N].
+
+        The muscle moved midway between successive points, and follows by an exponential.
+        """
+        order, column, memory = in_time(means), np.zeros(len(means)), 0.0
+        decays = np.exp(-np.diff(means.table["time"].to_numpy()[order]) / (2 * time_constant))
+        for row, decay, change in zip(order[1:], decays, np.diff(tension[order]), strict=True):
+            memory = decay * (decay * memory + change)
+            column[row] = memory
+        return DriftBasis(np.column_stack([self.points, column]), np.append(self.slope, 0.0))
+
 
 def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:
     """True if the forces of the slack points end at a floor, as in a reading that is never negative.
