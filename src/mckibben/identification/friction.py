@@ -81,9 +81,9 @@ class HysteresisFit(Result):
         modelled force [N].
     used
         Mask of the points that count, shape (points,): without outliers, points without a direction, rows at a reversal
-        if the rate counts, those where a muscle with a held load sticks and, unless there is drift, slack points.
-    points_slack, dataset
-        Number of slack points; summary of the data.
+        if the rate counts, those before a muscle with a held load slides and, unless there is drift, slack points.
+    points_slack, points_left_out, dataset
+        Numbers of slack points and of other ones that do not count; summary of the data.
     outliers
         Points left out because they are off the smooth surface through the others.
     undetermined
@@ -101,6 +101,7 @@ class HysteresisFit(Result):
     drift: SensorDrift | None
     rmse: float = column("N", "RMSE of law and friction", digits=3)
     max_error: float = column("N", "largest residual", digits=3)
+    points_left_out: int = column("", "points left out")
     corrected_points: IsobaricDataset
     tension: Floats
     friction_force: Floats
@@ -253,7 +254,9 @@ def identify_hysteresis(
     weights = measured_weights(eq2, means)
     model = PathDependentModel(tension, paths, means, bases[-1], used, weights, *reference, rate)
     model, start = _started(model, eq2, half_gap)
-    if form is not None and (missing := model.missing(form)):
+    if form is None:
+        _check_left_out(model, used)
+    elif missing := model.missing(form):
         message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
     bases, about_creep = _with_creep(model, bases, start)
@@ -275,6 +278,18 @@ def identify_hysteresis(
         result.standard_errors["half_width"] = gap_error
     notes = [*left_out(outliers), *about_creep, *about_presliding, *_doubts(model, solution, result)]
     return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
+
+
+def _check_left_out(model: PathDependentModel, used: Bools, *, most: float = 0.1) -> None:
+    """Refuse a share of more than `most` of points, beyond the first of each path, at which a held load sticks."""
+    count, total = int(np.count_nonzero(used & ~model.used)), int(np.count_nonzero(used))
+    if count - len(model.paths.counts) > most * total:
+        remedy = (
+            "start each load with more travel before its first point, or name a form of friction to identify it from "
+            "the other points (form=FrictionForm.COULOMB, command line: --friction coulomb)"
+        )
+        text = f"the muscle sticks at {count} of {total} points, at which its last motion is not known"
+        raise IdentificationError(text, value=count, upper=most * total, remedy=remedy)
 
 
 def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple[PathDependentModel, dict[str, float]]:
@@ -468,7 +483,11 @@ def _presliding(
 
 
 def _doubts(model: PathDependentModel, solution: PathSolution, result: HysteresisFit) -> Iterable[Remark]:
-    """Remarks on the half width, and on parameters at a bound."""
+    """Remarks on points left out, on the half width, and on parameters at a bound."""
+    if result.points_left_out:
+        text = f"{result.points_left_out} of {np.count_nonzero(~model.means.slack)} points are left out"
+        why = "outliers, and those at which the direction of the last motion, or the rate, is not known"
+        yield Remark.note("points", f"{text}: {why}")
     half_width, error = solution.values["half_width"], result.standard_errors["half_width"]
     if not error < _VAGUE * half_width:
         text = f"the half width {half_width:.3g} N has a standard error of {error:.2g} N"
@@ -507,6 +526,7 @@ def _result(
         drift=drift,
         rmse=float(np.sqrt(np.mean(residuals[used & taut] ** 2))),
         max_error=float(np.abs(residuals[used & taut]).max()),
+        points_left_out=int(np.count_nonzero(taut & ~used)),
         corrected_points=corrected,
         tension=tension,
         friction_force=force,
