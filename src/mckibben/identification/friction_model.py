@@ -284,8 +284,7 @@ class PathDependentModel:
         The errors are those of a normal distribution with the same intervals for 95 %, as groups are few.
         """
         solution = self.fit(start, free)
-        minimum = solution.minimum
-        inside = solution.inside & (np.abs(minimum.jacobian).max(axis=0) > 0)  # no friction has no presliding length
+        minimum, inside = solution.minimum, solution.inside
         jacobian = minimum.jacobian[:, inside]
         whole = dataclasses.replace(self, surface=None).jacobian(solution.values, free)[:, inside]
         beside = np.linalg.norm(jacobian, axis=0) / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
@@ -342,8 +341,8 @@ class PathSolution:
 
     @property
     def inside(self) -> Bools:
-        """Parameters and amplitudes that are not at a bound."""
-        return ~self.minimum.at_bound
+        """Parameters and amplitudes that are not at a bound, and change the force: no friction has no presliding."""
+        return ~self.minimum.at_bound & np.any(self.minimum.jacobian != 0, axis=0)
 
     def error(self, name: str) -> float:
         """Standard error of a parameter; NaN if it was not free."""
