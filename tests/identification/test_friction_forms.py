@@ -38,7 +38,11 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
             tension = np.maximum(forces(LAW, contraction, pressure), 0)
             time = start + 7.0 * np.arange(len(contraction))
             if kind in DAMPING:  # the speed varies along a stroke, and from loop to loop
-                speed = mm * (1 + (repeat + number) % 2) * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
+                speed = (
+                    mm
+                    * (1 + (repeat + number) % 2)
+                    * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
+                )
                 steps = np.abs(np.diff(contraction)) * LENGTH / (0.5 * (speed[1:] + speed[:-1]))
                 time = start + np.concatenate([[0.0], np.cumsum(steps)])
                 damping = np.where(side > 0, *DAMPING[kind])

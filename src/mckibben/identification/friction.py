@@ -514,7 +514,7 @@ def _result(
     tension = tension_of(fit.law, means)
     residuals = means.force - tension - force - offset
     friction = model.friction(solution.values)
-    errors = fit.standard_errors | {name: solution.error(name) for name in FRICTION if name != "log_presliding"}
+    errors = {**fit.standard_errors, **{name: solution.error(name) for name in FRICTION if name != "log_presliding"}}
     errors["presliding_length"] = solution.error("log_presliding") * friction.presliding_length
     drift = SensorDrift(*_drift_rate(model, solution)[:2]) if basis.slope.any() else None
     return HysteresisFit(
