@@ -82,7 +82,7 @@ def test_the_form_is_found_by_held_out_loops(kind):
         "viscous": (found.friction.viscous, 5e3),
         "directional": (found.friction.viscous_asymmetry, 0.4),
     }[kind]
-    assert expected[0] == pytest.approx(expected[1], rel=0.03)
+    assert expected[0] == pytest.approx(expected[1], rel=0.05 if kind in DAMPING else 0.03)
     assert kind in found.verdict()
 
 

@@ -53,7 +53,7 @@ class SensorDrift:
 
 
 class HysteresisFit(Result):
-    """Law and friction identified together, by `identify_hysteresis`.
+    """Friction, and the law without it, by `identify_hysteresis`.
 
     Attributes
     ----------
@@ -197,11 +197,11 @@ def identify_hysteresis(
     form: FrictionForm | None = None,
     robust: bool = True,
 ) -> HysteresisFit:
-    """Fit a law and its friction to all points of an isobaric test, in the order of time.
+    """Fit friction to all points of an isobaric test, in the order of time, and a law to the points without it.
 
-    The force at a point is the sum of the law, the friction after the loading path up to that point, and the sensor's
-    offset, all estimated together by least squares; docs/hysteresis.md describes the choice of the form of the
-    friction, the test of what it lacks, and the drift.
+    The force at a point is the sum of a smooth force of the contraction and pressure (`mckibben.identification.surface`),
+    the friction after the loading path up to that point, and the sensor's offset, all estimated together: the friction
+    does not depend on the law. Docs/hysteresis.md describes the choice of the form of the friction, and the drift.
 
     Parameters
     ----------

@@ -124,8 +124,7 @@ def identify_with_friction(
         As for `identify_hysteresis`.
     friction
         True or False to fit with or without friction. Default: with it if forces at the same pressure and contraction
-        differ significantly between loading and unloading, the points determine it, and the law fits better than
-        half of this difference.
+        differ significantly between loading and unloading, and the points determine it, whatever the law.
 
     Raises
     ------
