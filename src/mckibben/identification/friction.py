@@ -199,8 +199,8 @@ def identify_hysteresis(
 ) -> HysteresisFit:
     """Fit friction to all points of an isobaric test, in the order of time, and a law to the points without it.
 
-    The force at a point is the sum of a smooth force of the contraction and pressure (`mckibben.identification.surface`),
-    the friction after the loading path up to that point, and the sensor's offset, all estimated together: the friction
+    The force at a point is the sum of a smooth force over contraction and pressure (`SmoothSurface`), that of
+    the friction after the loading path up to that point, and the offset of the sensor, all estimated together: friction
     does not depend on the law. Docs/hysteresis.md describes the choice of the form of the friction, and the drift.
 
     Parameters
