@@ -301,9 +301,7 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     if held:
         model = model.with_held_loads(law, start)
     models = [
-        dataclasses.replace(
-            model, paths=dataclasses.replace(model.paths, side=side * model.paths.side, turn_travel=travel)
-        )
+        model.with_paths(side=side * model.paths.side, turn_travel=travel)
         for travel in (TURN_TRAVELS if model.paths.turns.any() else TURN_TRAVELS[:1])
         for side in ((1,) if held else (1, -1, 0))
     ]
