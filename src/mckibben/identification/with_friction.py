@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FRICTION_ALL_THE_SAME = "fit it with friction all the same: friction=True (command line: --friction on)"
 """Remedy for a law that is fitted without the friction that points show."""
 
 
