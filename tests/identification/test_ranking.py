@@ -222,7 +222,7 @@ def test_a_law_that_fell_back_to_another_is_not_ranked_under_its_own_name(with_f
 def test_a_bad_law_has_the_friction_of_the_data():
     best = mk.rank(loops(half_width=3.0), [ReynoldsLaw]).best.fit
     assert best.rmse > 20
-    assert best.hysteresis.half_width == pytest.approx(3.0, abs=0.1)
+    assert best.friction.half_width == pytest.approx(3.0, abs=0.1)
 
 
 def test_a_law_that_misses_the_lowest_pressure_alone_is_better_than_one_that_misses_all(small):

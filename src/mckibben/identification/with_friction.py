@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-"""Remedy for a law that is fitted without the friction that points show."""
-
-
 class FitWithFriction(Fit):
     """Fit of a law, with friction where it was identified: the result of `identify_with_friction`.
 
