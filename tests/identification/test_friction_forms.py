@@ -28,7 +28,7 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
     rng = np.random.default_rng(0)
     parts, start = [], 0.0
     for repeat in range(2):
-        for pressure in np.arange(1, 7) * bar:
+        for number, pressure in enumerate(np.arange(1, 7) * bar):
             fine = np.linspace(-0.03, 0.25, 2000)
             below = forces(LAW, fine, pressure) <= lowest
             top = fine[np.argmax(below)] if lowest and below.any() else 0.25
@@ -37,8 +37,12 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
             side = np.repeat([-1.0, 1.0], [len(stroke), len(stroke) - 1])
             tension = np.maximum(forces(LAW, contraction, pressure), 0)
             time = start + 7.0 * np.arange(len(contraction))
-            if kind in DAMPING:  # the speed varies along a stroke
-                speed = mm * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
+            if kind in DAMPING:  # the speed varies along a stroke, and from loop to loop
+                speed = (
+                    mm
+                    * (1 + (repeat + number) % 2)
+                    * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
+                )
                 steps = np.abs(np.diff(contraction)) * LENGTH / (0.5 * (speed[1:] + speed[:-1]))
                 time = start + np.concatenate([[0.0], np.cumsum(steps)])
                 damping = np.where(side > 0, *DAMPING[kind])
@@ -70,7 +74,7 @@ def test_the_form_is_found_by_held_out_loops(kind):
     found = identify_hysteresis(ExponentialLaw, loops(kind))
     assert found.form is FrictionForm(kind)
     assert found.drift is None or abs(found.drift.rate) * 3600 < 0.5
-    assert law_error(found.law) < 0.3
+    assert law_error(found.law) < (0.5 if kind in DAMPING else 0.3)
     expected = {
         "coulomb": (found.friction.half_width, WIDTH),
         "pressure": (found.friction.growth * bar, WIDTH / 3.5),
@@ -78,7 +82,7 @@ def test_the_form_is_found_by_held_out_loops(kind):
         "viscous": (found.friction.viscous, 5e3),
         "directional": (found.friction.viscous_asymmetry, 0.4),
     }[kind]
-    assert expected[0] == pytest.approx(expected[1], rel=0.03)
+    assert expected[0] == pytest.approx(expected[1], rel=0.05 if kind in DAMPING else 0.03)
     assert kind in found.verdict()
 
 

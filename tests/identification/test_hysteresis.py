@@ -70,8 +70,9 @@ def test_the_parts_add_up_to_what_was_measured(drifting):
     data, found = drifting
     np.testing.assert_allclose(found.force + found.residuals, data.force, rtol=1e-12)
     np.testing.assert_allclose(found.tension, np.maximum(forces(found.law, data.contraction, data.pressure), 0))
-    assert found.rmse == pytest.approx(np.sqrt(np.mean(found.residuals**2)))  # slack points tell the zero, and count
-    assert found.used.all() and found.points_slack == np.count_nonzero(data.slack)
+    assert found.rmse == pytest.approx(np.sqrt(np.mean(found.residuals[~data.slack] ** 2)))
+    assert found.used.all() and not found.points_left_out  # slack points tell the zero, and count
+    assert found.points_slack == np.count_nonzero(data.slack)
 
 
 @pytest.mark.slow
@@ -123,7 +124,7 @@ def test_rows_may_be_in_any_order_where_there_are_times(drifting):
     shuffled = np.random.default_rng(0).permutation(len(data))
     again = identify_hysteresis(ExponentialLaw, IsobaricDataset(data.table.isel(point=shuffled)))
     assert again.friction.half_width == pytest.approx(found.friction.half_width, rel=1e-6)
-    np.testing.assert_allclose(again.residuals, found.residuals[shuffled], atol=1e-5)
+    np.testing.assert_allclose(again.residuals, found.residuals[shuffled], atol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -132,8 +133,9 @@ def model(drifting):
     strokes = LoadingPaths.of(data)
     line = DriftBasis.candidates(strokes, data)[1]
     rate = 2e-3 * np.sin(np.arange(len(data)))
+    tension = np.maximum(forces(LAW, data.contraction, data.pressure), 0)
     return PathDependentModel(
-        LAW, strokes, data, line, np.ones(len(data), bool), np.ones(len(data)), 3 * bar, 200.0, rate
+        tension, strokes, data, line, np.ones(len(data), bool), np.ones(len(data)), 3 * bar, 200.0, rate
     )
 
 
@@ -141,17 +143,15 @@ def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
     data = SimulatedIsobaricTest(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
-    exact = dataclasses.replace(model, paths=LoadingPaths.of(data), means=data)
-    tension, friction = exact.components(
-        {**ABSENT, "half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)}
-    )
+    tension = np.maximum(forces(LAW, data.contraction, data.pressure), 0)
+    exact = dataclasses.replace(model, tension=tension, paths=LoadingPaths.of(data), means=data, rate=None)
+    friction = exact.force({**ABSENT, "half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
     np.testing.assert_allclose(tension + friction, data.force, atol=1e-9)
 
 
 def test_the_jacobian_is_that_of_small_changes(model):
-    names = ("a2", "decay", *FRICTION)
-    values = {name: float(getattr(LAW, name)) for name in model.law_names}
-    values |= {
+    names = FRICTION
+    values = {
         "half_width": 10.0,
         "growth": 1 / bar,
         "tension_growth": 0.01,

@@ -31,7 +31,7 @@ def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     found = identify_with_friction(ExponentialLaw, rig)
     assert float(found.friction.half_width) == pytest.approx(12.0, rel=0.01)
     assert float(found.friction.presliding_length) == pytest.approx(0.5 * mm, rel=0.02)
-    assert found.rmse < 0.03 < 10 < fit_law(ExponentialLaw, rig).rmse
+    assert found.rmse < 0.1 < 10 < fit_law(ExponentialLaw, rig).rmse
     assert found.law == fit_law(ExponentialLaw, found.hysteresis.corrected(rig)).law
     assert found.note
 
@@ -74,13 +74,12 @@ def test_directions_that_do_not_differ_show_no_friction():
 
 
 @pytest.mark.slow
-def test_a_law_that_fits_worse_than_the_loops_are_wide_gets_no_friction(rig):
-    """Its misfit would be taken for friction: 22 N in place of 12 N."""
-    found = identify_with_friction(ReynoldsLaw, rig)
-    assert found.hysteresis is None and "rank" in found.note
-    assert not any("identify_hysteresis" in one for one in found.warnings)
-    assert found.law == fit_law(ReynoldsLaw, rig).law
-    assert float(identify_with_friction(ReynoldsLaw, rig, friction=True).friction.half_width) > 15.0
+def test_friction_does_not_depend_on_the_form_of_the_law(rig):
+    """The misfit of this law, 54 N, is several times the friction."""
+    found, other = (identify_with_friction(law, rig) for law in (ReynoldsLaw, ExponentialLaw))
+    assert float(found.friction.half_width) == pytest.approx(float(other.friction.half_width), rel=1e-3)
+    assert found.hysteresis.rmse > 40 and other.hysteresis.rmse < 0.1
+    assert found.law == fit_law(ReynoldsLaw, found.hysteresis.corrected(rig)).law
 
 
 def steps_of_pressure(half_width: float) -> mk.IsobaricDataset:

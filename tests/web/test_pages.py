@@ -29,7 +29,6 @@ from mckibben import Scenario, catalog, read_dataset
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.identification.fitting import WITH_FRICTION
-from mckibben.identification.with_friction import FRICTION_ALL_THE_SAME
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
@@ -273,7 +272,6 @@ def test_an_outlier_is_named_and_can_be_kept():
     ("text", "shown"),
     [
         (f"x: 1; {WITH_FRICTION}", wording.FRICTION),
-        (f"x: 1; {FRICTION_ALL_THE_SAME}", f"choose “{wording.FRICTION}: with”"),
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),

@@ -39,7 +39,7 @@ from mckibben.identification.summary import (
     size_remarks,
     zero_remarks,
 )
-from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
+from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw, forces
 from mckibben.muscle.slopes import unphysical
 from mckibben.result import Remark
 from mckibben.units import show
@@ -167,18 +167,43 @@ def _solved(law_type: type[ForceLaw], points: IsobaricDataset) -> tuple[Solution
         start = solve(eq2, grid_search(eq2)).position
         solution, simpler = fit_smooth(points, np.ones(len(points), bool), start)
         return solution, None if simpler else smooth_refit(points, start), simpler
-    problem = FitProblem.of(law_type, points)
-    solution = solve(problem, grid_search(problem))
-    if (weights := measured_weights(problem.law(solution.values), points)).std():
-        problem = problem.weighted(weights)
-        solution = solve(problem, solution.position)
-    return solution, None, ""
+    problem, start = _weighted(FitProblem.of(law_type, points), points)
+    return solve(problem, start), None, ""
+
+
+def _weighted(problem: FitProblem, points: IsobaricDataset) -> tuple[FitProblem, Floats]:
+    """Problem with residuals of the measured quantity, and the position of least residuals on a grid of the shape.
+
+    Where the load is held, the weights at each position are those of the law there: of another one the slope may be
+    far off, as loads are few. Positions at which the law has parameters out of their range do not count.
+    """
+    if held_loads(points.table) is None:
+        return problem, grid_search(problem)
+    best = np.inf, problem, np.full(len(problem.cube.parameters), 0.5)
+    for position in problem.cube.grid():
+        trial, values = problem, project(problem, position).values
+        try:
+            for _ in range(3):
+                weights = measured_weights(problem.law(values), points, scaled=False)
+                trial = problem.weighted(weights / np.sqrt(np.mean(weights**2)))
+                values = project(trial, position).values
+            misfit = float(np.sum((weights * (points.force - tension_of(problem.law(values), points))) ** 2))
+        except IdentificationError:
+            continue
+        if misfit < best[0]:
+            best = misfit, trial, position
+    return best[1:]
 
 
 def law_of(law_type: type[ForceLaw], points: IsobaricDataset) -> ForceLaw:
     """Law of the taut points by least squares, without the checks and errors of `fit_means`."""
     solution = _solved(law_type, _within_validity(law_type, points.taut))[0]
     return solution.problem.law(solution.values)
+
+
+def tension_of(law: ForceLaw, points: IsobaricDataset) -> Floats:
+    """Tension [N] of a law at points, shape (points,)."""
+    return np.maximum(forces(law, points.contraction, points.pressure), 0.0)
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:
@@ -271,13 +296,19 @@ def _friction_remarks(points: IsobaricDataset, residuals: Floats) -> Iterator[Re
 
 
 def _severe_remarks(law: ForceLaw, lopo: LeaveOnePressureOut | None, spread: float) -> Iterator[Remark]:
-    """Remarks on a law that no muscle has, or that predicts worse than the mean of forces with a deviation `spread`."""
+    """Remarks on a law that no muscle has, or that predicts worse than the mean of forces with a deviation `spread`.
+
+    Beyond the points, as between the lowest load and the corner of the box, it is only not determined.
+    """
     remedy = "look for wrong units and columns, measure at more pressures, or use a law with fewer parameters"
     if lopo is not None and lopo.rmse > spread:
         text = f"pressures left out are predicted worse ({show(lopo.rmse, 'N', 3)}) than by the mean of all forces"
         yield Remark.severe("leave_one_pressure_out", text, remedy)
-    if wrong := unphysical(law):
+    if wrong := unphysical(law, measured=True):
         yield Remark.severe("law", f"the law is not that of a muscle: {wrong}", remedy)
+    elif wrong := unphysical(law):
+        text = f"beyond the points the law is not determined: {wrong}"
+        yield Remark.warning("law", text, "measure there, or stay within the points")
 
 
 WITH_FRICTION = "identify the friction with identify_hysteresis (command line: --friction on)"

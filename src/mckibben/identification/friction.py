@@ -15,10 +15,16 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors, t_quantile
-from mckibben.identification.fitting import check_law_type, fit_law
-from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
+from mckibben.identification.fit import Fit
+from mckibben.identification.fitting import check_law_type, fit_means, law_of, tension_of
+from mckibben.identification.friction_model import (
+    FRICTION,
+    USUAL_PRESLIDING,
+    FrictionForm,
+    PathDependentModel,
+    PathSolution,
+)
 from mckibben.identification.grouping import at_fixed_lengths, held_values, measured_weights, with_loads
-from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.loading_path import (
     TURN_TRAVELS,
     DriftBasis,
@@ -27,8 +33,8 @@ from mckibben.identification.loading_path import (
     with_last_motion,
 )
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.summary import DatasetSummary, Outlier, domain_of, left_out
-from mckibben.muscle import ForceLaw, MaxwellSlip
+from mckibben.identification.summary import DatasetSummary, Outlier, left_out
+from mckibben.muscle import ExponentialLaw, ForceLaw, MaxwellSlip
 from mckibben.result import Column, Listing, Remark, Result, column, draw
 from mckibben.units import factor, show
 
@@ -47,12 +53,14 @@ class SensorDrift:
 
 
 class HysteresisFit(Result):
-    """Law and friction identified together, by `identify_hysteresis`.
+    """Friction, and the law without it, by `identify_hysteresis`.
 
     Attributes
     ----------
-    law
-        Static law, midway between loading and unloading; its domain is the range of the points.
+    fit
+        Fit of the static law, midway between loading and unloading, to the points without friction and drift.
+    corrected_points
+        These points.
     friction
         Hysteresis, with the parameters of its form.
     form
@@ -67,15 +75,15 @@ class HysteresisFit(Result):
     drift
         Drift of the force sensor; None if not significant (1 %).
     rmse, max_error
-        Root mean square and largest absolute residual [N].
+        Root mean square and largest absolute residual [N] of the taut points that count.
     tension, friction_force, offset, residuals
         Shape (points,), in dataset order: force of the law, of friction, offset of the sensor, and measured minus
         modelled force [N].
     used
         Mask of the points that count, shape (points,): without outliers, points without a direction, rows at a reversal
-        if the rate counts, those where a muscle with a held load sticks and, unless there is drift, slack points.
-    points_slack, dataset
-        Number of slack points; summary of the data.
+        if the rate counts, those before a muscle with a held load slides and, unless there is drift, slack points.
+    points_slack, points_left_out, dataset
+        Numbers of slack points and of other ones that do not count; summary of the data.
     outliers
         Points left out because they are off the smooth surface through the others.
     undetermined
@@ -85,7 +93,7 @@ class HysteresisFit(Result):
         Reasons not to rely on the results.
     """
 
-    law: ForceLaw
+    fit: Fit
     friction: MaxwellSlip
     form: FrictionForm
     comparison: Mapping[FrictionForm, float]
@@ -93,6 +101,8 @@ class HysteresisFit(Result):
     drift: SensorDrift | None
     rmse: float = column("N", "RMSE of law and friction", digits=3)
     max_error: float = column("N", "largest residual", digits=3)
+    points_left_out: int = column("", "points left out")
+    corrected_points: IsobaricDataset
     tension: Floats
     friction_force: Floats
     offset: Floats
@@ -103,6 +113,11 @@ class HysteresisFit(Result):
     dataset: DatasetSummary
     outliers: tuple[Outlier, ...] = ()
     undetermined: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def law(self) -> ForceLaw:
+        """Static law; its domain is the range of the points."""
+        return self.fit.law
 
     def verdict(self) -> str:
         """Return half width and presliding length."""
@@ -159,10 +174,7 @@ class HysteresisFit(Result):
             raise IdentificationError(
                 f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
             )
-        force = np.where(means.slack, means.force, means.force - self.friction_force - self.offset)
-        force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
-        table = means.table.assign(force=("point", force)).assign_attrs(friction="subtracted")
-        return IsobaricDataset(table).select(self.used | means.slack)
+        return self.corrected_points
 
 
 _SHOWN = {
@@ -185,11 +197,11 @@ def identify_hysteresis(
     form: FrictionForm | None = None,
     robust: bool = True,
 ) -> HysteresisFit:
-    """Fit a law and its friction to all points of an isobaric test, in the order of time.
+    """Fit friction to all points of an isobaric test, in the order of time, and a law to the points without it.
 
-    The force at a point is the sum of the law, the friction after the loading path up to that point, and the sensor's
-    offset, all estimated together by least squares; docs/hysteresis.md describes the choice of the form of the
-    friction, the test of what it lacks, and the drift.
+    The force at a point is the sum of a smooth force over contraction and pressure (`SmoothSurface`), that of
+    the friction after the loading path up to that point, and the offset of the sensor, all estimated together: friction
+    does not depend on the law. Docs/hysteresis.md describes the choice of the form of the friction, and the drift.
 
     Parameters
     ----------
@@ -237,58 +249,113 @@ def identify_hysteresis(
     used &= means.table["direction"].to_numpy() != ""  # of others the friction is not known
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
     reference = float(np.unique(means.levels[taut]).mean()), float(means.force[taut].mean())
-    template = fit_law(law, means, robust=robust).law
-    weights = measured_weights(template, means)
-    model = PathDependentModel(template, paths, means, bases[0], used, weights, *reference, rate)
-    of_law = model.law_names
-    if form is not None and (missing := model.missing(form)):
+    eq2 = law_of(ExponentialLaw, means.select(used))
+    tension = np.where(taut, tension_of(eq2, means), 0.0)
+    weights = measured_weights(eq2, means)
+    model = PathDependentModel(tension, paths, means, bases[-1], used, weights, *reference, rate)
+    model, start = _started(model, eq2, half_gap)
+    if form is None:
+        _check_left_out(model, used)
+    elif missing := model.missing(form):
         message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
         raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
-    model, start = _started(model, half_gap)
-    notes = [*left_out(outliers)]
-    of_law = tuple(name for name in of_law if name not in _shapes_at_bound(model.template))
+    bases, about_creep = _with_creep(model, bases, start)
+    model = dataclasses.replace(model, drift=bases[-1])
     comparison: Mapping[FrictionForm, float] = {}
     free = set(FRICTION)
-    if at_fixed_lengths(means):  # a law would fit its misfit over the lengths by friction: the regression knows it
+    if at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
         form, free = form or FrictionForm.COULOMB, free - {"half_width"}
         start["half_width"] = half_gap
     if form is None:
-        form, comparison, start = _compare_forms(dataclasses.replace(model, drift=bases[-1]), start, of_law)
+        form, comparison, start = _compare_forms(model, start)
     else:
         start = model.start(start, form)
-    model, solution = _with_drift(model, bases, start, (*of_law, *(name for name in form.free if name in free)))
+    names = tuple(name for name in form.free if name in free)
+    model, solution = _with_drift(_with_tension(model, start)[0].smoothed(start), bases, start, names)
     solution, undetermined, about_presliding = _presliding(model, solution)
-    result = _result(model, solution, taut, form, comparison)
+    result = _result(model, solution, taut, form, comparison, law)
     if "half_width" not in free:
         result.standard_errors["half_width"] = gap_error
-    notes += [*about_presliding, *_doubts(model, solution, result, half_gap)]
+    notes = [*left_out(outliers), *about_creep, *about_presliding, *_doubts(model, solution, result)]
     return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
 
 
-def _started(model: PathDependentModel, half_gap: float) -> tuple[PathDependentModel, dict[str, float]]:
-    """Best of the models, and its values: which branch paths start on, and whether the muscle rested at turning points.
+def _check_left_out(model: PathDependentModel, used: Bools, *, most: float = 0.1) -> None:
+    """Refuse a share of more than `most` of points, beyond the first of each path, at which a held load sticks."""
+    count, total = int(np.count_nonzero(used & ~model.used)), int(np.count_nonzero(used))
+    if count - len(model.paths.counts) > most * total:
+        remedy = (
+            "start each load with more travel before its first point, or name a form of friction to identify it from "
+            "the other points (form=FrictionForm.COULOMB, command line: --friction coulomb)"
+        )
+        text = f"the muscle sticks at {count} of {total} points, at which its last motion is not known"
+        raise IdentificationError(text, value=count, upper=most * total, remedy=remedy)
 
-    The law is free: it would lean towards the friction of the branch that it was fitted with.
-    """
-    start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(model.paths.step))}
-    start |= {name: float(getattr(model.template, name)) for name in model.law_names}
+
+def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple[PathDependentModel, dict[str, float]]:
+    """Best of the models, and its values: the state at the start of paths, and whether the muscle rested at turns."""
+    start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap}
+    start["log_presliding"] = float(np.log(USUAL_PRESLIDING * model.initial_length))
+    form = FrictionForm.CONSTANT if model.rate is None else FrictionForm.VISCOUS
+    start, measured, held = model.start(start, form), model, held_loads(model.means.table) is not None
+    if held:
+        model = model.with_held_loads(law, start)
     models = [
-        dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, turn_travel=travel))
+        model.with_paths(side=side * model.paths.side, turn_travel=travel)
         for travel in (TURN_TRAVELS if model.paths.turns.any() else TURN_TRAVELS[:1])
-        for side in (model.paths.side, -model.paths.side)
+        for side in ((1,) if held else (1, -1, 0))
     ]
-    free = (*model.law_names, "half_width", "log_presliding")
-    solutions = [branch.fit(start, free, evaluations=20) for branch in models]
+    surface = model.smoothed(start).surface
+    models = [dataclasses.replace(branch, surface=surface) for branch in models]
+    solutions = [branch.fit(start, form.free, evaluations=20) for branch in models]
     best = int(np.argmin([solution.minimum.cost for solution in solutions]))
     values = solutions[best].values
-    model = dataclasses.replace(models[best], template=model.law(values))
-    return model if held_loads(model.means.table) is None else model.sliding(values), values
+    model, law = _with_tension(dataclasses.replace(models[best], used=measured.used), values)
+    if held:
+        model = model.with_held_loads(law, values)
+    return model.smoothed(values), values
 
 
-def _shapes_at_bound(law: ForceLaw) -> set[str]:
-    cube, names = UnitCube(law.shape_parameters), [p.name for p in law.shape_parameters]
-    position = cube.position([float(getattr(law, name)) for name in names])
-    return {name for name, out in zip(names, cube.at_bound(position), strict=True) if out}
+def _with_tension(model: PathDependentModel, values: Mapping[str, float]) -> tuple[PathDependentModel, ForceLaw]:
+    """Model with the tension of the points without friction of these parameters, and its law (Eq. 2)."""
+    law = law_of(ExponentialLaw, _corrected(model.means, model.tension, model.force(values), model.used))
+    return dataclasses.replace(model, tension=np.where(model.means.slack, 0.0, tension_of(law, model.means))), law
+
+
+def _with_creep(
+    model: PathDependentModel, bases: Sequence[DriftBasis], start: Mapping[str, float]
+) -> tuple[Sequence[DriftBasis], list[Remark]]:
+    """Bases of the drift with a creep, if Schwarz's criterion is lower with it, and a remark.
+
+    On plateaus that are short against its time constant, creep looks like friction. It is told by points at rest, with
+    times.
+    """
+    means, free = model.means, FrictionForm.CONSTANT.free
+    if (
+        not {"time", "force_spread"} <= set(means.table)
+        or at_fixed_lengths(means)
+        or held_loads(means.table) is not None
+    ):
+        return bases, []
+    from scipy.optimize import minimize_scalar
+
+    def solution(basis: DriftBasis) -> PathSolution:
+        return dataclasses.replace(model, drift=basis).fit(start, free, evaluations=20)
+
+    step = float(np.median(np.diff(np.sort(means.table["time"].to_numpy()))))
+    search = minimize_scalar(
+        lambda logarithm: solution(bases[-1].with_creep(means, model.tension, np.exp(logarithm))).minimum.cost,
+        bounds=(np.log(step / 4), np.log(30 * step)),
+        method="bounded",
+        options={"xatol": 0.02},
+    )
+    tau, count = float(np.exp(search.x)), int(np.count_nonzero(model.used))
+    creeping = [basis.with_creep(means, model.tension, tau) for basis in bases]
+    share = float(solution(creeping[-1]).offsets[-1])
+    if not (share > 0 and count * np.log(solution(bases[-1]).minimum.cost / search.fun) > 2 * np.log(count)):
+        return bases, []
+    text = f"the force creeps after a move, by {share:.2g} of its change, with a time constant of {tau:.2g} s"
+    return creeping, [Remark.note("creep", f"{text}: this is not in the friction")]
 
 
 def _with_drift(
@@ -313,7 +380,7 @@ def _with_drift(
         rate, error, freedom = _drift_rate(trial, drifting)
         significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < level
         gain = count * np.log(solution.minimum.cost / drifting.minimum.cost)
-        if significant and gain > len(basis.slope) * np.log(count):
+        if significant and gain > np.count_nonzero(basis.slope) * np.log(count):
             return trial, drifting
     return without, solution
 
@@ -329,7 +396,7 @@ def _drift_rate(model: PathDependentModel, solution: PathSolution) -> tuple[floa
 
 
 def _compare_forms(
-    model: PathDependentModel, start: Mapping[str, float], law: tuple[str, ...], *, tolerance: float = 1.05
+    model: PathDependentModel, start: Mapping[str, float], *, tolerance: float = 1.05
 ) -> tuple[FrictionForm, Mapping[FrictionForm, float], dict[str, float]]:
     """Form with the fewest parameters that is as good as the best; errors of those that the data tell apart; values.
 
@@ -342,7 +409,7 @@ def _compare_forms(
     for form in FrictionForm:
         if model.missing(form):
             continue
-        solutions[form] = model.fit(model.start(start, form), (*law, *form.free), evaluations=50)
+        solutions[form] = model.fit(model.start(start, form), form.free, evaluations=50)
         squares[form] = _held_out_squares(solutions[form], blocks)
     known = np.isfinite(list(squares.values())).all(axis=0)
     rows = sum(int(np.count_nonzero(blocks == block)) for block in np.unique(blocks)[known])
@@ -364,14 +431,15 @@ def _compare_forms(
 def _held_out_squares(solution: PathSolution, blocks: Floats | Ints, *, singular: float = 1e-8) -> Floats:
     """Sum of squared errors [N^2] of each block by the linearised fit to all others; NaN where not determined.
 
-    Points do not determine a direction whose singular value is below `singular` times the largest.
+    The smooth surface is that of all points. Points do not determine a direction whose singular value is below
+    `singular` times the largest.
     """
     count, residuals = len(solution.free), solution.minimum.residuals
     jacobian = solution.minimum.jacobian[:, :count][:, solution.inside[:count]]
     jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
     rank, squares = np.linalg.matrix_rank(jacobian, rtol=singular), []
     for block in np.unique(blocks):
-        out = blocks == block
+        out = np.pad(blocks == block, (0, len(residuals) - len(blocks)))  # what follows belongs to the surface
         step, _, rest, _ = np.linalg.lstsq(jacobian[~out], residuals[~out], rcond=singular)
         error = residuals[out] - jacobian[out] @ step
         squares.append(float(error @ error) if rest == rank else np.nan)
@@ -379,13 +447,13 @@ def _held_out_squares(solution: PathSolution, blocks: Floats | Ints, *, singular
 
 
 def _presliding(
-    model: PathDependentModel, solution: PathSolution, *, usual: float = 2e-3
+    model: PathDependentModel, solution: PathSolution
 ) -> tuple[PathSolution, dict[str, float], list[Remark]]:
     """Solution with the presliding length held if the points do not determine it, its upper bound, and a remark.
 
     The interval (95 %) is that of the likelihood, with the other parameters to first order. It is held at the lower
-    end or, where that reverses friction within half a step so that shorter ones are equivalent, at no more than a
-    `usual` share of the initial length, from which `calibrate` starts, too.
+    end or, where that reverses friction within half a step so that shorter ones are equivalent, at no more than the
+    usual one, from which `calibrate` starts, too.
     """
     name, others = "log_presliding", tuple(free for free in solution.free if free != "log_presliding")
     if name in solution.free and solution.error(name) < _VAGUE:  # unknown at a bound
@@ -396,11 +464,11 @@ def _presliding(
     for length in lengths:
         residuals = model.residuals({**solution.values, name: length}, solution.offsets)
         costs.append(np.sum((residuals - basis @ (basis.T @ residuals)) ** 2))
-    freedom = len(basis) - basis.shape[1] - 1
+    freedom = int(np.count_nonzero(model.used)) - basis.shape[1] - 1
     inside_interval = lengths[costs <= np.min(costs) * (1 + float(t_quantile(0.95, freedom)) ** 2 / freedom)]
     least, most = np.exp(inside_interval[[0, -1]])
     if inside_interval[0] == lengths[0]:
-        least = min(least, usual * float(model.means.table.attrs["initial_length"]))
+        least = min(least, USUAL_PRESLIDING * model.initial_length)
     held = model.solve({**solution.values, name: float(np.log(least))}, others)
     bound = f"at most {show(most, 'mm', 2)}, and " if inside_interval[-1] < lengths[-1] else ""
     most = most if bound else math.inf
@@ -412,10 +480,12 @@ def _presliding(
     return held, {"presliding_length": float(most)}, [remark]
 
 
-def _doubts(
-    model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float, *, misfit: float = 0.1
-) -> Iterable[Remark]:
-    """Remarks on the half width, parameters at a bound, the form, and the misfit of the law."""
+def _doubts(model: PathDependentModel, solution: PathSolution, result: HysteresisFit) -> Iterable[Remark]:
+    """Remarks on points left out, on the half width, and on parameters at a bound."""
+    if result.points_left_out:
+        text = f"{result.points_left_out} of {np.count_nonzero(~model.means.slack)} points are left out"
+        why = "outliers, and those at which the direction of the last motion, or the rate, is not known"
+        yield Remark.note("points", f"{text}: {why}")
     half_width, error = solution.values["half_width"], result.standard_errors["half_width"]
     if not error < _VAGUE * half_width:
         text = f"the half width {half_width:.3g} N has a standard error of {error:.2g} N"
@@ -424,18 +494,6 @@ def _doubts(
     bounded = zip(solution.free, solution.minimum.at_bound, strict=False)
     for name in [name for name, out in bounded if out and name != "log_presliding"]:
         yield Remark.warning(name, f"{name} is at the bound of its range")
-    pairs = [rows[model.used[rows]] for rows in model.paths.rows]
-    first, second = (
-        np.concatenate([result.residuals[rows[part]] for rows in pairs]) for part in (slice(-1), slice(1, None))
-    )
-    shared = float(np.sqrt(max(np.mean(first * second), 0.0))) if len(first) else 0.0
-    if shared > misfit * half_gap:
-        text = (
-            f"{type(model.template).__name__} leaves residuals of {result.rmse:.3g} N, {shared:.3g} N of them shared "
-            f"by neighbouring points, against {half_gap:.3g} N of half the loop width: the misfit may be mistaken for "
-            "friction or drift"
-        )
-        yield Remark.warning("law", text, "use a law that fits better, or a form of friction, if the law does")
 
 
 def _result(
@@ -444,26 +502,30 @@ def _result(
     taut: Bools,
     form: FrictionForm,
     comparison: Mapping[FrictionForm, float],
+    law: type[ForceLaw],
 ) -> HysteresisFit:
     means, used, basis = model.means, model.used, model.drift
-    tension, force = model.components(solution.values)
+    force = model.force(solution.values)
     offset = basis.points @ solution.offsets
+    corrected = _corrected(means, model.tension, force + offset, used)
+    fit = fit_means(law, corrected, ())
+    tension = tension_of(fit.law, means)
     residuals = means.force - tension - force - offset
-    points = means.select(taut)
     friction = model.friction(solution.values)
-    errors = {name: solution.error(name) for name in (*model.law_names, *FRICTION) if not name.startswith("log_")}
+    errors = {**fit.standard_errors, **{name: solution.error(name) for name in FRICTION if name != "log_presliding"}}
     errors["presliding_length"] = solution.error("log_presliding") * friction.presliding_length
-    drift = SensorDrift(*_drift_rate(model, solution)[:2]) if len(basis.slope) else None
-    law = dataclasses.replace(model.law(solution.values), domain=domain_of(points, means))
+    drift = SensorDrift(*_drift_rate(model, solution)[:2]) if basis.slope.any() else None
     return HysteresisFit(
-        law=law,
+        fit=fit,
         friction=friction,
         form=form,
         comparison=comparison,
         standard_errors=errors,
         drift=drift,
-        rmse=float(np.sqrt(np.mean(residuals[used] ** 2))),
-        max_error=float(np.abs(residuals[used]).max()),
+        rmse=float(np.sqrt(np.mean(residuals[used & taut] ** 2))),
+        max_error=float(np.abs(residuals[used & taut]).max()),
+        points_left_out=int(np.count_nonzero(taut & ~used)),
+        corrected_points=corrected,
         tension=tension,
         friction_force=force,
         offset=offset,
@@ -471,5 +533,13 @@ def _result(
         used=used,
         points_slack=int(np.count_nonzero(~taut)),
         notes=(),
-        dataset=DatasetSummary.of(points),
+        dataset=DatasetSummary.of(means.select(taut)),
     )
+
+
+def _corrected(means: IsobaricDataset, tension: Floats, added: Floats, used: Bools) -> IsobaricDataset:
+    """Used and slack points without friction and drift; those that are slack, as measured or by the tension, remain."""
+    force = np.where(means.slack, means.force, means.force - added)
+    force = np.where(tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
+    table = means.table.assign(force=("point", force)).assign_attrs(friction="subtracted")
+    return IsobaricDataset(table).select(used | means.slack)

@@ -1,12 +1,12 @@
-"""Model of the force along loading paths: law, friction of one of several forms, and drift of the sensor."""
+"""Model of the force along loading paths: a smooth force, friction of one of several forms, and drift of the sensor."""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,15 +19,14 @@ from mckibben.identification.estimator import (
     Minimum,
     condition_number,
     least_squares,
-    remembered,
     robust_errors,
     standard_errors,
     t_quantile,
     unidentifiable,
 )
-from mckibben.identification.grouping import finest_grouping, group_labels
-from mckibben.identification.least_squares import FitProblem
+from mckibben.identification.grouping import measured_weights
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, moving_rates
+from mckibben.identification.surface import SmoothSurface
 from mckibben.muscle import ForceLaw, MaxwellSlip
 from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
@@ -59,18 +58,22 @@ _FREE = {
 FRICTION = ("half_width", "growth", "tension_growth", "viscous", "viscous_asymmetry", "log_presliding")
 """Friction parameters in SI, as in `MaxwellSlip`, with the logarithm of the presliding length [m]."""
 
+USUAL_PRESLIDING = 2e-3
+"""Presliding length of muscles, relative to the initial length."""
+LONGEST_PRESLIDING = 0.02
+"""Ten times the usual one: what takes longer is no presliding."""
 _WIDEST = 1e5  # N
 _LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
 
 
 @dataclass(frozen=True, eq=False)
 class PathDependentModel:
-    """Force along loading paths: law, Maxwell-slip friction, and sensor drift.
+    """Force along loading paths: a smooth force, Maxwell-slip friction, and sensor drift.
 
     Attributes
     ----------
-    template
-        Law whose parameters, unless they are estimated, are those of the model.
+    tension
+        Force without friction and drift, which bounds the friction [N], shape (rows,).
     paths, means
         Loading paths, and the points of their rows.
     drift
@@ -81,9 +84,11 @@ class PathDependentModel:
         Pressure [Pa] and tension [N] at which the friction has its half width.
     rate
         Rate of the length [m/s], shape (rows,); None without viscous friction.
+    surface
+        Basis of what smooth deviations from the tension explain (`SmoothSurface.basis`); None without them.
     """
 
-    template: ForceLaw
+    tension: Floats = field(repr=False)
     paths: LoadingPaths
     means: IsobaricDataset = field(repr=False)
     drift: DriftBasis = field(repr=False)
@@ -92,15 +97,7 @@ class PathDependentModel:
     reference_pressure: float
     reference_tension: float = 0.0
     rate: Floats | None = None
-
-    @property
-    def law_names(self) -> tuple[str, ...]:
-        """Parameters of the law, linear ones first; penalised ones are fixed at the fit of the law alone."""
-        return tuple(p.name for p in type(self.template).parameters() if not p.penalised)
-
-    def law(self, values: Mapping[str, float]) -> ForceLaw:
-        """Law with the values of its parameters."""
-        return dataclasses.replace(self.template, **{name: values[name] for name in self.law_names if name in values})  # pyrefly: ignore[bad-argument-type]
+    surface: Floats | None = field(default=None, repr=False)
 
     def friction(self, values: Mapping[str, float]) -> MaxwellSlip:
         """Friction model with the given parameters."""
@@ -124,11 +121,21 @@ class PathDependentModel:
         share, stiffness = polygon(MaxwellSlip.elements)
         return float(np.log(self.paths.step / (4 * (share / stiffness).max())))
 
-    def missing(self, form: FrictionForm) -> str:
-        """Data that a form needs and the points lack; empty if there are all."""
+    def missing(self, form: FrictionForm, *, inflation: float = 10.0) -> str:
+        """Data that a form needs and the points lack; empty if there are all.
+
+        Damping by direction at one speed for each length is a smooth force: the surface explains it to a variance
+        inflation factor of more than `inflation`.
+        """
         if form is FrictionForm.PRESSURE and len(np.unique(self.means.levels[self.used])) < 3:
             return "three pressures"
-        return "times at which the speed varies" if "viscous" in form.free and self.rate is None else ""
+        if "viscous" in form.free and self.rate is None:
+            return "times at which the speed varies"
+        if form is FrictionForm.DIRECTIONAL and self.surface is not None and self.rate is not None:
+            rows = (self.weights * np.abs(self.rate))[self.used]
+            left = self._beside_surface(rows)
+            return "strokes of several speeds over the same lengths" if inflation * left @ left < rows @ rows else ""
+        return ""
 
     def start(self, values: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
         """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction in one step."""
@@ -141,97 +148,94 @@ class PathDependentModel:
 
     def bounds(self, names: Sequence[str]) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the named parameters."""
-        ranges = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
-        ranges |= {
+        longest = min(_LONGEST * np.ptp(self.paths.length), LONGEST_PRESLIDING * self.initial_length)
+        ranges = {
             "half_width": (MIN_HALF_WIDTH, _WIDEST),
             "tension_growth": (-1.0, 1.0),
             "viscous": (0.0, np.inf),
             "viscous_asymmetry": (-1.0, 1.0),
-            "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
+            "log_presliding": (self.shortest, max(float(np.log(longest)), self.shortest + 1e-6)),
         }
-        lower, upper = zip(*(ranges.get(name, (-np.inf, np.inf)) for name in names), strict=True)
-        return np.array(lower, float), np.array(upper, float)
+        limits = np.array([ranges.get(name, (-np.inf, np.inf)) for name in names], float).reshape(-1, 2)
+        return limits[:, 0], limits[:, 1]
 
-    def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
-        """Tension of the law and friction force [N] at each row, shape (rows,)."""
-        tension = self._tension(values)[0]
-        return tension, self._friction(tension[:, None], [values])[:, 0]
+    @property
+    def initial_length(self) -> float:
+        """Initial length of the muscle [m]."""
+        return float(self.means.table.attrs["initial_length"])
+
+    def with_paths(self, **changes: Any) -> PathDependentModel:
+        """Model whose paths have other fields."""
+        return dataclasses.replace(self, paths=dataclasses.replace(self.paths, **changes))
+
+    def force(self, values: Mapping[str, float]) -> Floats:
+        """Friction [N] at each row, shape (rows,)."""
+        return self._friction([values])[:, 0]
 
     def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
-        """Modelled minus measured force [N] at the points used, weighted."""
-        tension, friction = self.components(values)
-        residuals = tension + friction + self.drift.points @ offsets - self.means.force
-        return (self.weights * residuals)[self.used]
+        """Modelled minus measured force [N] at the points used, weighted, less what a smooth force explains."""
+        residuals = self.tension + self.force(values) + self.drift.points @ offsets - self.means.force
+        return self._beside_surface((self.weights * residuals)[self.used])
 
-    def jacobian(
-        self, values: Mapping[str, float], names: Sequence[str], *, tension_step: float = 1e-4, step: float = 1e-6
-    ) -> Floats:
-        """Weighted derivative of the modelled force with respect to the named parameters and drift amplitudes.
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str], *, step: float = 1e-6) -> Floats:
+        """Derivative of the residuals with respect to the named parameters and the drift amplitudes.
 
-        That of the law is exact. Friction has difference quotients: over a `tension_step` [N] for parameters of the
-        law, and for its own over a `step` that is divided by the range of the quantity that the parameter multiplies.
+        By difference quotients over a `step` divided by the range of the quantity that the parameter multiplies.
 
         Returns
         -------
-        Shape (points used, names and drift amplitudes).
+        Shape (points used and rows of the surface, names and drift amplitudes).
         """
-        tension, columns = self._tension(values)
-        of_law = [name for name in names if name in self.law_names]
-        columns = columns[:, [self._problem.names.index(name) for name in of_law]] * (tension > 0)[:, None]
-        others = [name for name in names if name not in self.law_names]
-        # All difference quotients of the friction in one pass along the paths.
-        by_law = tension_step / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
         fastest = 1.0 if self.rate is None else float(np.abs(self.rate).max())
         sizes = {
             "growth": float(np.abs(self.means.pressure - self.reference_pressure).max()),
-            "tension_growth": float(np.abs(tension - self.reference_tension).max()),
+            "tension_growth": float(np.abs(self.tension - self.reference_tension).max()),
             "viscous": fastest,
             "viscous_asymmetry": fastest * values["viscous"],
         }
-        steps = np.array([*by_law, *(step / max(sizes.get(name, 1.0), 1e-9) for name in others)])
-        moved = [dict(values) for _ in names]
-        for k, name in enumerate(others):
-            moved[len(of_law) + k][name] += steps[len(of_law) + k]
-        tensions = np.repeat(tension[:, None], len(names) + 1, axis=1)
-        tensions[:, 1 : len(of_law) + 1] += columns * steps[: len(of_law)]
-        friction = self._friction(np.maximum(tensions, 0.0), [values, *moved])
+        steps = np.array([step / max(sizes.get(name, 1.0), 1e-9) for name in names])
+        moved = [{**values, name: values[name] + change} for name, change in zip(names, steps, strict=True)]
+        friction = self._friction([values, *moved])  # in one pass along the paths
         slopes = (friction[:, 1:] - friction[:, :1]) / steps
-        slopes[:, : len(of_law)] += columns
-        return (self.weights[:, None] * np.concatenate([slopes, self.drift.points], axis=1))[self.used]
+        columns = np.concatenate([slopes, self.drift.points], axis=1)
+        return self._beside_surface((self.weights[:, None] * columns)[self.used])
 
-    @cached_property
-    def _problem(self) -> FitProblem:
-        constants = {p.name: float(getattr(self.template, p.name)) for p in type(self.template).constants}
-        return dataclasses.replace(FitProblem.of(type(self.template), self.means), constants=constants)
+    def _beside_surface(self, rows: Floats) -> Floats:
+        """Weighted residuals or columns at the points used, and at the prior of the surface, orthogonal to it."""
+        if self.surface is None:
+            return rows
+        padded = np.concatenate([rows, np.zeros((len(self.surface) - len(rows), *rows.shape[1:]))])
+        return padded - self.surface @ (self.surface.T @ padded)
 
-    @cached_property
-    def _law(self) -> Callable[[Floats], tuple[Floats, Floats]]:
-        """Tension [N] and its derivatives from the parameters of the law: a fit of the friction alone keeps them."""
+    def smoothed(self, values: Mapping[str, float]) -> PathDependentModel:
+        """Model whose surface is as rough as the points say beside friction of any form, and the drift."""
+        plain = dataclasses.replace(self, surface=None)
+        if self.rate is not None and not values["viscous"]:
+            values = {**values, "viscous": self.start(values, FrictionForm.DIRECTIONAL)["viscous"]}
+        columns = plain.jacobian(values, [name for name in FRICTION if self.rate is not None or "viscous" not in name])
+        residuals = -plain.residuals(values, np.zeros(self.drift.points.shape[1]))
+        surface = SmoothSurface.of(self.means, self.used).basis(columns, residuals, self.weights[self.used])
+        return dataclasses.replace(self, surface=surface)
 
-        def at(parameters: Floats) -> tuple[Floats, Floats]:
-            rows = self._problem.columns_and_residuals(parameters)[:, : len(self.means)]
-            return np.maximum(self.means.force - rows[-1], 0.0), rows[:-1].T
+    def with_held_loads(self, law: ForceLaw, values: Mapping[str, float], *, share: float = 0.02) -> PathDependentModel:
+        """Model of a test in which the load was held, without rows whose friction depends on the motion before a path.
 
-        return remembered(at)
-
-    def _tension(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
-        """Tension of the law [N] at each row, and its derivatives by all parameters, shape (rows, parameters)."""
-        own = [values[name] if name in values else getattr(self.template, name) for name in self._problem.names]
-        return self._law(np.array(own, np.float64))
-
-    def sliding(self, values: Mapping[str, float]) -> PathDependentModel:
-        """Model without the rows where the muscle sticks after a reversal.
-
-        Where the load is held, it sticks over several pressures, and its friction there is that of moves within the
-        noise of the length.
+        Its residuals are those of the contraction, which hardly moves after a reversal, over several pressures: the
+        friction, which follows the length steeply there, is that of moves within the noise. `share` of the half width
+        tells the friction of both motions apart.
         """
-        limit = self._limit(self._tension(values)[0][:, None], [values])
-        deflections, stiffness, share = self._elements(limit, [values])
-        slides = np.all(np.abs(deflections) >= limit[self.paths.place][..., None] * (share / stiffness), axis=(2, 3))
-        return dataclasses.replace(self, used=self.used & (self.paths.scattered(slides.astype(float)) > 0))
+        stretched, shortened = (self.with_paths(side=np.full_like(self.paths.side, side)) for side in (1.0, -1.0))
+        settled = np.abs(stretched.force(values) - shortened.force(values)) < share * values["half_width"]
+        limit = self._limit([values])
+        deflections, stiffness, yielding = self._elements(limit, [values])
+        inside = np.abs(deflections) < (1 - 1e-9) * limit[self.paths.place][..., None] * (yielding / stiffness)
+        slope = self.paths.scattered(np.sum(inside * stiffness, axis=(2, 3))) * self.initial_length
+        weights = measured_weights(law, self.means, friction_slope=slope)
+        return dataclasses.replace(self, used=self.used & settled, weights=weights)
 
-    def _limit(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
-        """Half width [N] for each column of tensions and its parameter set, shape (rows, sets)."""
+    def _limit(self, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Half width [N] for each parameter set, shape (rows, sets)."""
+        tension = self.tension[:, None]
         half_width, growth, by_tension = _columns(sets, "half_width", "growth", "tension_growth")
         above = (self.means.pressure - self.reference_pressure)[:, None]
         return smooth_limit(half_width + growth * above + by_tension * (tension - self.reference_tension), tension, np)
@@ -244,14 +248,14 @@ class PathDependentModel:
         travel, side = self.paths.travel[..., None], self.paths.side[:, None]
         return play_response(travel, limit[self.paths.place], stiffness, share, side=side), stiffness, share
 
-    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
-        """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        limit, (viscous, asymmetry) = self._limit(tension, sets), _columns(sets, "viscous", "viscous_asymmetry")
+    def _friction(self, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Friction [N] for each parameter set, shape (rows, sets)."""
+        limit, (viscous, asymmetry) = self._limit(sets), _columns(sets, "viscous", "viscous_asymmetry")
         deflections, stiffness, _ = self._elements(limit, sets)
         force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
         if self.rate is None or not viscous.any():
             return force
-        most = np.maximum(tension - limit, 0.0)
+        most = np.maximum(self.tension[:, None] - limit, 0.0)
         rate = self.rate[:, None]
         return force + np.clip(viscous * (rate + asymmetry * np.abs(rate)), -most, most)
 
@@ -282,26 +286,38 @@ class PathDependentModel:
         solution = self.fit(start, free)
         minimum, inside = solution.minimum, solution.inside
         jacobian = minimum.jacobian[:, inside]
-        number = condition_number(jacobian)
+        whole = dataclasses.replace(self, surface=None).jacobian(solution.values, free)[:, inside]
+        beside = np.linalg.norm(jacobian, axis=0) / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
+        number = condition_number(jacobian) / max(float(beside.min(initial=1.0)), np.finfo(float).tiny)
         if not number < CONDITION_LIMIT:
             names = np.array([*free, *(f"offset {k}" for k in range(len(solution.offsets)))])[inside]
-            message = f"the points do not determine {', '.join(unidentifiable(jacobian, names.tolist()))}"
-            remedy = "measure at more pressures and contractions, use a law with fewer parameters, or give a known one"
+            message = (
+                f"the points do not determine {', '.join(unidentifiable(jacobian, names.tolist()))} of the friction"
+            )
+            remedy = "measure at more pressures and contractions, or choose a form of friction with fewer parameters"
             raise IdentificationError(
                 f"{message} (condition number {number:.1e})", value=number, upper=CONDITION_LIMIT, remedy=remedy
             )
         if not minimum.converged:
             rmse = np.sqrt(np.mean(minimum.residuals**2))
             raise IdentificationError(
-                f"the fit of law and friction did not converge (RMSE {rmse:.3g} N)",
+                f"the fit of the friction did not converge (RMSE {rmse:.3g} N)",
                 remedy="look for outliers, wrong units and rows that are not in the order of the test",
             )
         errors, _ = standard_errors(minimum.jacobian, minimum.residuals, ~inside)
-        labels = group_labels(self.means, finest_grouping(self.means))[self.used]  # as of a fit of the law alone
+        # What is smooth cancels between the directions of a loop, but not within one stroke.
+        labels = np.unique(self.paths.loop(self.means)[self.used], return_inverse=True)[1]
         variance, freedom = robust_errors(jacobian, minimum.residuals, labels).variance(np.eye(jacobian.shape[1]))
-        few = t_quantile(0.95, freedom) / t_quantile(0.95, np.inf)  # groups
+        few = t_quantile(0.95, freedom) / t_quantile(0.95, np.inf)  # loops
         errors[inside] = np.maximum(errors[inside], few * np.sqrt(variance))
-        return dataclasses.replace(solution, errors=errors)
+        return dataclasses.replace(solution, errors=self._inflation(len(inside)) * errors)
+
+    def _inflation(self, count: int) -> float:
+        """Factor of errors beside a surface, whose rows include as many degrees of freedom as its columns."""
+        if self.surface is None:
+            return 1.0
+        rows, columns = self.surface.shape
+        return float(np.sqrt((rows - count) / max(rows - columns - count, 1)))
 
 
 def _columns(sets: Sequence[Mapping[str, float]], *names: str) -> list[Floats]:
@@ -325,8 +341,8 @@ class PathSolution:
 
     @property
     def inside(self) -> Bools:
-        """Parameters and amplitudes that are not at a bound."""
-        return ~self.minimum.at_bound
+        """Parameters and amplitudes that are not at a bound, and change the force: no friction has no presliding."""
+        return ~self.minimum.at_bound & np.any(self.minimum.jacobian != 0, axis=0)
 
     def error(self, name: str) -> float:
         """Standard error of a parameter; NaN if it was not free."""

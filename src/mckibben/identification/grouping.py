@@ -73,20 +73,29 @@ def neighbours_apart(errors: Floats, points: IsobaricDataset) -> float:
     return float(np.sqrt(np.mean(steps**2) / 2)) if len(steps) else 0.0
 
 
-def measured_weights(law: ForceLaw, points: IsobaricDataset, *, step: float = 1e-6) -> Floats:
-    """Weights, of mean square 1, of residuals of the force [N], by which they are those of the measured quantity.
+def measured_weights(
+    law: ForceLaw,
+    points: IsobaricDataset,
+    *,
+    friction_slope: float | Floats = 0.0,
+    scaled: bool = True,
+    step: float = 1e-6,
+) -> Floats:
+    """Weights of residuals of the force [N] by which they are those of the measured quantity.
 
-    Where the load is held, that is the contraction: its error times the slope of the law, by differences over a `step`,
-    is that of the force. Else all are 1. Raises `IdentificationError` if the slope is 0 at a point.
+    They are `scaled` to a mean square of 1. Where the load is held, that is the contraction: its error times the slope
+    of the law, by differences over a `step`, and of the friction [N] is that of the force. Else all are 1. Raises
+    `IdentificationError` if the slope is 0 at a point.
     """
     if held_loads(points.table) is None:
         return np.ones(len(points))
     left, right = (forces(law, points.contraction + side, points.pressure) for side in (-step, step))
-    if not np.all((steps := np.abs(right - left)) > 0):
+    slopes = np.abs(right - left) / (2 * step) + friction_slope
+    if not np.all(slopes > 0):
         message = f"the force of {type(law).__name__} has no slope over the contraction at some of the points"
         raise IdentificationError(message, remedy="use another law")
-    weights = 1 / steps
-    return weights / np.sqrt(np.mean(weights**2))
+    weights = 1 / slopes
+    return weights / np.sqrt(np.mean(weights**2)) if scaled else weights
 
 
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:

@@ -10,7 +10,7 @@ import numpy as np
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, IndependentErrors, Ints, robust_errors
-from mckibben.identification.grouping import at_fixed_lengths, held_values, holds
+from mckibben.identification.grouping import at_fixed_lengths, held_values, holds, row_numbers
 from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
@@ -93,17 +93,25 @@ class LoadingPaths:
             count = stroke[rows[-1]] + 1
         return stroke
 
+    def loop(self, means: IsobaricDataset) -> Ints:
+        """Loop of each row, shape (rows,), from 0 without gaps: two successive strokes of a path."""
+        stroke, path = self.stroke(means), self.label
+        first = np.array([stroke[rows[0]] for rows in self.rows])
+        return row_numbers([path, (stroke - first[path]) // 2])
+
     def at_reversal(self, means: IsobaricDataset) -> Bools:
-        """Ends of strokes that were measured at a reversal, where the rate is unknown, shape (rows,)."""
+        """Ends of strokes at a reversal, where rate and direction are unknown, shape (rows,).
+
+        The farthest row was measured before or after the turn.
+        """
         strokes, ends = self.stroke(means), np.zeros(len(self.length), bool)
         for rows in self.rows:
-            if self.turns[rows].any():
-                changes = np.diff(strokes[rows]) != 0
-                ends[rows] = np.append(True, changes) | np.append(changes, True)
+            changes = np.diff(strokes[rows]) != 0
+            ends[rows] = np.append(self.turns[rows].any(), changes) | np.append(changes, self.turns[rows].any())
         return ends
 
     def rate(self, means: IsobaricDataset, *, ratio: float = 1.3) -> Floats | None:
-        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed.
+        """Rate of the length [m/s], shape (rows,); None without times, or at one speed.
 
         Points that are means of samples were measured at rest. Speeds differ if the quotient of their quartiles exceeds
         `ratio`: else viscous friction looks like dry friction.
@@ -111,12 +119,13 @@ class LoadingPaths:
         if "time" not in means.table or "force_spread" in means.table or at_fixed_lengths(means):
             return None
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
-        strokes = self.stroke(means)
+        strokes, ends = self.stroke(means), self.at_reversal(means)
         for rows in self.rows:
             if len(rows) > 1 and (np.diff(time[rows]) <= 0).any():
                 return None
             for stroke in np.split(rows, np.flatnonzero(np.diff(strokes[rows])) + 1):
-                rate[stroke] = np.gradient(self.length[stroke], time[stroke]) if len(stroke) > 1 else 0.0
+                inside = stroke[:-1] if ends[stroke[-1]] else stroke  # the farthest row may be behind the turn
+                rate[inside] = _derivative(self.length[inside], time[inside])
         moving = moving_rates(rate)
         if not len(moving):
             return None
@@ -217,6 +226,22 @@ def moving_rates(rate: Floats, *, least: float = 1e-3) -> Floats:
     return speed[speed > least * speed.max(initial=0.0)]
 
 
+def _derivative(values: Floats, time: Floats, *, most: float = 0.1) -> Floats:
+    """Derivative by central differences over one and two steps, whose errors of second order cancel (Richardson).
+
+    The correction is at most a share `most`: beside a rest, the second step is from before it.
+    """
+    if len(values) < 2:
+        return np.zeros(len(values))
+    rate = np.gradient(values, time)
+    if len(values) > 4:
+        wide = np.empty(len(values))
+        wide[::2], wide[1::2] = (np.gradient(values[first::2], time[first::2]) for first in (0, 1))
+        limit = most * np.abs(rate[2:-2])
+        rate[2:-2] += np.clip((rate[2:-2] - wide[2:-2]) / 3, -limit, limit)
+    return rate
+
+
 def _monotone(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
     """Closest lengths [m] that rise in loading and fall in unloading strokes: noise would reverse the friction."""
     from scipy.optimize import isotonic_regression  # takes 0.3 s to import
@@ -254,6 +279,18 @@ class DriftBasis:
 
         centred, hats = knots - knots.mean(), make_interp_spline(knots, np.eye(len(knots)), k=1)
         return [none, cls(hats(time), centred / (centred @ centred))]
+
+    def with_creep(self, means: IsobaricDataset, tension: Floats, time_constant: float) -> DriftBasis:
+        """Basis with the part of the tension that has not yet followed its changes before a point [N].
+
+        The muscle moved midway between successive points, and follows by an exponential.
+        """
+        order, column, memory = in_time(means), np.zeros(len(means)), 0.0
+        decays = np.exp(-np.diff(means.table["time"].to_numpy()[order]) / (2 * time_constant))
+        for row, decay, change in zip(order[1:], decays, np.diff(tension[order]), strict=True):
+            memory = decay * (decay * memory + change)
+            column[row] = memory
+        return DriftBasis(np.column_stack([self.points, column]), np.append(self.slope, 0.0))
 
 
 def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:

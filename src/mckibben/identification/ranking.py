@@ -24,10 +24,8 @@ from mckibben.identification.regression import (
 )
 from mckibben.identification.summary import Outlier, left_out
 from mckibben.identification.with_friction import (
-    FRICTION_ALL_THE_SAME,
     FitWithFriction,
     identify_with_friction,
-    shows_hysteresis,
 )
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.muscle.slopes import unphysical
@@ -152,9 +150,6 @@ class Ranking(Result):
         best, first = self.best, self.entries[0].law
         assert best.fit is not None
         yield from (note for note in best.fit.notes if note.severity is Severity.SEVERE)
-        if not best.fit.hysteresis and shows_hysteresis(self.points):
-            text = f"loading and unloading differ, but {best.law} is fitted without friction"
-            yield Remark.warning("friction", text, FRICTION_ALL_THE_SAME)
         if best.law != first:
             yield Remark.note("law", f"selected: {best.law}; {first} is flagged and not substantially better")
         other = min((entry for entry in fitted if not entry.flags), key=lambda entry: entry.edge_error, default=best)

@@ -14,22 +14,18 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import WITH_FRICTION, fit_law, fit_means, law_of
+from mckibben.identification.fitting import WITH_FRICTION, fit_law
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import at_fixed_lengths
 from mckibben.identification.loading_path import NoHysteresisError, loop_half_width, with_last_motion
-from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen, forces
+from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.result import Listing, Remark, column
 from mckibben.units import Diameter, Volume
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-FRICTION_ALL_THE_SAME = "fit it with friction all the same: friction=True (command line: --friction on)"
-"""Remedy for a law that is fitted without the friction that points show."""
 
 
 class FitWithFriction(Fit):
@@ -142,8 +138,7 @@ def identify_with_friction(
         As for `identify_hysteresis`.
     friction
         True or False to fit with or without friction. Default: with it if forces at the same pressure and contraction
-        differ significantly between loading and unloading, the points determine it, and the law fits better than
-        half of this difference.
+        differ significantly between loading and unloading, and the points determine it, whatever the law.
 
     Raises
     ------
@@ -162,33 +157,26 @@ def identify_with_friction(
             if friction:
                 raise
             note = f"loading and unloading differ, but the friction is not identified: {error}"
-    if hysteresis and gap and hysteresis.rmse > gap:
-        note = (
-            f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; {FRICTION_ALL_THE_SAME}, "
-            "or see how other laws fit (mk.rank, or --law all)"
-        )
-        hysteresis = None
     if not hysteresis:
         fit = fit_law(law, dataset, robust=robust)
         if friction is None or not shows_hysteresis(dataset):  # a note says why there is none, or the points do not
             notes = (one for one in fit.notes if one.field != "friction" or not (note or one.remedy == WITH_FRICTION))
             fit = replace(fit, notes=tuple(notes))
         return FitWithFriction(**vars(fit) | _counts(fit, dataset), points=dataset, note=note)
-    points = hysteresis.corrected(dataset)
-    fit = replace(fit_means(law, points, ()), outliers=hysteresis.outliers)
+    fit = replace(hysteresis.fit, outliers=hysteresis.outliers)
     if at_fixed_lengths(dataset) and (lopo := fit.leave_one_pressure_out):
         # All points of a length have one direction: no pressure that is left out shows the error of the friction.
         rmse = float(np.hypot(lopo.rmse, hysteresis.standard_errors["half_width"]))
         fit = replace(fit, leave_one_pressure_out=replace(lopo, rmse=rmse))
     if gap:
-        taut = dataset.select(hysteresis.used).taut
-        rest = taut.force - forces(law_of(law, taut), taut.contraction, taut.pressure)
+        without = (hysteresis.residuals + hysteresis.friction_force)[hysteresis.used]
         note = (
-            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
-            f"{np.sqrt(np.mean(rest**2)):.3g} N"
+            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without it, "
+            f"{np.sqrt(np.mean(without**2)):.3g} N"
         )
-    return FitWithFriction(**vars(fit) | _counts(fit, dataset), hysteresis=hysteresis, points=points, note=note)
+    return FitWithFriction(
+        **vars(fit) | _counts(fit, dataset), hysteresis=hysteresis, points=hysteresis.corrected_points, note=note
+    )
 
 
 def _counts(fit: Fit, dataset: IsobaricDataset) -> dict[str, int]:

@@ -15,11 +15,12 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
+def unphysical(law: ForceLaw, domain: Domain | None = None, *, measured: bool = False) -> str:
     """Return the first violation, in words, of a pull that falls with contraction and rises with pressure.
 
-    Sought on a grid over a domain, by default that of the law; empty if there is none. Where the domain is not bounded,
-    contractions are 0 to 10 %, which every muscle reaches, and pressures 0 to 1 bar.
+    Sought on a grid over a domain, by default that of the law, or with `measured` over the hull of its points alone;
+    empty if there is none. Where the domain is not bounded, contractions are 0 to 10 %, which every muscle reaches, and
+    pressures 0 to 1 bar.
 
     Examples
     --------
@@ -32,8 +33,11 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
     force = np.asarray(_force(law, contraction, pressure))
     if 0 < domain.pressure_max < np.inf and (force <= 0).all():
         return f"it does not pull up to {domain.pressure_max / bar:.4g} bar"
+    inside = np.asarray(domain.contains(contraction, pressure)) | (not measured)
     texts = ("it has no force", "its force rises with contraction", "its force falls with pressure")
     for violation, wrong in zip(texts, (~np.isfinite(force), *wrong_slopes(force)), strict=True):
+        rows, columns = wrong.shape  # those of intervals: both of their ends count
+        wrong = wrong & inside[:rows, :columns] & inside[-rows:, -columns:]
         if wrong.any():
             i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
             return f"{violation} at {contraction[i, 0] / percent:.4g} % and {pressure[j] / bar:.4g} bar"

@@ -16,7 +16,6 @@ KEEP, FRICTION = "keep outliers", "friction"  # labels of what stands for argume
 _INSTEAD = {
     KEEP_OUTLIERS: f"to keep such points, tick “{KEEP}”",
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
-    "friction=True": f"choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     "--disk-margin": "a disk margin of",
     "--over wider": "wider",
