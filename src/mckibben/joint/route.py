@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.joint.geometry import Geometry
 from mckibben.joint.tendon import Tendon
 from mckibben.muscle import NO_STATE, Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.elementary import Number
 from mckibben.numerics.spatial import product, total
 
-Bends = dict[tuple[int, int], Any]
+Bends = dict[tuple[int, int], Number]
 """Second derivatives of a path [m/rad^2], by two hinges or joints, the first of which is not after the second."""
 
 
@@ -50,10 +52,10 @@ class Route(NamedTuple):
 
     def rate(self, rates: Sequence[ArrayLike]) -> Array:
         """Return the rate [m/s] of the length of the path, at rates [rad/s] of all joints."""
-        rate: Any = 0.0
+        rate: Number = 0.0
         for joint, slope in self.slopes.items():
             rate = total(rate, product(slope, rates[joint]))
-        return rate
+        return jnp.asarray(rate)
 
 
 def init_states(routes: Sequence[Route], pressures: Sequence[ArrayLike]) -> tuple[MuscleState, ...]:

@@ -288,7 +288,7 @@ class RobotScenario(StudiedScenario):
     def run_once(self, *, source: str = "") -> RobotResult:
         return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
 
-    def suite(self, controllers: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+    def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
         return importlib.import_module("mckibben.robot.comparison").RobotSuite.of(self, controllers, **settings)
 
     def batch_parts(self) -> BatchParts:

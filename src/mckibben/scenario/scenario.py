@@ -201,7 +201,7 @@ class StudiedScenario(RunSettings):
     def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
         """Simulate parts of a batch with a controller, with options of `simulate_many`."""
 
-    def simulate(self, **changes: Any) -> RunResult:
+    def simulate(self, **changes: PyTree) -> RunResult:
         """Run the scenario, with changes as for `replace`."""
         return (self.replace(**changes) if changes else self).run_once()
 
@@ -220,7 +220,7 @@ class StudiedScenario(RunSettings):
         return _above("study.compare").compare(self.suite(controllers, **settings), out=out)
 
     @abc.abstractmethod
-    def suite(self, controllers: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+    def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
         """Return the suite that compares other controllers by name with that of the scenario."""
 
     @checked_call
@@ -406,7 +406,7 @@ class Scenario(StudiedScenario):
         """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
         return _above("reachability").envelope(self)
 
-    def suite(self, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Any:
+    def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
         return _above("study.compare").Suite.of(self, controllers, **settings)
 
     @checked_call

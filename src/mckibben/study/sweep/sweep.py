@@ -177,6 +177,7 @@ def sweep(
 
     Examples
     --------
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").replace(duration=0.2)
     >>> swept = sweep(scenario, ["load.mass2=0.4 kg..0.6 kg"], samples=4, metrics=["angle_rmse"])
     >>> swept.table["load.mass2"].to_numpy().round(3)
