@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
@@ -112,18 +111,20 @@ def _sharing(controller: PyTree, mechanism: Mechanism, numbers: Mechanism) -> Py
     Programs then compute once what both need, such as the stiffness at the measured angle.
     """
 
-    @functools.cache
-    def parts(kind: type) -> list[tuple[Component, Component]]:
-        return list(zip(mechanism.components(kind), numbers.components(kind), strict=True))
+    parts: dict[type, list[tuple[Component, Component]]] = {}
+    found: dict[int, Component] = {}
 
-    def equal_part(node: object) -> Component | None:
-        known = parts(type(node)) if isinstance(node, Component) else ()
-        return next((number for part, number in known if _equal(node, part)), None)
+    def is_part(node: object) -> bool:
+        kind = type(node)
+        if kind not in parts:
+            parts[kind] = list(zip(mechanism.components(kind), numbers.components(kind), strict=True))
+        for part, number in parts[kind]:
+            if _equal(node, part):
+                found[id(node)] = number
+                return True
+        return False
 
-    def shared(node: object) -> object:
-        return numeric(node) if (number := equal_part(node)) is None else number
-
-    return jax.tree.map(shared, controller, is_leaf=lambda node: equal_part(node) is not None)
+    return jax.tree.map(lambda node: found.get(id(node)) or numeric(node), controller, is_leaf=is_part)
 
 
 def _equal(one: PyTree, other: PyTree) -> bool:
