@@ -227,16 +227,17 @@ class Plant(Component, Generic[S]):
         mechanism = self.mechanism
         position, velocity = state[0], state[1]
         rates = mechanism.by_joint(velocity)
-        torques: list[Any] = [0.0] * len(rates)
+        resistance: list[Any] = [0.0] * len(rates)  # minus the torque of the muscles
         tensions, contractions, path_rates = [], [], []
         for route, pressure, held in zip(mechanism.routes(position), state.pressures, state.muscles, strict=True):
             path_rate = route.rate(rates)
             tension, contraction = route.forces(pressure, held, path_rate)
             for joint, slope in route.slopes.items():
-                torques[joint] = difference(torques[joint], tension * slope)
+                resistance[joint] = total(resistance[joint], tension * slope)
             tensions.append(tension)
             contractions.append(contraction)
             path_rates.append(path_rate)
+        torques = [difference(0.0, torque) for torque in resistance]
         if isinstance(state.io, IOState):
             torques = list(map(total, torques, mechanism.by_joint(state.io.disturbance)))
         for joint, (friction, held, at) in enumerate(self._joint_frictions(state)):
