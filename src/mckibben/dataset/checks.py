@@ -375,29 +375,32 @@ def _surface_terms(p: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
 def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     """Pressures, contractions or forces that are shifted from some row on: another zero, a gauge that became absolute.
 
-    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do.
+    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do; that of
+    means at rest also the scatter of their forces.
     """
     taut = np.flatnonzero(points.taut)
-    if len(taut) < fewest or points.timed:
+    if len(taut) < fewest or (points.timed and not points.scatter):
         return
     side = np.zeros(len(points.force)) if points.side is None else points.side
     rows, side = points.table[taut], side[taut]
     usual = np.median(np.abs(_linearised(rows, side)[0]))
     shifts = [_shift(rows, side, quantity) for quantity in range(2 if points.held else 3)]
     quantity = int(np.argmin([shift.rmse for shift in shifts]))
-    row, size, _, median = shifts[quantity]
-    least = (0.5, 0.5, 0.05 * points.force.max())[quantity]
-    if median <= 0.5 * usual and abs(size) >= least:
+    row, size, change, _, median = shifts[quantity]
+    largest = points.force.max()
+    least = (0.5, 0.5, 0.05 * largest)[quantity]
+    if median <= 0.5 * usual and abs(size) >= least and change >= points.scatter * largest:
         name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
         text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
         yield points.ask("order", text, int(taut[row]), name, "shift")
 
 
 class _Shift(NamedTuple):
-    """Row from which a quantity is shifted, by how much, and residuals [N] without it: RMS and absolute median."""
+    """Row from which a quantity is shifted, by how much, also in force [N]; and residuals [N] without it."""
 
     row: int
     size: float
+    change: float
     rmse: float
     median: float
 
@@ -419,8 +422,8 @@ def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> 
         row = row or int(np.argmax((product**2 / apart)[3:-3])) + 3
         size = float(np.clip(size - product[row] / apart[row], -most, most))
         corrected[row:, quantity] = measured[row:, quantity] - size
-    residuals = np.abs(_linearised(corrected, side)[0])
-    return _Shift(row, size, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
+    residuals, change = np.abs(_linearised(corrected, side)[0]), float(np.max(np.abs(size * slope)))
+    return _Shift(row, size, change, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
 
 
 def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.checks import residuals_of
-from mckibben.dataset.isobaric import IsobaricDataset, format_list
+from mckibben.dataset.isobaric import format_list
 from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.segmentation import going_on, usual_interval
 from mckibben.dataset.table import Question, question
 from mckibben.errors import McKibbenWarning
-from mckibben.units import bar, kPa, percent, show
+from mckibben.units import kPa, percent, show
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,8 +35,6 @@ _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
 _EVENTS = 16  # effective number of changes, twice the terms of a fit
-_FEWEST = 4  # points before and after an offset
-_OUT, _BACK = ("unloading", "filling"), ("loading", "venting")
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
 
@@ -63,31 +61,6 @@ def changes_at_once(force: Floats, size: int, most: float) -> bool:
     at = 1 + int(np.argmax(steps[1:]))
     apart = abs(means[: at + 1].mean() - means[at + 1 :].mean())
     return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
-
-
-def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
-    """Question about points in the order of a test, from one of which on a sensor has another zero.
-
-    Least squares of the taut points with ``F = p (a + b eps + c eps^2) + d + e eps`` and friction in either way, from
-    one point on with another plane. It halves the residuals, by a tenth of the largest force on average.
-    """
-    points = dataset.select(dataset.force > _TAUT * dataset.force.max(initial=0.0))
-    force, pressure, contraction = points.force, points.pressure / bar, points.contraction
-    ways = [points.table[name].to_numpy() for name in ("direction", "phase") if name in points.table]
-    sides = [sign * np.isin(way, words) for way in ways for sign, words in ((1.0, _OUT), (-1.0, _BACK))]
-    side, ones = np.sum([0 * force, *sides], axis=0), np.ones_like(force)
-    plane = [ones, contraction, pressure]
-    basis = np.column_stack([*plane, pressure * contraction, pressure * contraction**2, side, side * pressure])
-    fits = [(float(np.sum(residuals_of(force, basis) ** 2)), 0, 0.0)]
-    for at in range(_FEWEST, len(force) - _FEWEST if len(force) > 2 * basis.shape[1] else 0):
-        after = (np.arange(len(force)) >= at)[:, None] * basis[:, :3]
-        solution = np.linalg.lstsq(np.column_stack([basis, after]), force, rcond=None)[0]
-        left = force - np.column_stack([basis, after]) @ solution
-        fits.append((float(left @ left), at, float(np.mean(after[at:] @ solution[-3:]))))
-    least, at, step = min(fits)
-    if 4 * least < fits[0][0] and 0.1 < abs(step) / force.max() < 1:
-        text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
-        yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
 
 
 def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], list[Question]]:

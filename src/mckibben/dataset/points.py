@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, offset_from, places
+from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, places
 from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
 from mckibben.dataset.schema import OF_FILE
@@ -178,7 +178,7 @@ def extracted_points(
         points, more = with_passes(points, np.zeros(len(spread), np.int64))
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
-    asked = [*offset_from(dataset)]
+    asked = []
     for query in questions_of(dataset, np.arange(len(dataset)), scatter=_SCATTER):
         at = "" if query.problem.line is None else f", at {points['time'].to_numpy()[query.problem.line]:.6g} s"
         asked.append(query._replace(problem=replace(query.problem, message=query.problem.message + at, line=None)))
