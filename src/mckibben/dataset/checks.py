@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.preprocessing import contraction_rate, held_loads, pressure_levels
 from mckibben.dataset.raw import Floats
+from mckibben.dataset.segmentation import runs
 from mckibben.dataset.table import Question, question
 from mckibben.errors import Problem
 from mckibben.muscle import air
@@ -270,8 +271,8 @@ def _saturated(points: Points) -> Iterator[Question]:
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
     if points.held:  # the forces are not those of a sensor
         return
-    begins = np.flatnonzero(np.diff(points.force, prepend=np.nan) != 0)
-    stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
+    begins, lengths = runs(points.force)
+    stays = lengths * points.taut[begins]
     if np.count_nonzero(stays > 1) == 1 and 4 < stays.max() < len(points.force):  # else a weight
         first = int(begins[stays.argmax()])
         yield points.ask("rows", "the force stays for 5 rows or more: was the sensor stuck, first", first)
@@ -422,7 +423,8 @@ def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> 
         row = row or int(np.argmax((product**2 / apart)[3:-3])) + 3
         size = float(np.clip(size - product[row] / apart[row], -most, most))
         corrected[row:, quantity] = measured[row:, quantity] - size
-    residuals, change = np.abs(_linearised(corrected, side)[0]), float(np.max(np.abs(size * slope)))
+    residuals, _, slopes = _linearised(corrected, side)
+    residuals, change = np.abs(residuals), float(np.max(np.abs(size * slopes[:, quantity])))
     return _Shift(row, size, change, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -16,9 +16,9 @@ from mckibben.dataset.checks import residuals_of
 from mckibben.dataset.isobaric import format_list
 from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
-from mckibben.dataset.segmentation import going_on, usual_interval
+from mckibben.dataset.segmentation import alternation, going_on, runs, usual_interval
 from mckibben.dataset.table import Question, question
-from mckibben.errors import McKibbenWarning
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.units import kPa, percent, show
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], lis
     Table, whose `preprocessing` says what is left out, the rows that are left, and questions about other faults.
     """
     time, lost, notes = table["time"].to_numpy(), np.zeros(table.sizes["point"], bool), list[str]()
-    signals = RecordedSignals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
+    signals = RecordedSignals(table := table.assign(time=("point", going_on(time))))
     back = np.flatnonzero(np.diff(time) < 0) + 1
     near = round(_DWELL / signals.interval)
     parts = {f"the {name} is stuck": spans for name, spans in signals.stuck.items() if spans}
@@ -82,7 +82,6 @@ def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], lis
         notes.append(f"{LOST}, as {reason}: {places(time, spans)}")
     for note in notes:
         warnings.warn(note, McKibbenWarning, stacklevel=user_level())
-    table = table.assign(time=("point", signals.time))
     return with_notes(table, notes).isel(point=~lost), np.flatnonzero(~lost), signals.questions()
 
 
@@ -97,15 +96,22 @@ class RecordedSignals:
 
     Parameters
     ----------
-    time
-        Shape (samples,) [s].
-    values
-        Pressure [Pa], contraction [-] if it is known, and force [N], shape (samples,) each.
+    table
+        Samples with time [s], pressure [Pa], contraction [-] if it is known, and force [N].
+
+    Raises
+    ------
+    RangeError
+        If the time does not advance.
     """
 
-    def __init__(self, time: Floats, values: Mapping[str, Floats]) -> None:
-        self.time, self.values = time, values
+    def __init__(self, table: xr.Dataset) -> None:
+        self.time = time = table["time"].to_numpy()
+        self.values = values = {name: table[name].to_numpy() for name in (*_MOVES, "force") if name in table}
         self.interval, self.gaps = usual_interval(np.diff(time))
+        if not self.interval:
+            remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
+            raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
         self.size = max(1, round(_DWELL / 4 / self.interval))
         self.edges = np.arange(0, max(len(time) - self.size + 1, 1), self.size)
         sizes = np.diff(self.edges, append=len(time))
@@ -120,20 +126,19 @@ class RecordedSignals:
         """
         stuck: dict[str, list[slice]] = {name: [] for name in self.values}
         for name, values in self.values.items():
-            begins = np.append(np.flatnonzero(np.diff(values, prepend=np.nan) != 0), len(values))
-            lengths, heights = np.diff(begins), values[begins[:-1]]
+            begins, lengths = runs(values)
+            heights = values[begins]
             stays = lengths * self.interval >= _DWELL
             others = lengths[~stays]
             if len(others) <= 2 * np.count_nonzero(stays):  # typed in
                 continue
-            steps = np.diff(heights[~stays])  # change signs from sample to sample in noise
             repeats = 1 - len(others) / others.sum()
-            noisy = repeats < _REPEATS < np.mean(steps[:-1] * steps[1:] < 0) and np.count_nonzero(stays) < _MOST_STAYS
+            noisy = repeats < _REPEATS < alternation(np.diff(heights[~stays])) and np.count_nonzero(stays) < _MOST_STAYS
             noisy &= lengths * np.log(max(repeats, 1e-9)) < 2 * np.log(1e-6 / len(values))  # no chance, in half of them
             inside = (heights > values.min()) & (heights < values.max())  # else saturated
             taut = heights > values.min() + _TAUT * np.ptp(values)
             for at in np.flatnonzero(stays):
-                part = slice(begins[at], begins[at + 1])
+                part = slice(begins[at], begins[at] + lengths[at])
                 if (noisy[at] and inside[at]) or (name == "force" and taut[at] and self._moves(part)):
                     stuck[name].append(part)
         return stuck

@@ -54,11 +54,9 @@ VARIABLES: Mapping[str, Variable] = {
 """Variables of a dataset; the first gives the number of points."""
 
 RECORDED: Mapping[str, Variable] = {
-    "time": Variable("s", "time", required=True, dims=("sample",)),
-    "pressure": Variable("Pa", "gauge pressure", required=True, dims=("sample",)),
-    "force": Variable("N", "axial pull", required=True, dims=("sample",)),
-    "contraction": Variable("1", "contraction, positive when shorter", dims=("sample",)),
-    "set_pressure": Variable("Pa", "nominal gauge pressure", dims=("sample",)),
+    name: VARIABLES[name]._replace(required=required, dims=("sample",))
+    for required, names in ((True, ("time", "pressure", "force")), (False, ("contraction", "set_pressure")))
+    for name in names
 }
 """Variables of a recording; the first gives the number of samples."""
 

@@ -15,6 +15,21 @@ _GAP = 10  # usual intervals
 _PARTS = 20  # of a dwell: length of the compared means
 
 
+def runs(values: NDArray[np.generic]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First index and length of each run of equal values.
+
+    >>> [part.tolist() for part in runs(np.array([3.0, 3.0, 1.0]))]
+    [[0, 2], [2, 1]]
+    """
+    begins = np.flatnonzero(np.append(True, values[1:] != values[:-1])[: len(values)])
+    return begins, np.diff(begins, append=len(values))
+
+
+def alternation(steps: NDArray[np.float64]) -> float:
+    """Share of differences that change sign from one to the next, as they do in noise: 0 without any."""
+    return float(np.mean(steps[:-1] * steps[1:] < 0)) if len(steps) > 1 else 0.0
+
+
 def usual_interval(steps: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
     """Sampling interval [s] during most of the time, 0 if the time does not advance, and the steps that are gaps.
 

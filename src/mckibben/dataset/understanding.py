@@ -15,7 +15,7 @@ from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque
 from mckibben.dataset.cells import NUMBER, to_numbers
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
-from mckibben.dataset.schema import unquote
+from mckibben.dataset.schema import WORDS, unquote
 from mckibben.dataset.segmentation import usual_interval
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
 from mckibben.dataset.vocabulary import (
@@ -53,20 +53,13 @@ _AT_JOINT = (
     "lever also --read 'lever=250 mm'; else "
 )
 _AT_LEVER = "of forces at a lever of the joint, give its arm: --read 'lever=250 mm' (in Python lever=0.25); else "
-_UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
-_WORDS: Mapping[str, Mapping[str, str]] = {
-    "direction": {
-        **dict.fromkeys("loading stretching belasten belastung dehnen".split(), "loading"),
-        **dict.fromkeys("unloading shortening entlasten entlastung verkürzen".split(), "unloading"),
-        **_UNKNOWN,
-    },
-    "phase": {
-        **dict.fromkeys("filling inflating befüllen".split(), "filling"),
-        **dict.fromkeys("venting deflating entlüften".split(), "venting"),
-        **_UNKNOWN,
-    },
+_SYNONYMS: Mapping[str, str] = {
+    "loading": "stretching belasten belastung dehnen",
+    "unloading": "shortening entlasten entlastung verkürzen",
+    "filling": "inflating befüllen",
+    "venting": "deflating entlüften",
 }
-"""Meanings of the words of a direction and of a phase; of none and of unknown ones it is empty."""
+"""Words of a direction and of a phase."""
 _MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
@@ -333,7 +326,7 @@ class _Reader:
         """Questions about headers of the recipe that the file does not have."""
         names = {column.name for column in self.raw.columns} | {column.label for column in self.raw.columns}
         for key, name in self.mapping.items():
-            if key not in names and name not in ("loading", "unloading", "filling", "venting"):
+            if key not in names and name not in _SYNONYMS:
                 known = [column.name for column in self.raw.columns]
                 close = closest(key, known)
                 remedy = f"did you mean {close!r}?" if close else f"the file has {', '.join(known[:20])}"
@@ -350,7 +343,7 @@ class _Reader:
                 self.table.clock = column.name
                 return
             values, remarks = continuous(clock)
-        elif name in _WORDS:
+        elif name in WORDS:
             values = self._meaning(name, column)
         elif problem := self._not_convertible(column, header):
             self.asked_about |= {"contraction"} if name in MOTIONS else {name}
@@ -411,13 +404,14 @@ class _Reader:
 
     def _meaning(self, name: str, column: RawColumn) -> np.ndarray:
         """Directions or phases by their words."""
-        said = {**_WORDS[name], **{key.lower(): word for key, word in self.mapping.items() if word in _WORDS[name]}}
+        said = dict.fromkeys(("", "unknown", "unbekannt"), "")
+        said |= {synonym: word for word in WORDS[name] for synonym in (word, *_SYNONYMS[word].split())}
+        said |= {key.lower(): word for key, word in self.mapping.items() if word in WORDS[name]}
         cells = [str(cell).strip().lower() for cell in column.cells]
-        first, second = list(dict.fromkeys(filter(None, _WORDS[name].values())))
         for cell in [cell for cell in dict.fromkeys(cells) if cell not in said][:_WORDS_LISTED]:
             at = cells.index(cell)
             shown = str(column.cells[at])[:40]
-            meant = (_COLUMN_REMEDY.format(shown, word).removeprefix("name it: ") for word in (first, second))
+            meant = (_COLUMN_REMEDY.format(shown, word).removeprefix("name it: ") for word in WORDS[name])
             remedy = f"give its meaning: {' or '.join(meant)}"
             self.ask(f"{shown!r} is not a {name}", field=column.name, line=int(self.table.lines[at]), remedy=remedy)
         return np.array([said.get(cell, "") for cell in cells], "<U9")
