@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from mckibben.dataset.vocabulary import (
     ABSOLUTE,
     OF_MUSCLES,
     QUANTITIES,
+    VOCABULARY,
     Header,
     dimension_of,
     is_harmless,
@@ -53,13 +54,6 @@ _AT_JOINT = (
     "lever also --read 'lever=250 mm'; else "
 )
 _AT_LEVER = "of forces at a lever of the joint, give its arm: --read 'lever=250 mm' (in Python lever=0.25); else "
-_SYNONYMS: Mapping[str, str] = {
-    "loading": "stretching belasten belastung dehnen",
-    "unloading": "shortening entlasten entlastung verkürzen",
-    "filling": "inflating befüllen",
-    "venting": "deflating entlüften",
-}
-"""Words of a direction and of a phase."""
 _MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
@@ -326,7 +320,7 @@ class _Reader:
         """Questions about headers of the recipe that the file does not have."""
         names = {column.name for column in self.raw.columns} | {column.label for column in self.raw.columns}
         for key, name in self.mapping.items():
-            if key not in names and name not in _SYNONYMS:
+            if key not in names and name not in VOCABULARY["synonyms"]:
                 known = [column.name for column in self.raw.columns]
                 close = closest(key, known)
                 remedy = f"did you mean {close!r}?" if close else f"the file has {', '.join(known[:20])}"
@@ -405,7 +399,7 @@ class _Reader:
     def _meaning(self, name: str, column: RawColumn) -> np.ndarray:
         """Directions or phases by their words."""
         said = dict.fromkeys(("", "unknown", "unbekannt"), "")
-        said |= {synonym: word for word in WORDS[name] for synonym in (word, *_SYNONYMS[word].split())}
+        said |= {synonym: word for word in WORDS[name] for synonym in (word, *VOCABULARY["synonyms"][word].split())}
         said |= {key.lower(): word for key, word in self.mapping.items() if word in WORDS[name]}
         cells = [str(cell).strip().lower() for cell in column.cells]
         for cell in [cell for cell in dict.fromkeys(cells) if cell not in said][:_WORDS_LISTED]:
