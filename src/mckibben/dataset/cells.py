@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.dataset.raw import Floats
+from mckibben.dataset.table import refusal
 from mckibben.dataset.vocabulary import dimension_of
-from mckibben.errors import DatasetError, Problem
 
 SEPARATORS = ("\t", ";", ",", "|", " ")
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
@@ -46,7 +46,7 @@ def decimal_of(rows: Sequence[str], separator: str, path: Path) -> str:
     sample = rows[:: 1 + len(rows) // _SAMPLED]
     decimal, unclear = decimal_sign([cell for line in sample for cell in split_cells(line, separator)], separator)
     if unclear:
-        raise DatasetError(str(path), [Problem(unclear, remedy=_DECIMAL_REMEDY)])
+        raise refusal(path, unclear, _DECIMAL_REMEDY)
     return decimal
 
 

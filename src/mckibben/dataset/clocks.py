@@ -13,8 +13,7 @@ from mckibben.dataset.cells import to_numbers
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.segmentation import usual_interval
-from mckibben.dataset.vocabulary import Header, parse_header, parse_line
-from mckibben.errors import DatasetError, Problem
+from mckibben.dataset.table import refusal
 from mckibben.units import quantity
 
 ESTIMATED, PAIRED = "estimated", "paired"
@@ -80,20 +79,18 @@ def join_clocks(
     else:
         doubt = "no quantity is in both files, from which the second clock could be estimated"
     if clock is None or time1 is None or time2 is None:
-        raise DatasetError(str(path), [Problem(doubt, field="clocks", remedy=remedy)])
+        raise refusal(path, doubt, remedy, "clocks")
     said = f"second clock: starts at {clock.offset:.6g} s of the first and runs {1e6 * clock.drift:.3g} ppm slow"
     said = ", ".join([said, *remarks])
     joined = _at_times(first, time1, second, clock.of(time2))
-    needless = [column.name for column in second.columns if _header(column, mapping).quantity in ("time", *shared)]
+    needless = [column.name for column in second.columns if column.header(mapping).quantity in ("time", *shared)]
     return replace(joined, comments=first.comments | {"clocks": said}), needless
 
 
 def _renamed(table: RawTable, taken: set[str]) -> RawTable:
     """Table whose columns have other names than those of another table."""
     columns = [
-        replace(column, name=f"{column.name} (2)", label=column.label or column.name)
-        if column.name in taken
-        else column
+        replace(column, name=f"{column.name} (2)", label=column.title) if column.name in taken else column
         for column in table.columns
     ]
     return replace(table, columns=columns)
@@ -124,15 +121,12 @@ def join_pairs(path: Path, table: RawTable, mapping: Mapping[str, str]) -> tuple
 
     Also returns the columns of the other times, to be ignored. Raises a `DatasetError` if there are not several times.
     """
-    clocks = [at for at, column in enumerate(table.columns) if _header(column, mapping).quantity == "time"]
+    clocks = [at for at, column in enumerate(table.columns) if column.header(mapping).quantity == "time"]
     parts = [table.columns[at:end] for at, end in zip(clocks, [*clocks[1:], None], strict=True)]
     parts = [_filled(table, part) for part in parts if len(part) > 1]
     timed = [_timed(part, mapping)[0] for part in parts]
     if len(parts) < 2 or any(time is None or np.any(np.diff(time) <= 0) for time in timed):
-        problem = Problem(
-            "has no columns of rising times before its signals", field="clocks", remedy="leave clocks out"
-        )
-        raise DatasetError(str(path), [problem])
+        raise refusal(path, "has no columns of rising times before its signals", "leave clocks out", "clocks")
     joined = replace(parts[0], columns=[*table.columns[: clocks[0]], *parts[0].columns])
     for part, times in zip(parts[1:], timed[1:], strict=True):
         part = replace(part, words=[], questions=[])
@@ -159,17 +153,11 @@ def _rows(column: RawColumn, inside: np.ndarray) -> Floats | list[str]:
     return cells[inside] if isinstance(cells, np.ndarray) else [cells[row] for row in np.flatnonzero(inside).tolist()]
 
 
-def _header(column: RawColumn, mapping: Mapping[str, str]) -> Header:
-    label = column.label or column.name
-    name = mapping.get(column.name, mapping.get(label, ""))
-    return parse_header(parse_line(name)[2]) if name else parse_header(label, column.unit)
-
-
 def _timed(table: RawTable, mapping: Mapping[str, str]) -> tuple[Floats | None, dict[str, Floats], list[str]]:
     """Time [s] of a table, None if none is understood, its columns of numbers by quantity, and remarks on the time."""
     time, signals, remarks = None, dict[str, Floats](), list[str]()
     for column in table.columns:
-        header = _header(column, mapping)
+        header = column.header(mapping)
         if header.quantity == "time":
             if (clock := seconds_of(header, column.cells)) is not None:
                 time, remarks = continuous(clock)

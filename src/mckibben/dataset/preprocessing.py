@@ -91,15 +91,10 @@ def pressure_levels(pressure: Floats, tolerance: float = _LEVEL) -> Floats:
 
 def level_means(values: Floats, tolerance: float) -> Floats:
     """As `pressure_levels`, of any quantity: means of the values that follow each other closely, NaN in a sweep."""
-    order = np.argsort(values, kind="stable")
-    ranked = values[order]
-    group = np.cumsum(np.diff(ranked, prepend=ranked[:1]) > tolerance)
-    mean = np.bincount(group, ranked) / np.maximum(np.bincount(group), 1)
-    first, last = (np.searchsorted(group, np.arange(len(mean)), side=side) for side in ("left", "right"))
-    wide = ranked[last - 1] - ranked[first] > 3 * tolerance
-    levels = np.empty(len(values))
-    levels[order] = np.where(wide, np.nan, mean)[group]
-    return levels
+    ranked = pd.Series(values).sort_values()
+    groups = ranked.groupby((ranked.diff() > tolerance).cumsum())
+    narrow = groups.transform("max") - groups.transform("min") <= 3 * tolerance
+    return groups.transform("mean").where(narrow).sort_index().to_numpy()
 
 
 def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:

@@ -16,7 +16,7 @@ import numpy as np
 from mckibben.dataset.cells import BEGINS, NUMBER, SEPARATORS, WITH_UNIT, Layout, decimal_of, split_cells, to_numbers
 from mckibben.dataset.matrix import matrix_remedy
 from mckibben.dataset.raw import MOST_PLAIN, Budget, Floats, RawColumn, RawTable
-from mckibben.dataset.table import question
+from mckibben.dataset.table import question, refusal
 from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
 
@@ -50,8 +50,7 @@ def decode(data: bytes, path: Path) -> str:
     if not encoding and b"\0" in data:
         encoding = next(filter(partial(_is_text, data), ("utf-16-le", "utf-16-be")), "")
         if not encoding:
-            remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
-            raise DatasetError(str(path), [Problem("is a binary file", remedy=remedy)])
+            raise refusal(path, "is a binary file", "give text in UTF-8, .xlsx, .h5, .mat or .tdms")
     try:
         return data.decode(encoding or "utf-8")
     except UnicodeDecodeError:
@@ -158,7 +157,7 @@ def read_lines(
     budget, table = Budget(path), RawTable(place="line")
     budget.spend(rows=len(lines))
     if max(map(len, lines)) > _LONGEST:
-        raise DatasetError(str(path), [Problem(f"has a line of more than {_LONGEST} characters", remedy="save rows")])
+        raise refusal(path, f"has a line of more than {_LONGEST} characters", "save rows")
     layout = find_layout(lines, mapping)
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
@@ -332,9 +331,9 @@ def _cells(rows: Sequence[str], separator: str, decimal: str, count: int, path: 
     try:
         read = _frame(io.StringIO("\n".join(rows)), separator, decimal, count, quoting=quoting)
     except ValueError as error:
-        raise DatasetError(str(path), [Problem(f"cannot be split into cells: {error}")]) from None
+        raise refusal(path, f"cannot be split into cells: {error}") from None
     if len(read) != len(rows):
-        raise DatasetError(str(path), [Problem("has quotation marks across lines", remedy="remove them")])
+        raise refusal(path, "has quotation marks across lines", "remove them")
     return [
         read[at].to_numpy(np.float64) if read[at].dtype.kind in "iuf" else [str(cell).strip() for cell in read[at]]
         for at in range(count)
@@ -378,8 +377,8 @@ def _of_labview(lines: list[str], path: Path) -> list[str]:
     """
     ends = [row for row, line in enumerate(lines) if line.startswith("***End_of_Header***")]
     if len(ends) != 2:
-        problem = Problem(f"has {max(len(ends) - 1, 0)} segments", remedy="write one segment to a file, or give TDMS")
-        raise DatasetError(str(path), [problem])
+        remedy = "write one segment to a file, or give TDMS"
+        raise refusal(path, f"has {max(len(ends) - 1, 0)} segments", remedy)
     before, header, rows = lines[: ends[1]], *lines[ends[1] + 1 : ends[1] + 2], lines[ends[1] + 2 :]
     separator = "," if any(line.startswith("Separator,") for line in before) else "\t"
     units = next((line for line in before if line.startswith("Y_Unit_Label")), "").split(separator)[1:]

@@ -132,7 +132,7 @@ class _Reader:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
             meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
-            at_joint = any(parse_header(column.label or column.name).quantity in _OF_JOINTS for column in raw.columns)
+            at_joint = any(column.header().quantity in _OF_JOINTS for column in raw.columns)
             of_joint = _AT_JOINT if at_joint and not self.recipe.joint else ""
             of_joint = _AT_LEVER if "torque" in missing and "force" in table.columns else of_joint
             named = f"{of_joint}name them: {meant}{_ELSEWHERE}"
@@ -189,11 +189,10 @@ class _Reader:
         for column in self.raw.columns:
             if column.name not in self.table.ignored:
                 continue
-            label = column.label or column.name
-            unit = parse_header(label, column.unit).unit
+            unit = column.header().unit
             if dimension_of(unit) == quantity and quantity not in _KINDS:
                 return f"--column '{column.name}={quantity}_{unit}'"
-            match = _WITH_UNIT.fullmatch(label)
+            match = _WITH_UNIT.fullmatch(column.title)
             if match and parse_header(match[1]).quantity == quantity:
                 unit = closest(match[2], QUANTITIES[quantity])
                 line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
@@ -226,23 +225,24 @@ class _Reader:
         """Columns that are understood, with sign and origin; questions about the others."""
         understood = []
         for column in self.raw.columns:
-            label = column.label or column.name
-            name = self.mapping.get(column.name, self.mapping.get(label, ""))
+            name = column.name_in(self.mapping)
             if name == "ignore":
                 self.table.ignored.append(column.name)
                 continue
             gain, offset, name = parse_line(name)
-            header = parse_header(name) if name else self._header_of(column, label)
+            header = parse_header(name) if name else self._header_of(column)
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
                 known = [f"{quantity}_{units[0]}" for quantity, units in QUANTITIES.items() if units]
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
-                source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
+                source = (
+                    "columns" if name else "file" if column.unit and not parse_header(column.title).unit else "header"
+                )
                 understood.append(_Entry(column, header, source, gain, offset))
                 self._ask_of_contradiction(understood[-1])
             else:
-                self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
+                self._unread(column, header.unit)
         sensed = any(entry.header.quantity == "force" for entry in understood)
         return understood if sensed else [entry.without_sensor() for entry in understood]
 
@@ -251,31 +251,32 @@ class _Reader:
         if entry.source != "columns" or abs(entry.gain) != 1 or entry.offset:
             return
         column, named = entry.column, entry.header
-        said = parse_header(column.label or column.name, column.unit)
+        said = column.header()
         unlike = said.unit != named.unit and dimension_of(said.unit) and dimension_of(named.unit)
         if unlike or (said.absolute and not named.absolute and "pressure" in named.quantity):
             text = f"is named {named.quantity}_{named.unit}, which contradicts its header"
             self.ask(text, "words", field=column.name, remedy="correct either")
 
-    def _header_of(self, column: RawColumn, label: str) -> Header:
+    def _header_of(self, column: RawColumn) -> Header:
         """Meaning of a column that the recipe does not name; those of a joint are read in its tests alone."""
-        header = parse_header(label, column.unit)
+        header = column.header()
         if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
             return Header("time", "") if seconds_of(header, column.cells) is not None else header
         return header if self.recipe.joint is not None or header.quantity not in _OF_JOINTS else Header("", header.unit)
 
-    def _unread(self, column: RawColumn, label: str, dimension: str, *, other_unit: bool) -> None:
+    def _unread(self, column: RawColumn, unit: str) -> None:
         """Ask about a column that is not understood, unless its name or its content says that it is not needed."""
         self.table.ignored.append(column.name)
         if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
             self.raw.words += [(line, cell) for line, cell in zip(self.raw.lines, column.cells, strict=True) if cell]
             return
-        if dimension in ("", *_NEEDLESS_UNITS) and _is_needless(column, label, other_unit=other_unit):
-            return
-        remedy = _NEEDLESS.format(column.name)
-        if dimension not in ("", *_NEEDLESS_UNITS):
+        remedy, dimension = _NEEDLESS.format(column.name), dimension_of(unit)
+        if dimension in ("", *_NEEDLESS_UNITS):
+            if _is_needless(column, other_unit=bool(unit)):
+                return
+        else:
             kinds = _KINDS.get(dimension, "")
-            meant = f"{'KIND' if kinds else dimension}_{parse_header(label, column.unit).unit}"
+            meant = f"{'KIND' if kinds else dimension}_{unit}"
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}{kinds}; {remedy}"
         self.ask("is not understood", "columns", field=column.name, remedy=remedy)
 
@@ -484,16 +485,16 @@ def _unless(match: re.Match[str], initial: float) -> str:
     return "" if abs(quantity(match[0], "m") - initial) < _ROUNDING else match[0]
 
 
-def _is_needless(column: RawColumn, label: str, *, other_unit: bool) -> bool:
+def _is_needless(column: RawColumn, *, other_unit: bool) -> bool:
     """Whether the name or the content of a column says that it is no pressure, force, length or mark of rows."""
     cells = column.cells
     if isinstance(cells, np.ndarray):
         if _UNNAMED.fullmatch(column.name):
             return bool(np.all(np.diff(cells) == 1))
-        return other_unit or is_harmless(label)
+        return other_unit or is_harmless(column.title)
     texts = {str(cell).strip() for cell in cells} - {""}
     numbers = sum(bool(NUMBER.fullmatch(text)) for text in texts)
     if 0 < numbers < len(texts):
         return False
     constant = len(texts) == 1 and not any(dimension_of(text) or set("0123456789") & {*text} for text in texts)
-    return not texts or constant or is_harmless(label)
+    return not texts or constant or is_harmless(column.title)
