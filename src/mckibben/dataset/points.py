@@ -16,7 +16,7 @@ from mckibben.dataset.checks import questions_of
 from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, places
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
-from mckibben.dataset.schema import OF_FILE
+from mckibben.dataset.schema import OF_FILE, WORDS
 from mckibben.dataset.segmentation import alternation, runs
 from mckibben.dataset.table import open_problems
 from mckibben.errors import DatasetError, McKibbenWarning
@@ -160,6 +160,7 @@ def extracted_points(
         With the questions that remain.
     """
     spread = np.asarray(columns.pop("force_spread"), np.float64)
+    columns = {name: values for name, values in columns.items() if name not in WORDS or np.any(values != "")}
     attrs = {name: value for name, value in table.attrs.items() if name not in (*OF_FILE, "preprocessing")}
     points = IsobaricDataset.of(**columns, **attrs).table  # type: ignore[arg-type]
     points = points.assign(force_spread=("point", spread)).assign_attrs(table.attrs)
@@ -182,9 +183,7 @@ def extracted_points(
     if problems := open_problems(asked, accept) if len(dataset) else []:
         raise DatasetError(dataset.table.attrs["source"] or "recording", problems)
     notes += [query.problem.message for query in asked]
-    words = [
-        points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in ("direction", "phase")
-    ]
+    words = [points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in WORDS]
     return ExtractedPoints(
         points["time"].to_numpy(),
         dataset.pressure,
