@@ -50,14 +50,16 @@ def decimal_of(rows: Sequence[str], separator: str, path: Path) -> str:
     return decimal
 
 
-def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
-    """Numbers of texts, NaN where a cell is none.
+def to_numbers(cells: Floats | Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
+    """Numbers of texts, NaN where a cell is none; numbers remain what they are.
 
     Groups of thousands are read where their sign cannot be the decimal one: `certain`, or another cell has both.
 
     >>> to_numbers(["1.234,5", "2.000", "3 000", "x"], ",").tolist()
     [1234.5, 2000.0, 3000.0, nan]
     """
+    if isinstance(cells, np.ndarray):
+        return cells
     import pandas as pd
 
     other = {".": ",", ",": "."}[decimal]

@@ -89,9 +89,8 @@ class Points:
 
     def every(self, step: int) -> Points:
         """Every second point, say."""
-        names = "pressure", "contraction", "force", "lines", "side", "rate"
-        columns = {name: getattr(self, name) for name in names}
-        return replace(self, **{name: values[::step] for name, values in columns.items() if values is not None})
+        columns = {name: values[::step] for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        return replace(self, **columns)
 
     def ask(self, topic: str, text: str, row: int | None = None, field: str = "", remedy: str = "") -> Question:
         """A question, about a row, with the remedy of its topic or of another."""
@@ -161,12 +160,7 @@ def _sign(points: Points) -> Iterator[Question]:
     negative, positive = np.count_nonzero(force < -limit), np.count_nonzero(force > limit)
     if negative:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
-        asked = points.ask("sign", text, field="force")
-        yield (
-            asked
-            if negative <= positive or rise > 0
-            else Question(Problem(text, field="force", remedy=_REMEDIES["sign"]))
-        )
+        yield points.ask("sign" if negative <= positive or rise > 0 else "", text, field="force", remedy="sign")
 
 
 def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
@@ -281,9 +275,8 @@ def _saturated(points: Points) -> Iterator[Question]:
     shorter = points.contraction[top, None] - points.contraction[top]
     apart = (pressure > 1.15 * pressure[:, None]) & (shorter > 0.1 * stroke)
     counts = np.unique(points.force[points.taut], return_counts=True)[1]
-    if len(top) < len(points.force) and (
-        apart.any() or (len(counts) > 2 and counts[-1] > max(2, 2 * max(counts[:-1])))
-    ):
+    repeats = len(counts) > 2 and counts[-1] > max(2, 2 * max(counts[:-1]))
+    if len(top) < len(points.force) and (apart.any() or repeats):
         text = "forces of very different points are within 3 % of the largest: is the sensor saturated, first"
         yield points.ask("saturation", text, int(top[np.argmax(apart.any(axis=1))]), "force")
 
@@ -317,10 +310,8 @@ def _surface(points: Points) -> Iterator[Question]:
     falls_with, measured = (2, 1) if points.held else (1, 2)
     plane = force_plane(rows[taut, falls_with], rows[taut, 0], rows[taut, measured])
     if min(plane.falls, plane.rises) < -1 or plane.share < 1 / 2:
-        text = (
-            "the force does not rise with the pressure and fall with the contraction: exchanged columns, a wrong sign?"
-        )
-        yield points.ask("order", text, field="force")
+        text = "the force does not rise with the pressure and fall with the contraction"
+        yield points.ask("order", f"{text}: exchanged columns, a wrong sign?", field="force")
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
     terms, _, slopes = _surface_terms(p, x)
     moving = np.ones(len(rows), bool) if points.rate is None or points.held else np.isfinite(points.rate)
@@ -351,9 +342,8 @@ def _surface(points: Points) -> Iterator[Question]:
         share[x < 0] = 0.0
     usual = np.quantile(share[taut], 0.8)
     level = np.where(np.isnan(level := pressure_levels(points.pressure)), points.pressure, level)
-    stronger = (
-        (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1]) & (rows[:, 2] > rows[:, None, 2] + 0.03 * largest)
-    )
+    stronger = (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1])
+    stronger &= rows[:, 2] > rows[:, None, 2] + 0.03 * largest
     lone = (np.count_nonzero(~points.taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
     far[taut] |= left_out > most
@@ -526,10 +516,9 @@ def _offsets(points: Points) -> Iterator[Question]:
     if solution[0] > 0 and pressure.min() >= 0.7 and 0.75 - error <= begin <= 1.6 + error and begin > 2.5 * error:
         text = f"the force at the initial length begins at about {begin:.2g} bar: are the pressures absolute?"
         yield points.ask("gauge", text, field="pressure")
-    elif (
-        max(0.05 * largest, 2.5 * np.sqrt(covariance[1, 1])) < pull < 0.6 * largest
-        and pull + solution[2:3].sum() > 0.5 * pull
-    ):
+        return
+    least, falls = max(0.05 * largest, 2.5 * np.sqrt(covariance[1, 1])), -solution[2:3].sum()
+    if least < pull < 0.6 * largest and falls < 0.5 * pull:
         text = f"a force of about {pull:.3g} N would remain without pressure: an offset of the load cell?"
         yield points.ask("zero", text, field="force")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -60,26 +61,28 @@ def join_clocks(
     DatasetError
         If the second clock is not determined.
     """
-    second = _renamed(second, {column.name for column in first.columns})
+    taken = {column.name for column in first.columns}
+    renamed = [
+        replace(column, name=f"{column.name} (2)", label=column.title) if column.name in taken else column
+        for column in second.columns
+    ]
+    second = replace(second, columns=renamed)
     (time1, own, _), (time2, others, remarks) = (_timed(table, mapping) for table in (first, second))
-    shared = [name for name in own if name in others]
-    clock, doubt, remedy = None, "", _STATED
     if time1 is None or time2 is None:
-        doubt = f"the {'second' if time1 is not None else 'first'} file has no column of the time that is understood"
-        remedy = "name it: --column 'HEADER=time_ms'"
-    elif backward := [name for name, time in (("first", time1), ("second", time2)) if np.any(np.diff(time) <= 0)]:
-        doubt, remedy = (
-            f"the clock of the {backward[0]} file does not advance, or goes back",
-            "leave out the rows before",
-        )
-    elif clocks != ESTIMATED:
+        text = f"the {'second' if time1 is not None else 'first'} file has no column of the time that is understood"
+        raise refusal(path, text, "name it: --column 'HEADER=time_ms'", "clocks")
+    for name, time in (("first", time1), ("second", time2)):
+        if np.any(np.diff(time) <= 0):
+            text = f"the clock of the {name} file does not advance, or goes back"
+            raise refusal(path, text, "leave out the rows before", "clocks")
+    shared = [name for name in own if name in others]
+    clock, doubt = None, "no quantity is in both files, from which the second clock could be estimated"
+    if clocks != ESTIMATED:
         clock = Clock.parse(clocks)
     elif shared:
         clock, doubt = estimate_clock(time1, own[shared[0]], time2, others[shared[0]])
-    else:
-        doubt = "no quantity is in both files, from which the second clock could be estimated"
-    if clock is None or time1 is None or time2 is None:
-        raise refusal(path, doubt, remedy, "clocks")
+    if clock is None:
+        raise refusal(path, doubt, _STATED, "clocks")
     said = f"second clock: starts at {clock.offset:.6g} s of the first and runs {1e6 * clock.drift:.3g} ppm slow"
     said = ", ".join([said, *remarks])
     joined = _at_times(first, time1, second, clock.of(time2))
@@ -87,21 +90,16 @@ def join_clocks(
     return replace(joined, comments=first.comments | {"clocks": said}), needless
 
 
-def _renamed(table: RawTable, taken: set[str]) -> RawTable:
-    """Table whose columns have other names than those of another table."""
-    columns = [
-        replace(column, name=f"{column.name} (2)", label=column.title) if column.name in taken else column
-        for column in table.columns
-    ]
-    return replace(table, columns=columns)
-
-
 def _at_times(first: RawTable, time: Floats, second: RawTable, times: Floats) -> RawTable:
     """Rows of the first table, at its times, to which the second has samples on both sides, without a gap."""
     before = np.searchsorted(times, time, side="right") - 1
     inside = (time >= times[0]) & (time <= times[-1])
     inside &= ~np.append(usual_interval(np.diff(times))[1], False)[before] | (time == times[before])
-    columns = [replace(column, cells=_rows(column, inside)) for column in first.columns]
+    parts = [
+        cells[inside] if isinstance(cells := column.cells, np.ndarray) else [*compress(cells, inside)]
+        for column in first.columns
+    ]
+    columns = [replace(column, cells=cells) for column, cells in zip(first.columns, parts, strict=True)]
     columns += [
         replace(column, cells=np.interp(time[inside], times, column.cells))
         for column in second.columns
@@ -136,21 +134,11 @@ def join_pairs(path: Path, table: RawTable, mapping: Mapping[str, str]) -> tuple
 
 def _filled(table: RawTable, columns: Sequence[RawColumn]) -> RawTable:
     """Table of some columns, up to the last row that is not empty in all of them."""
-    texts = [column.cells for column in columns if not isinstance(column.cells, np.ndarray)]
-    ends = [max((row for row, cell in enumerate(cells, 1) if cell.strip()), default=0) for cells in texts]
-    count = max(ends, default=len(table.lines)) if len(texts) == len(columns) else len(table.lines)
-    cut = [
-        column
-        if isinstance(column.cells, np.ndarray)
-        else replace(column, cells=to_numbers(column.cells[:count], table.decimal))
-        for column in columns
-    ]
+    rows = range(len(table.lines))
+    filled = (rows if isinstance(column.cells, np.ndarray) else map(str.strip, column.cells) for column in columns)
+    count = 1 + max((row for cells in filled for row, cell in enumerate(cells) if cell != ""), default=-1)
+    cut = [replace(column, cells=to_numbers(column.cells, table.decimal)[:count]) for column in columns]
     return replace(table, columns=cut, lines=np.asarray(table.lines)[:count])
-
-
-def _rows(column: RawColumn, inside: np.ndarray) -> Floats | list[str]:
-    cells = column.cells
-    return cells[inside] if isinstance(cells, np.ndarray) else [cells[row] for row in np.flatnonzero(inside).tolist()]
 
 
 def _timed(table: RawTable, mapping: Mapping[str, str]) -> tuple[Floats | None, dict[str, Floats], list[str]]:

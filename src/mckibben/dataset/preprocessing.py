@@ -131,10 +131,8 @@ def _thinned(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     if (step := -(-strokes // _STROKES)) < 2:
         return table, rows, []
     rows = np.flatnonzero(table["repeat"] % step == 0)
-    note = (
-        f"{strokes:,} strokes of {table.sizes['point']:,} samples: one repeat in {step} is read, {len(rows):,} samples"
-    )
-    return table.isel(point=rows), rows, [note]
+    of = f"{strokes:,} strokes of {table.sizes['point']:,} samples"
+    return table.isel(point=rows), rows, [f"{of}: one repeat in {step} is read, {len(rows):,} samples"]
 
 
 def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:

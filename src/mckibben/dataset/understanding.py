@@ -379,11 +379,10 @@ class _Reader:
     def _numbers(self, column: RawColumn, name: str) -> Floats:
         """Numbers of a column; cells that are none are corrupt."""
         cells = column.cells
-        texts = [] if isinstance(cells, np.ndarray) else cells
-        values = to_numbers(texts, self.raw.decimal, certain=bool(self.recipe.decimal)) if texts else np.asarray(cells)
+        values = to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
         wrong = ~np.isfinite(values)
-        if name in ("set_pressure", "set_force") and texts:
-            wrong &= [bool(cell.strip()) for cell in texts]
+        if name in ("set_pressure", "set_force") and not isinstance(cells, np.ndarray):
+            wrong &= [bool(cell.strip()) for cell in cells]
         for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
@@ -443,9 +442,8 @@ class _Reader:
         if shortest <= 0 or longest > 2 * initial:
             span = f"{show(shortest, 'mm', 4)} to {show(longest, 'mm', 4)}"
             text = f"lengths of {span} do not fit the initial length, {show(initial, 'mm', 5)}"
-            unit = (
-                f"the angle: --column '{column.header}=angle_UNIT', the geometry" if "angle" in table.columns else "it"
-            )
+            turned = f"the angle: --column '{column.header}=angle_UNIT', the geometry"
+            unit = turned if "angle" in table.columns else "it"
             remedy = f"check the unit of {unit} and initial_length (command line: --initial-length)"
             self.ask(text, field=column.quantity, remedy=remedy)
         table.columns["contraction"] = replace(column, values=1 - length / initial)
@@ -465,19 +463,15 @@ class _Reader:
         bad = self.bad.copy() if "corrupt" in self.recipe.accept else np.zeros(len(self.bad), bool)
         if self.recipe.largest_force is not None and "force" in table.columns:
             full = table.columns["force"].values >= self.recipe.largest_force
-            table.repairs += [
-                f"{table.place} {line}: force at the end of the sensor's range" for line in table.lines[full]
-            ]
+            reason = "force at the end of the sensor's range"
+            table.repairs += [f"{table.place} {line}: {reason}" for line in table.lines[full]]
             bad |= full
         if 2 * np.count_nonzero(bad) > len(bad):
-            self.ask(
-                f"{np.count_nonzero(bad)} of {len(bad)} rows would be left out", remedy="check columns and decimal sign"
-            )
+            text = f"{np.count_nonzero(bad)} of {len(bad)} rows would be left out"
+            self.ask(text, remedy="check columns and decimal sign")
         elif bad.any():
-            table.lines = table.lines[~bad]
-            table.columns = {
-                name: replace(column, values=column.values[~bad]) for name, column in table.columns.items()
-            }
+            table.lines, columns = table.lines[~bad], table.columns.items()
+            table.columns = {name: replace(column, values=column.values[~bad]) for name, column in columns}
 
 
 def _unless(match: re.Match[str], initial: float) -> str:

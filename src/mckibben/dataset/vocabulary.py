@@ -70,6 +70,7 @@ _ROLES = {
     ("pressure", "soll"): "set_pressure",
 }
 """Quantity by the dimension of a unit and a name that only says whether the value is set or measured."""
+_LETTERS = {"T": "", "P": "pressure", "f": ""}  # temperature, pressure, frequency
 _LONGEST = 300  # characters of a header
 _LINE = re.compile(
     r"(-)?(?:(#)\s*\*\s*(?:x|\(\s*x\s*([+-]\s*#)\s*\))\s*([+-]\s*#)?\s+)?(\S+)".replace(
@@ -162,8 +163,7 @@ def _read_whole(text: str, unit: str) -> Header:
     absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(plain)) and "pressure" in quantity
     bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if "pressure" in quantity else spelled.strip()
     if not quantity or (quantity == "pressure" and AMBIGUOUS.search(name)):
-        dimension = dimension_of(bare)
-        return Header("", canonical_unit(bare, dimension) if dimension else bare, plain)
+        return _in_other_unit("", bare, plain)
     known = canonical_unit(bare, quantity) if bare else _TIME_UNITS.get(plain, "") if quantity == "time" else ""
     if bare and not known:
         return _in_other_unit(quantity, bare, plain)
@@ -183,10 +183,8 @@ def _in_other_unit(quantity: str, unit: str, name: str) -> Header:
 def _named(name: str, unit: str = "") -> str:
     """Quantity of a name, which may only say whether a value in a unit is set or measured; empty if it is unknown."""
     plain = _plain(_CATMAN.sub("", name))
-    if name.strip() in ("T", "P"):  # a temperature; a pressure
-        return {"T": "", "P": "pressure"}[name.strip()]
-    if name.strip() == "f":  # a frequency
-        return ""
+    if (letter := _LETTERS.get(name.strip())) is not None:
+        return letter
     if quantity := _QUANTITY.get(plain):
         return quantity
     if AMBIGUOUS.search(plain):
