@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
+SLACK, _TAUT = 0.05, 0.15  # of the largest force: up to which a muscle may be slack, and from which it is not
+_RANK = 1e-9  # of the largest singular value: less is rounding
 _SHORTENS, _STRETCHED = ("unloading", "filling"), ("loading", "venting")  # or would, at a fixed length
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
@@ -80,7 +82,7 @@ class Points:
     @property
     def taut(self) -> NDArray[np.bool_]:
         """Mask of points whose force is a load, or above 5 % of the largest, and thus clearly that of a taut muscle."""
-        return self.held | (self.force > max(0.05 * self.force.max(initial=0.0), self.slack_force))
+        return self.held | (self.force > max(SLACK * self.force.max(initial=0.0), self.slack_force))
 
     @property
     def table(self) -> Floats:
@@ -156,7 +158,7 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
 def _sign(points: Points) -> Iterator[Question]:
     """Forces that are negative: an offset, or if most are and do not rise with the pressure, a wrong sign."""
     force, rise = points.force, (points.pressure - points.pressure.mean()) @ points.force
-    limit = 0.05 * np.abs(force).max()
+    limit = SLACK * np.abs(force).max()
     negative, positive = np.count_nonzero(force < -limit), np.count_nonzero(force > limit)
     if negative:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
@@ -302,10 +304,12 @@ def _surface(points: Points) -> Iterator[Question]:
     Where loads are held, the contraction has to rise with the pressure and to fall with the load, and it differs by a
     quarter of its range; friction depends on p and x, and a muscle that is stretched may be stiff.
     """
+    from scipy.linalg import orth
+
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
         yield points.ask("order", "nearly all forces are below 5 % of the largest,", int(np.argmax(points.force)))
-    if len(taut) < 4 or np.ptp(rows[taut, 2]) < 0.15 * largest:
+    if len(taut) < 4 or np.ptp(rows[taut, 2]) < _TAUT * largest:
         return
     falls_with, measured = (2, 1) if points.held else (1, 2)
     plane = force_plane(rows[taut, falls_with], rows[taut, 0], rows[taut, measured])
@@ -330,9 +334,8 @@ def _surface(points: Points) -> Iterator[Question]:
         solution = np.linalg.lstsq(terms[taut] * weights[:, None], rows[taut, 2] * weights, rcond=None)[0]
         apart = np.abs(rows[:, 2] - terms @ solution)
         weights = scale / np.maximum(1.0, apart[taut] * scale / (3 * np.median(apart[taut] * scale) + 1e-9))
-    share = apart / np.maximum(rows[:, 2], 0.15 * largest)
-    basis, sizes, _ = np.linalg.svd(terms[taut, :6] * scale[:, None], full_matrices=False)
-    leverage = np.sum(basis[:, sizes > 1e-9 * sizes[0]] ** 2, axis=1)
+    share = apart / np.maximum(rows[:, 2], _TAUT * largest)
+    leverage = np.sum(np.square(orth(terms[taut, :6] * scale[:, None], _RANK)), axis=1)
     left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
     most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
     if points.held:
@@ -379,7 +382,7 @@ def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     quantity = int(np.argmin([shift.rmse for shift in shifts]))
     row, size, change, _, median = shifts[quantity]
     largest = points.force.max()
-    least = (0.5, 0.5, 0.05 * largest)[quantity]
+    least = (0.5, 0.5, SLACK * largest)[quantity]
     if median <= 0.5 * usual and abs(size) >= least and change >= points.scatter * largest:
         name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
         text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
@@ -423,15 +426,14 @@ def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]
 
     Shapes (points,), (points, terms) and (points, 3), slopes of modelled less measured force.
     """
+    from scipy.linalg import orth
+
     p, force, scale = measured[:, 0], measured[:, 2], np.abs(measured[:, 1]).max(initial=1e-9)
     x = measured[:, 1] / scale
     terms, by_pressure, by_contraction = _surface_terms(p, x)
     squares, zeros = p[:, None] ** 2 * terms[:, 3:5], np.zeros((len(p), 1))
     all_terms = np.column_stack([terms, squares, side, side * p, side * x])
-    vectors, sizes, weights = np.linalg.svd(all_terms, full_matrices=False)
-    full_rank = sizes > 1e-9 * sizes[0]
-    basis = vectors[:, full_rank]
-    solution = weights[full_rank].T @ (basis.T @ force / sizes[full_rank])
+    basis, solution = np.asarray(orth(all_terms, _RANK)), np.linalg.lstsq(all_terms, force, _RANK)[0]
     slopes = [
         np.column_stack([by_pressure, 2 * p[:, None] * terms[:, 3:5]]) @ solution[:8],
         np.column_stack([by_contraction, zeros, p**2]) @ solution[:8] / scale,
@@ -488,7 +490,7 @@ def _exchanged(points: Points) -> Iterator[Question]:
     level = np.nan_to_num(pressure_levels(points.pressure))
     free = [rows[np.argmin(points.force[rows])] for rows in (np.flatnonzero(level == at) for at in np.unique(level))]
     ratio = points.contraction[free] / np.maximum(points.pressure[free], 1.0)
-    slack = points.force[free].max() <= 0.05 * points.force.max()
+    slack = points.force[free].max() <= SLACK * points.force.max()
     if len(free) > 2 and slack and points.force.max() < 50 and 0 < ratio.max() < 1.15 * ratio.min():
         yield points.ask("order", "the contraction without load is proportional to the pressure: exchanged columns?")
 
@@ -500,7 +502,7 @@ def _offsets(points: Points) -> Iterator[Question]:
     """
     force, pressure, contraction = points.force, points.pressure / bar, points.contraction
     stroke = np.ptp(contraction)
-    used = (force > max(0.15 * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * stroke)
+    used = (force > max(_TAUT * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * stroke)
     p, eps = pressure[used], (contraction[used] - contraction.min()) / (stroke or 1.0)
     design = np.column_stack([p, np.ones(len(p)), eps, p * eps, p * eps**2])[:, : 5 if stroke else 2]
     few = len(p) <= design.shape[1] + 1 or len(np.unique(np.round(20 * p / p.max()))) < 3
@@ -517,7 +519,7 @@ def _offsets(points: Points) -> Iterator[Question]:
         text = f"the force at the initial length begins at about {begin:.2g} bar: are the pressures absolute?"
         yield points.ask("gauge", text, field="pressure")
         return
-    least, falls = max(0.05 * largest, 2.5 * np.sqrt(covariance[1, 1])), -solution[2:3].sum()
+    least, falls = max(SLACK * largest, 2.5 * np.sqrt(covariance[1, 1])), -solution[2:3].sum()
     if least < pull < 0.6 * largest and falls < 0.5 * pull:
         text = f"a force of about {pull:.3g} N would remain without pressure: an offset of the load cell?"
         yield points.ask("zero", text, field="force")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
-from mckibben.dataset.checks import residuals_of
+from mckibben.dataset.checks import SLACK, residuals_of
 from mckibben.dataset.isobaric import format_list
 from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
@@ -29,7 +29,6 @@ LOST = "samples are lost"
 _DWELL = 1.0  # s
 _REPEATS = 0.4  # share of samples that equal the one before: in white noise, of a converter coarser than the noise
 _MOST_STAYS = 4  # more are how the signal rests
-_TAUT = 0.05  # of the range of forces
 _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 """Changes of one of these, the other at rest, which the force of a taut muscle follows."""
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
@@ -136,7 +135,7 @@ class RecordedSignals:
             noisy = repeats < _REPEATS < alternation(np.diff(heights[~stays])) and np.count_nonzero(stays) < _MOST_STAYS
             noisy &= lengths * np.log(max(repeats, 1e-9)) < 2 * np.log(1e-6 / len(values))  # no chance, in half of them
             inside = (heights > values.min()) & (heights < values.max())  # else saturated
-            taut = heights > values.min() + _TAUT * np.ptp(values)
+            taut = heights > values.min() + SLACK * np.ptp(values)
             for at in np.flatnonzero(stays):
                 part = slice(begins[at], begins[at] + lengths[at])
                 if (noisy[at] and inside[at]) or (name == "force" and taut[at] and self._moves(part)):
@@ -200,7 +199,7 @@ class RecordedSignals:
     def _jumps(self, listed: int = 1000) -> Iterator[Question]:
         """Pressure or contraction that jumps from one sample to the next, while the others of a taut muscle stay."""
         force = self.values["force"]
-        taut, most = force.min() + _TAUT * np.ptp(force), 0.02 * np.ptp(force)
+        taut, most = force.min() + SLACK * np.ptp(force), 0.02 * np.ptp(force)
         for name in _MOVES.keys() & self.values.keys():
             values, others = self.values[name], [other for other in self.values if other != name]
             lost = [end for span in self.stuck[name] for end in (span.start, span.stop)]
