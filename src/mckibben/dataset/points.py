@@ -160,7 +160,6 @@ def extracted_points(
         With the questions that remain.
     """
     spread = np.asarray(columns.pop("force_spread"), np.float64)
-    columns = {name: values for name, values in columns.items() if name not in WORDS or np.any(values != "")}
     attrs = {name: value for name, value in table.attrs.items() if name not in (*OF_FILE, "preprocessing")}
     points = IsobaricDataset.of(**columns, **attrs).table  # type: ignore[arg-type]
     points = points.assign(force_spread=("point", spread)).assign_attrs(table.attrs)
