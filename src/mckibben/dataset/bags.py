@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.raw import Budget, RawColumn, RawTable, is_understood, not_installed, readable
-from mckibben.dataset.table import question
-from mckibben.errors import DatasetError, Problem
+from mckibben.dataset.raw import Budget, RawColumn, RawTable, needs, readable
+from mckibben.dataset.table import question, refusal
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 """First bytes of a file; of a rosbag2 that is a folder, of its files."""
@@ -36,9 +35,9 @@ def read_bag(path: Path, data: bytes, part: str, mapping: Mapping[str, str], bud
             if message[2] and part in ("", message[0]):
                 topics.setdefault(message[0], []).append(message)
     columns = {topic: _columns(messages) for topic, messages in topics.items()}
-    known = [topic for topic in topics if any(is_understood(field, mapping) for field in columns[topic])] or [*topics]
+    known = [topic for topic in topics if any(field.header(mapping).quantity for field in columns[topic])] or [*topics]
     if not known:
-        raise DatasetError(str(path), [Problem("has no topic with numbers", remedy="give another file")])
+        raise refusal(path, "has no topic with numbers", "give another file")
     clocks = {topic: np.array([message[1] for message in topics[topic]]) for topic in known}
     first, last = max(clock[0] for clock in clocks.values()), min(clock[-1] for clock in clocks.values())
     slowest = min(clocks.values(), key=len)
@@ -62,13 +61,11 @@ def _columns(messages: Sequence[Message]) -> list[RawColumn]:
 
 def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message]:
     """Messages of JSON; a file that was cut, as by a kill, is a question."""
-    try:
+    with needs(path, "mcap", "bags"):
         from mcap.exceptions import McapError
         from mcap.records import Attachment, Channel, Schema
         from mcap.records import Message as McapMessage
         from mcap.stream_reader import CRCValidationError, StreamReader
-    except ImportError:
-        raise not_installed(path, "mcap", "bags") from None
     schemas, channels = dict[int, dict[str, str]](), dict[int, Any]()
     try:
         for record in StreamReader(io.BytesIO(data), validate_crcs=True).records:
@@ -77,7 +74,7 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
                 schemas[record.id] = {name: str(about.get("unit", "")) for name, about in fields.items()}
             elif isinstance(record, Attachment) and b'"mckibben record"' in record.data[:99]:
                 remedy = f"`mckibben rig data {path.parent}` reads its points, with --recording all samples"
-                raise DatasetError(str(path), [Problem("is a record of this program", remedy=remedy)])
+                raise refusal(path, "is a record of this program", remedy)
             elif isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, McapMessage):
@@ -91,11 +88,9 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
 
 def _ros_messages(path: Path) -> Iterator[Message]:
     """Messages of ROS 2, at their stamps where they have one."""
-    try:
+    with needs(path, "rosbags", "bags"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise not_installed(path, "rosbags", "bags") from None
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         for connection, received, raw in reader.messages():
             message: Any = reader.deserialize(raw, connection.msgtype)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.dataset.raw import Floats
+from mckibben.dataset.table import refusal
 from mckibben.dataset.vocabulary import dimension_of
-from mckibben.errors import DatasetError, Problem
 
 SEPARATORS = ("\t", ";", ",", "|", " ")
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
@@ -46,18 +46,20 @@ def decimal_of(rows: Sequence[str], separator: str, path: Path) -> str:
     sample = rows[:: 1 + len(rows) // _SAMPLED]
     decimal, unclear = decimal_sign([cell for line in sample for cell in split_cells(line, separator)], separator)
     if unclear:
-        raise DatasetError(str(path), [Problem(unclear, remedy=_DECIMAL_REMEDY)])
+        raise refusal(path, unclear, _DECIMAL_REMEDY)
     return decimal
 
 
-def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
-    """Numbers of texts, NaN where a cell is none.
+def to_numbers(cells: Floats | Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
+    """Numbers of texts, NaN where a cell is none; numbers remain what they are.
 
     Groups of thousands are read where their sign cannot be the decimal one: `certain`, or another cell has both.
 
     >>> to_numbers(["1.234,5", "2.000", "3 000", "x"], ",").tolist()
     [1234.5, 2000.0, 3000.0, nan]
     """
+    if isinstance(cells, np.ndarray):
+        return cells
     import pandas as pd
 
     other = {".": ",", ",": "."}[decimal]

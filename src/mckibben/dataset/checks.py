@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.preprocessing import contraction_rate, held_loads, pressure_levels
 from mckibben.dataset.raw import Floats
+from mckibben.dataset.segmentation import runs
 from mckibben.dataset.table import Question, question
 from mckibben.errors import Problem
 from mckibben.muscle import air
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
+SLACK, _TAUT = 0.05, 0.15  # of the largest force: up to which a muscle may be slack, and from which it is not
+_RANK = 1e-9  # of the largest singular value: less is rounding
 _SHORTENS, _STRETCHED = ("unloading", "filling"), ("loading", "venting")  # or would, at a fixed length
 _REMEDIES = {
     "range": f"{_UNIT}, the sign, and initial_length (command line: --initial-length)",
@@ -79,7 +82,7 @@ class Points:
     @property
     def taut(self) -> NDArray[np.bool_]:
         """Mask of points whose force is a load, or above 5 % of the largest, and thus clearly that of a taut muscle."""
-        return self.held | (self.force > max(0.05 * self.force.max(initial=0.0), self.slack_force))
+        return self.held | (self.force > max(SLACK * self.force.max(initial=0.0), self.slack_force))
 
     @property
     def table(self) -> Floats:
@@ -88,9 +91,8 @@ class Points:
 
     def every(self, step: int) -> Points:
         """Every second point, say."""
-        names = "pressure", "contraction", "force", "lines", "side", "rate"
-        columns = {name: getattr(self, name) for name in names}
-        return replace(self, **{name: values[::step] for name, values in columns.items() if values is not None})
+        columns = {name: values[::step] for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        return replace(self, **columns)
 
     def ask(self, topic: str, text: str, row: int | None = None, field: str = "", remedy: str = "") -> Question:
         """A question, about a row, with the remedy of its topic or of another."""
@@ -156,16 +158,11 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
 def _sign(points: Points) -> Iterator[Question]:
     """Forces that are negative: an offset, or if most are and do not rise with the pressure, a wrong sign."""
     force, rise = points.force, (points.pressure - points.pressure.mean()) @ points.force
-    limit = 0.05 * np.abs(force).max()
+    limit = SLACK * np.abs(force).max()
     negative, positive = np.count_nonzero(force < -limit), np.count_nonzero(force > limit)
     if negative:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
-        asked = points.ask("sign", text, field="force")
-        yield (
-            asked
-            if negative <= positive or rise > 0
-            else Question(Problem(text, field="force", remedy=_REMEDIES["sign"]))
-        )
+        yield points.ask("sign" if negative <= positive or rise > 0 else "", text, field="force", remedy="sign")
 
 
 def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
@@ -270,8 +267,8 @@ def _saturated(points: Points) -> Iterator[Question]:
         yield points.ask("saturation", text, int(np.argmax(points.pressure)), "pressure")
     if points.held:  # the forces are not those of a sensor
         return
-    begins = np.flatnonzero(np.diff(points.force, prepend=np.nan) != 0)
-    stays = np.diff(begins, append=len(points.force)) * points.taut[begins]
+    begins, lengths = runs(points.force)
+    stays = lengths * points.taut[begins]
     if np.count_nonzero(stays > 1) == 1 and 4 < stays.max() < len(points.force):  # else a weight
         first = int(begins[stays.argmax()])
         yield points.ask("rows", "the force stays for 5 rows or more: was the sensor stuck, first", first)
@@ -280,9 +277,8 @@ def _saturated(points: Points) -> Iterator[Question]:
     shorter = points.contraction[top, None] - points.contraction[top]
     apart = (pressure > 1.15 * pressure[:, None]) & (shorter > 0.1 * stroke)
     counts = np.unique(points.force[points.taut], return_counts=True)[1]
-    if len(top) < len(points.force) and (
-        apart.any() or (len(counts) > 2 and counts[-1] > max(2, 2 * max(counts[:-1])))
-    ):
+    repeats = len(counts) > 2 and counts[-1] > max(2, 2 * max(counts[:-1]))
+    if len(top) < len(points.force) and (apart.any() or repeats):
         text = "forces of very different points are within 3 % of the largest: is the sensor saturated, first"
         yield points.ask("saturation", text, int(top[np.argmax(apart.any(axis=1))]), "force")
 
@@ -308,18 +304,18 @@ def _surface(points: Points) -> Iterator[Question]:
     Where loads are held, the contraction has to rise with the pressure and to fall with the load, and it differs by a
     quarter of its range; friction depends on p and x, and a muscle that is stretched may be stiff.
     """
+    from scipy.linalg import orth
+
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
         yield points.ask("order", "nearly all forces are below 5 % of the largest,", int(np.argmax(points.force)))
-    if len(taut) < 4 or np.ptp(rows[taut, 2]) < 0.15 * largest:
+    if len(taut) < 4 or np.ptp(rows[taut, 2]) < _TAUT * largest:
         return
     falls_with, measured = (2, 1) if points.held else (1, 2)
     plane = force_plane(rows[taut, falls_with], rows[taut, 0], rows[taut, measured])
     if min(plane.falls, plane.rises) < -1 or plane.share < 1 / 2:
-        text = (
-            "the force does not rise with the pressure and fall with the contraction: exchanged columns, a wrong sign?"
-        )
-        yield points.ask("order", text, field="force")
+        text = "the force does not rise with the pressure and fall with the contraction"
+        yield points.ask("order", f"{text}: exchanged columns, a wrong sign?", field="force")
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
     terms, _, slopes = _surface_terms(p, x)
     moving = np.ones(len(rows), bool) if points.rate is None or points.held else np.isfinite(points.rate)
@@ -338,9 +334,8 @@ def _surface(points: Points) -> Iterator[Question]:
         solution = np.linalg.lstsq(terms[taut] * weights[:, None], rows[taut, 2] * weights, rcond=None)[0]
         apart = np.abs(rows[:, 2] - terms @ solution)
         weights = scale / np.maximum(1.0, apart[taut] * scale / (3 * np.median(apart[taut] * scale) + 1e-9))
-    share = apart / np.maximum(rows[:, 2], 0.15 * largest)
-    basis, sizes, _ = np.linalg.svd(terms[taut, :6] * scale[:, None], full_matrices=False)
-    leverage = np.sum(basis[:, sizes > 1e-9 * sizes[0]] ** 2, axis=1)
+    share = apart / np.maximum(rows[:, 2], _TAUT * largest)
+    leverage = np.sum(np.square(orth(terms[taut, :6] * scale[:, None], _RANK)), axis=1)
     left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
     most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
     if points.held:
@@ -350,9 +345,8 @@ def _surface(points: Points) -> Iterator[Question]:
         share[x < 0] = 0.0
     usual = np.quantile(share[taut], 0.8)
     level = np.where(np.isnan(level := pressure_levels(points.pressure)), points.pressure, level)
-    stronger = (
-        (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1]) & (rows[:, 2] > rows[:, None, 2] + 0.03 * largest)
-    )
+    stronger = (level[:, None] >= level) & (rows[:, None, 1] <= rows[:, 1])
+    stronger &= rows[:, 2] > rows[:, None, 2] + 0.03 * largest
     lone = (np.count_nonzero(~points.taut) < 3) & (terms @ solution > 0.06 * largest)
     far = (points.taut | stronger.any(axis=1) | lone) & (share > max(4 * usual, 0.25))
     far[taut] |= left_out > most
@@ -375,29 +369,32 @@ def _surface_terms(p: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
 def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     """Pressures, contractions or forces that are shifted from some row on: another zero, a gauge that became absolute.
 
-    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do.
+    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do; that of
+    means at rest also the scatter of their forces.
     """
     taut = np.flatnonzero(points.taut)
-    if len(taut) < fewest or points.timed:
+    if len(taut) < fewest or (points.timed and not points.scatter):
         return
     side = np.zeros(len(points.force)) if points.side is None else points.side
     rows, side = points.table[taut], side[taut]
     usual = np.median(np.abs(_linearised(rows, side)[0]))
     shifts = [_shift(rows, side, quantity) for quantity in range(2 if points.held else 3)]
     quantity = int(np.argmin([shift.rmse for shift in shifts]))
-    row, size, _, median = shifts[quantity]
-    least = (0.5, 0.5, 0.05 * points.force.max())[quantity]
-    if median <= 0.5 * usual and abs(size) >= least:
+    row, size, change, _, median = shifts[quantity]
+    largest = points.force.max()
+    least = (0.5, 0.5, SLACK * largest)[quantity]
+    if median <= 0.5 * usual and abs(size) >= least and change >= points.scatter * largest:
         name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
         text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
         yield points.ask("order", text, int(taut[row]), name, "shift")
 
 
 class _Shift(NamedTuple):
-    """Row from which a quantity is shifted, by how much, and residuals [N] without it: RMS and absolute median."""
+    """Row from which a quantity is shifted, by how much, also in force [N]; and residuals [N] without it."""
 
     row: int
     size: float
+    change: float
     rmse: float
     median: float
 
@@ -419,8 +416,9 @@ def _shift(measured: Floats, side: Floats, quantity: int, *, steps: int = 8) -> 
         row = row or int(np.argmax((product**2 / apart)[3:-3])) + 3
         size = float(np.clip(size - product[row] / apart[row], -most, most))
         corrected[row:, quantity] = measured[row:, quantity] - size
-    residuals = np.abs(_linearised(corrected, side)[0])
-    return _Shift(row, size, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
+    residuals, _, slopes = _linearised(corrected, side)
+    residuals, change = np.abs(residuals), float(np.max(np.abs(size * slopes[:, quantity])))
+    return _Shift(row, size, change, float(np.sqrt(np.mean(residuals**2))), float(np.median(residuals)))
 
 
 def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
@@ -428,15 +426,14 @@ def _linearised(measured: Floats, side: Floats) -> tuple[Floats, Floats, Floats]
 
     Shapes (points,), (points, terms) and (points, 3), slopes of modelled less measured force.
     """
+    from scipy.linalg import orth
+
     p, force, scale = measured[:, 0], measured[:, 2], np.abs(measured[:, 1]).max(initial=1e-9)
     x = measured[:, 1] / scale
     terms, by_pressure, by_contraction = _surface_terms(p, x)
     squares, zeros = p[:, None] ** 2 * terms[:, 3:5], np.zeros((len(p), 1))
     all_terms = np.column_stack([terms, squares, side, side * p, side * x])
-    vectors, sizes, weights = np.linalg.svd(all_terms, full_matrices=False)
-    full_rank = sizes > 1e-9 * sizes[0]
-    basis = vectors[:, full_rank]
-    solution = weights[full_rank].T @ (basis.T @ force / sizes[full_rank])
+    basis, solution = np.asarray(orth(all_terms, _RANK)), np.linalg.lstsq(all_terms, force, _RANK)[0]
     slopes = [
         np.column_stack([by_pressure, 2 * p[:, None] * terms[:, 3:5]]) @ solution[:8],
         np.column_stack([by_contraction, zeros, p**2]) @ solution[:8] / scale,
@@ -493,7 +490,7 @@ def _exchanged(points: Points) -> Iterator[Question]:
     level = np.nan_to_num(pressure_levels(points.pressure))
     free = [rows[np.argmin(points.force[rows])] for rows in (np.flatnonzero(level == at) for at in np.unique(level))]
     ratio = points.contraction[free] / np.maximum(points.pressure[free], 1.0)
-    slack = points.force[free].max() <= 0.05 * points.force.max()
+    slack = points.force[free].max() <= SLACK * points.force.max()
     if len(free) > 2 and slack and points.force.max() < 50 and 0 < ratio.max() < 1.15 * ratio.min():
         yield points.ask("order", "the contraction without load is proportional to the pressure: exchanged columns?")
 
@@ -505,7 +502,7 @@ def _offsets(points: Points) -> Iterator[Question]:
     """
     force, pressure, contraction = points.force, points.pressure / bar, points.contraction
     stroke = np.ptp(contraction)
-    used = (force > max(0.15 * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * stroke)
+    used = (force > max(_TAUT * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * stroke)
     p, eps = pressure[used], (contraction[used] - contraction.min()) / (stroke or 1.0)
     design = np.column_stack([p, np.ones(len(p)), eps, p * eps, p * eps**2])[:, : 5 if stroke else 2]
     few = len(p) <= design.shape[1] + 1 or len(np.unique(np.round(20 * p / p.max()))) < 3
@@ -521,10 +518,9 @@ def _offsets(points: Points) -> Iterator[Question]:
     if solution[0] > 0 and pressure.min() >= 0.7 and 0.75 - error <= begin <= 1.6 + error and begin > 2.5 * error:
         text = f"the force at the initial length begins at about {begin:.2g} bar: are the pressures absolute?"
         yield points.ask("gauge", text, field="pressure")
-    elif (
-        max(0.05 * largest, 2.5 * np.sqrt(covariance[1, 1])) < pull < 0.6 * largest
-        and pull + solution[2:3].sum() > 0.5 * pull
-    ):
+        return
+    least, falls = max(SLACK * largest, 2.5 * np.sqrt(covariance[1, 1])), -solution[2:3].sum()
+    if least < pull < 0.6 * largest and falls < 0.5 * pull:
         text = f"a force of about {pull:.3g} N would remain without pressure: an offset of the load cell?"
         yield points.ask("zero", text, field="force")
 

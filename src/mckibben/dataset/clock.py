@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from mckibben.dataset.raw import Floats
-from mckibben.dataset.segmentation import usual_interval
+from mckibben.dataset.segmentation import runs, usual_interval
 from mckibben.dataset.vocabulary import Header
 
 _EPOCH = 0.9e9, 4.2e9  # s since 1970: from 1998 to 2103
@@ -111,9 +111,9 @@ def continuous(
         if count := int(np.count_nonzero(over)):
             time = time + span * np.cumsum(np.append(False, over))
             remarks.append(f"{count} overflow{'s' * (count > 1)} of its counter continued")
-    first = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
+    first, counts = runs(time)
     if (repeats := len(time) - len(first)) and len(first) > 1:
-        steps, counts = np.diff(time[first]), np.diff(first, append=len(time))
+        steps = np.diff(time[first])
         interval, gaps = usual_interval(steps)
         steps = np.append(np.where(gaps | (steps < 0), interval, steps), interval)
         time = time + (np.arange(len(time)) - np.repeat(first, counts)) * np.repeat(steps / counts, counts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +14,7 @@ from mckibben.dataset.cells import to_numbers
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.segmentation import usual_interval
-from mckibben.dataset.vocabulary import Header, parse_header, parse_line
-from mckibben.errors import DatasetError, Problem
+from mckibben.dataset.table import refusal
 from mckibben.units import quantity
 
 ESTIMATED, PAIRED = "estimated", "paired"
@@ -61,42 +61,33 @@ def join_clocks(
     DatasetError
         If the second clock is not determined.
     """
-    second = _renamed(second, {column.name for column in first.columns})
+    taken = {column.name for column in first.columns}
+    renamed = [
+        replace(column, name=f"{column.name} (2)", label=column.title) if column.name in taken else column
+        for column in second.columns
+    ]
+    second = replace(second, columns=renamed)
     (time1, own, _), (time2, others, remarks) = (_timed(table, mapping) for table in (first, second))
-    shared = [name for name in own if name in others]
-    clock, doubt, remedy = None, "", _STATED
     if time1 is None or time2 is None:
-        doubt = f"the {'second' if time1 is not None else 'first'} file has no column of the time that is understood"
-        remedy = "name it: --column 'HEADER=time_ms'"
-    elif backward := [name for name, time in (("first", time1), ("second", time2)) if np.any(np.diff(time) <= 0)]:
-        doubt, remedy = (
-            f"the clock of the {backward[0]} file does not advance, or goes back",
-            "leave out the rows before",
-        )
-    elif clocks != ESTIMATED:
+        text = f"the {'second' if time1 is not None else 'first'} file has no column of the time that is understood"
+        raise refusal(path, text, "name it: --column 'HEADER=time_ms'", "clocks")
+    for name, time in (("first", time1), ("second", time2)):
+        if np.any(np.diff(time) <= 0):
+            text = f"the clock of the {name} file does not advance, or goes back"
+            raise refusal(path, text, "leave out the rows before", "clocks")
+    shared = [name for name in own if name in others]
+    clock, doubt = None, "no quantity is in both files, from which the second clock could be estimated"
+    if clocks != ESTIMATED:
         clock = Clock.parse(clocks)
     elif shared:
         clock, doubt = estimate_clock(time1, own[shared[0]], time2, others[shared[0]])
-    else:
-        doubt = "no quantity is in both files, from which the second clock could be estimated"
-    if clock is None or time1 is None or time2 is None:
-        raise DatasetError(str(path), [Problem(doubt, field="clocks", remedy=remedy)])
+    if clock is None:
+        raise refusal(path, doubt, _STATED, "clocks")
     said = f"second clock: starts at {clock.offset:.6g} s of the first and runs {1e6 * clock.drift:.3g} ppm slow"
     said = ", ".join([said, *remarks])
     joined = _at_times(first, time1, second, clock.of(time2))
-    needless = [column.name for column in second.columns if _header(column, mapping).quantity in ("time", *shared)]
+    needless = [column.name for column in second.columns if column.header(mapping).quantity in ("time", *shared)]
     return replace(joined, comments=first.comments | {"clocks": said}), needless
-
-
-def _renamed(table: RawTable, taken: set[str]) -> RawTable:
-    """Table whose columns have other names than those of another table."""
-    columns = [
-        replace(column, name=f"{column.name} (2)", label=column.label or column.name)
-        if column.name in taken
-        else column
-        for column in table.columns
-    ]
-    return replace(table, columns=columns)
 
 
 def _at_times(first: RawTable, time: Floats, second: RawTable, times: Floats) -> RawTable:
@@ -104,7 +95,11 @@ def _at_times(first: RawTable, time: Floats, second: RawTable, times: Floats) ->
     before = np.searchsorted(times, time, side="right") - 1
     inside = (time >= times[0]) & (time <= times[-1])
     inside &= ~np.append(usual_interval(np.diff(times))[1], False)[before] | (time == times[before])
-    columns = [replace(column, cells=_rows(column, inside)) for column in first.columns]
+    parts = [
+        cells[inside] if isinstance(cells := column.cells, np.ndarray) else [*compress(cells, inside)]
+        for column in first.columns
+    ]
+    columns = [replace(column, cells=cells) for column, cells in zip(first.columns, parts, strict=True)]
     columns += [
         replace(column, cells=np.interp(time[inside], times, column.cells))
         for column in second.columns
@@ -124,15 +119,12 @@ def join_pairs(path: Path, table: RawTable, mapping: Mapping[str, str]) -> tuple
 
     Also returns the columns of the other times, to be ignored. Raises a `DatasetError` if there are not several times.
     """
-    clocks = [at for at, column in enumerate(table.columns) if _header(column, mapping).quantity == "time"]
+    clocks = [at for at, column in enumerate(table.columns) if column.header(mapping).quantity == "time"]
     parts = [table.columns[at:end] for at, end in zip(clocks, [*clocks[1:], None], strict=True)]
     parts = [_filled(table, part) for part in parts if len(part) > 1]
     timed = [_timed(part, mapping)[0] for part in parts]
     if len(parts) < 2 or any(time is None or np.any(np.diff(time) <= 0) for time in timed):
-        problem = Problem(
-            "has no columns of rising times before its signals", field="clocks", remedy="leave clocks out"
-        )
-        raise DatasetError(str(path), [problem])
+        raise refusal(path, "has no columns of rising times before its signals", "leave clocks out", "clocks")
     joined = replace(parts[0], columns=[*table.columns[: clocks[0]], *parts[0].columns])
     for part, times in zip(parts[1:], timed[1:], strict=True):
         part = replace(part, words=[], questions=[])
@@ -142,34 +134,18 @@ def join_pairs(path: Path, table: RawTable, mapping: Mapping[str, str]) -> tuple
 
 def _filled(table: RawTable, columns: Sequence[RawColumn]) -> RawTable:
     """Table of some columns, up to the last row that is not empty in all of them."""
-    texts = [column.cells for column in columns if not isinstance(column.cells, np.ndarray)]
-    ends = [max((row for row, cell in enumerate(cells, 1) if cell.strip()), default=0) for cells in texts]
-    count = max(ends, default=len(table.lines)) if len(texts) == len(columns) else len(table.lines)
-    cut = [
-        column
-        if isinstance(column.cells, np.ndarray)
-        else replace(column, cells=to_numbers(column.cells[:count], table.decimal))
-        for column in columns
-    ]
+    rows = range(len(table.lines))
+    filled = (rows if isinstance(column.cells, np.ndarray) else map(str.strip, column.cells) for column in columns)
+    count = 1 + max((row for cells in filled for row, cell in enumerate(cells) if cell != ""), default=-1)
+    cut = [replace(column, cells=to_numbers(column.cells, table.decimal)[:count]) for column in columns]
     return replace(table, columns=cut, lines=np.asarray(table.lines)[:count])
-
-
-def _rows(column: RawColumn, inside: np.ndarray) -> Floats | list[str]:
-    cells = column.cells
-    return cells[inside] if isinstance(cells, np.ndarray) else [cells[row] for row in np.flatnonzero(inside).tolist()]
-
-
-def _header(column: RawColumn, mapping: Mapping[str, str]) -> Header:
-    label = column.label or column.name
-    name = mapping.get(column.name, mapping.get(label, ""))
-    return parse_header(parse_line(name)[2]) if name else parse_header(label, column.unit)
 
 
 def _timed(table: RawTable, mapping: Mapping[str, str]) -> tuple[Floats | None, dict[str, Floats], list[str]]:
     """Time [s] of a table, None if none is understood, its columns of numbers by quantity, and remarks on the time."""
     time, signals, remarks = None, dict[str, Floats](), list[str]()
     for column in table.columns:
-        header = _header(column, mapping)
+        header = column.header(mapping)
         if header.quantity == "time":
             if (clock := seconds_of(header, column.cells)) is not None:
                 time, remarks = continuous(clock)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
-from mckibben.dataset.checks import residuals_of
-from mckibben.dataset.isobaric import IsobaricDataset, format_list
+from mckibben.dataset.checks import SLACK, residuals_of
+from mckibben.dataset.isobaric import format_list
 from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
-from mckibben.dataset.segmentation import going_on, usual_interval
+from mckibben.dataset.segmentation import alternation, going_on, runs, usual_interval
 from mckibben.dataset.table import Question, question
-from mckibben.errors import McKibbenWarning
-from mckibben.units import bar, kPa, percent, show
+from mckibben.errors import McKibbenWarning, RangeError
+from mckibben.units import kPa, percent, show
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,14 +29,11 @@ LOST = "samples are lost"
 _DWELL = 1.0  # s
 _REPEATS = 0.4  # share of samples that equal the one before: in white noise, of a converter coarser than the noise
 _MOST_STAYS = 4  # more are how the signal rests
-_TAUT = 0.05  # of the range of forces
 _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 """Changes of one of these, the other at rest, which the force of a taut muscle follows."""
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
 _EVENTS = 16  # effective number of changes, twice the terms of a fit
-_FEWEST = 4  # points before and after an offset
-_OUT, _BACK = ("unloading", "filling"), ("loading", "venting")
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
 
@@ -65,31 +62,6 @@ def changes_at_once(force: Floats, size: int, most: float) -> bool:
     return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
 
 
-def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
-    """Question about points in the order of a test, from one of which on a sensor has another zero.
-
-    Least squares of the taut points with ``F = p (a + b eps + c eps^2) + d + e eps`` and friction in either way, from
-    one point on with another plane. It halves the residuals, by a tenth of the largest force on average.
-    """
-    points = dataset.select(dataset.force > _TAUT * dataset.force.max(initial=0.0))
-    force, pressure, contraction = points.force, points.pressure / bar, points.contraction
-    ways = [points.table[name].to_numpy() for name in ("direction", "phase") if name in points.table]
-    sides = [sign * np.isin(way, words) for way in ways for sign, words in ((1.0, _OUT), (-1.0, _BACK))]
-    side, ones = np.sum([0 * force, *sides], axis=0), np.ones_like(force)
-    plane = [ones, contraction, pressure]
-    basis = np.column_stack([*plane, pressure * contraction, pressure * contraction**2, side, side * pressure])
-    fits = [(float(np.sum(residuals_of(force, basis) ** 2)), 0, 0.0)]
-    for at in range(_FEWEST, len(force) - _FEWEST if len(force) > 2 * basis.shape[1] else 0):
-        after = (np.arange(len(force)) >= at)[:, None] * basis[:, :3]
-        solution = np.linalg.lstsq(np.column_stack([basis, after]), force, rcond=None)[0]
-        left = force - np.column_stack([basis, after]) @ solution
-        fits.append((float(left @ left), at, float(np.mean(after[at:] @ solution[-3:]))))
-    least, at, step = min(fits)
-    if 4 * least < fits[0][0] and 0.1 < abs(step) / force.max() < 1:
-        text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
-        yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
-
-
 def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], list[Question]]:
     """Samples over time without those of a stuck sensor, and within a second of a clock that was set back.
 
@@ -98,7 +70,7 @@ def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], lis
     Table, whose `preprocessing` says what is left out, the rows that are left, and questions about other faults.
     """
     time, lost, notes = table["time"].to_numpy(), np.zeros(table.sizes["point"], bool), list[str]()
-    signals = RecordedSignals(going_on(time), {name: table[name].to_numpy() for name in (*_MOVES, "force")})
+    signals = RecordedSignals(table := table.assign(time=("point", going_on(time))))
     back = np.flatnonzero(np.diff(time) < 0) + 1
     near = round(_DWELL / signals.interval)
     parts = {f"the {name} is stuck": spans for name, spans in signals.stuck.items() if spans}
@@ -109,7 +81,6 @@ def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], lis
         notes.append(f"{LOST}, as {reason}: {places(time, spans)}")
     for note in notes:
         warnings.warn(note, McKibbenWarning, stacklevel=user_level())
-    table = table.assign(time=("point", signals.time))
     return with_notes(table, notes).isel(point=~lost), np.flatnonzero(~lost), signals.questions()
 
 
@@ -124,15 +95,22 @@ class RecordedSignals:
 
     Parameters
     ----------
-    time
-        Shape (samples,) [s].
-    values
-        Pressure [Pa], contraction [-] if it is known, and force [N], shape (samples,) each.
+    table
+        Samples with time [s], pressure [Pa], contraction [-] if it is known, and force [N].
+
+    Raises
+    ------
+    RangeError
+        If the time does not advance.
     """
 
-    def __init__(self, time: Floats, values: Mapping[str, Floats]) -> None:
-        self.time, self.values = time, values
+    def __init__(self, table: xr.Dataset) -> None:
+        self.time = time = table["time"].to_numpy()
+        self.values = values = {name: table[name].to_numpy() for name in (*_MOVES, "force") if name in table}
         self.interval, self.gaps = usual_interval(np.diff(time))
+        if not self.interval:
+            remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
+            raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
         self.size = max(1, round(_DWELL / 4 / self.interval))
         self.edges = np.arange(0, max(len(time) - self.size + 1, 1), self.size)
         sizes = np.diff(self.edges, append=len(time))
@@ -147,20 +125,19 @@ class RecordedSignals:
         """
         stuck: dict[str, list[slice]] = {name: [] for name in self.values}
         for name, values in self.values.items():
-            begins = np.append(np.flatnonzero(np.diff(values, prepend=np.nan) != 0), len(values))
-            lengths, heights = np.diff(begins), values[begins[:-1]]
+            begins, lengths = runs(values)
+            heights = values[begins]
             stays = lengths * self.interval >= _DWELL
             others = lengths[~stays]
             if len(others) <= 2 * np.count_nonzero(stays):  # typed in
                 continue
-            steps = np.diff(heights[~stays])  # change signs from sample to sample in noise
             repeats = 1 - len(others) / others.sum()
-            noisy = repeats < _REPEATS < np.mean(steps[:-1] * steps[1:] < 0) and np.count_nonzero(stays) < _MOST_STAYS
+            noisy = repeats < _REPEATS < alternation(np.diff(heights[~stays])) and np.count_nonzero(stays) < _MOST_STAYS
             noisy &= lengths * np.log(max(repeats, 1e-9)) < 2 * np.log(1e-6 / len(values))  # no chance, in half of them
             inside = (heights > values.min()) & (heights < values.max())  # else saturated
-            taut = heights > values.min() + _TAUT * np.ptp(values)
+            taut = heights > values.min() + SLACK * np.ptp(values)
             for at in np.flatnonzero(stays):
-                part = slice(begins[at], begins[at + 1])
+                part = slice(begins[at], begins[at] + lengths[at])
                 if (noisy[at] and inside[at]) or (name == "force" and taut[at] and self._moves(part)):
                     stuck[name].append(part)
         return stuck
@@ -222,7 +199,7 @@ class RecordedSignals:
     def _jumps(self, listed: int = 1000) -> Iterator[Question]:
         """Pressure or contraction that jumps from one sample to the next, while the others of a taut muscle stay."""
         force = self.values["force"]
-        taut, most = force.min() + _TAUT * np.ptp(force), 0.02 * np.ptp(force)
+        taut, most = force.min() + SLACK * np.ptp(force), 0.02 * np.ptp(force)
         for name in _MOVES.keys() & self.values.keys():
             values, others = self.values[name], [other for other in self.values if other != name]
             lost = [end for span in self.stuck[name] for end in (span.start, span.stop)]

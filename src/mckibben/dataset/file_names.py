@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mckibben.dataset.raw import RawColumn, RawTable
+from mckibben.dataset.table import refusal
 from mckibben.dataset.vocabulary import canonical_unit, dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
 
@@ -96,11 +97,11 @@ def add_from_name(table: RawTable, path: Path, pattern: str) -> None:
     """
     if len(matches := numbers_in(path.name, pattern)) != 1:
         wrong = f"matches {pattern!r} in several places" if matches else f"does not match {pattern!r}"
-        raise DatasetError(str(path), [Problem(f"its name {wrong}", remedy="correct from_name in the recipe")])
+        raise refusal(path, f"its name {wrong}", "correct from_name in the recipe")
     (numbers,) = matches
     literal = _FIELD.split(pattern)[-1]
     if problem := pattern_problem(pattern + path.name.rpartition(f"{numbers[-1]}{literal}")[2]):
-        raise DatasetError(str(path), [Problem(f"its name: {problem}", remedy="correct from_name in the recipe")])
+        raise refusal(path, f"its name: {problem}", "correct from_name in the recipe")
     for name, number in zip(_FIELD.findall(pattern), numbers, strict=True):
         cells = np.full(len(table.lines), float(number.replace(",", ".")))
         table.columns.append(RawColumn(f"file name: {name}", cells, label=name))

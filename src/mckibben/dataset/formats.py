@@ -23,12 +23,11 @@ from mckibben.dataset.raw import (
     RawTable,
     check_regular,
     hdf5_nodes,
-    is_understood,
-    not_installed,
+    needs,
     read_bytes,
     readable,
 )
-from mckibben.dataset.table import question
+from mckibben.dataset.table import question, refusal
 from mckibben.dataset.text import decode, read_lines, read_numbers, read_text
 from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
@@ -93,7 +92,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
         return _read_matlab(path, data, part, mapping)
     if kind := next((kind for kind, begin in _OTHERS.items() if re.match(begin, data)), ""):
-        raise DatasetError(str(path), [Problem(f"is {kind}, which is not read", remedy=_OTHER_REMEDY)])
+        raise refusal(path, f"is {kind}, which is not read", _OTHER_REMEDY)
     if data.startswith(b"TDSm"):
         return _read_tdms(path, data, part, mapping, budget)
     return read_text(decode(data, path), path, mapping, decimal, read_matrix if is_matrix else read_lines)
@@ -197,8 +196,7 @@ def _unpacked(raw: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
 def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str]) -> RawTable:
     """Columns of versions 5 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
     if not data.startswith(b"MATLAB 5.0"):
-        older = Problem("is no MATLAB file of version 5 to 7.3", remedy="save it in MATLAB with -v7")
-        raise DatasetError(str(path), [older])
+        raise refusal(path, "is no MATLAB file of version 5 to 7.3", "save it in MATLAB with -v7")
     table = RawTable()
     with readable(path, "a MATLAB file"):
         variables = read_variables(data)
@@ -251,10 +249,8 @@ def _add_struct(table: RawTable, name: str, value: dict[str, Value]) -> None:
 
 def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
     """Columns of the channels of a TDMS file, with units and sampling interval of their properties."""
-    try:
+    with needs(path, "npTDMS", "tdms"):
         from nptdms import TdmsFile
-    except ImportError:
-        raise not_installed(path, "npTDMS", "tdms") from None
     table = RawTable()
     intervals, starts = set(), set()
     with readable(path, "a TDMS file"), TdmsFile.open(io.BytesIO(data)) as file:
@@ -302,12 +298,12 @@ def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[st
 
     Raises a `DatasetError` if they differ: a question for the group of columns that is meant, if there are several.
     """
-    read = [column for column in columns if is_understood(column, mapping)]
+    read = [column for column in columns if column.header(mapping).quantity]
     lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in columns)}
     if len(lengths) > 1:
         grouped = [column.name for column in read if re.search(r"[/.(]", column.name)]
         names = sorted({re.split(r"[/.(][^/.(]*$", name)[0] for name in grouped})
         sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
-        unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
-        raise several(path, "groups", names) if len(names) > 1 else DatasetError(str(path), [unequal])
+        unequal = refusal(path, f"has columns of unequal length: {sizes}", "ignore the columns of another length")
+        raise several(path, "groups", names) if len(names) > 1 else unequal
     return lengths.pop()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.preprocessing import with_slack_force
+from mckibben.dataset.preprocessing import levels_of, with_slack_force
 from mckibben.dataset.schema import VARIABLES, MeasuredTable, assemble, format_range, write_csv
 from mckibben.errors import DatasetError, Problem, RangeError
 from mckibben.result import draw
@@ -137,10 +137,7 @@ class IsobaricDataset(MeasuredTable):
     @property
     def levels(self) -> NDArray[np.float64]:
         """Nominal pressure of each point [Pa]: the set pressure, or the measured one where it is unknown."""
-        if "set_pressure" not in self.table:
-            return self.pressure
-        nominal = self.table["set_pressure"].to_numpy()
-        return np.where(np.isnan(nominal), self.pressure, nominal)
+        return levels_of(self.table)
 
     @property
     def pressures(self) -> NDArray[np.float64]:

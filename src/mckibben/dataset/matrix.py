@@ -11,9 +11,8 @@ import numpy as np
 
 from mckibben.dataset.cells import BEGINS, NUMBER, SEPARATORS, Layout, decimal_of, split_cells, to_numbers
 from mckibben.dataset.raw import Budget, RawColumn, RawTable
-from mckibben.dataset.table import question
+from mckibben.dataset.table import question, refusal
 from mckibben.dataset.vocabulary import dimension_of, parse_header, parse_line
-from mckibben.errors import DatasetError, Problem
 
 MATRIX = ("rows", "columns", "cells")
 """Columns of a matrix with one row per cell: the numbers before its rows and above its columns, and those of cells."""
@@ -103,7 +102,7 @@ def read_matrix(
     points = list(_points(table, lines, layout))
     if not points:
         remedy = "give a row of numbers above the columns, and a number before each row"
-        raise DatasetError(str(path), [Problem("has no matrix", field="matrix", remedy=remedy)])
+        raise refusal(path, "has no matrix", remedy, "matrix")
     if "pressure" in parse_header(parse_line(mapping["columns"])[2]).quantity:
         points.sort(key=lambda point: point.column)
     budget.spend(rows=len(points), size=24 * len(points))

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, offset_from, places
-from mckibben.dataset.isobaric import IsobaricDataset, format_list
+from mckibben.dataset.faults import LOST, RecordedSignals, changes_at_once, places
+from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads, with_notes, with_passes, without_offset
-from mckibben.dataset.schema import OF_FILE
-from mckibben.dataset.segmentation import usual_interval
+from mckibben.dataset.schema import OF_FILE, WORDS
+from mckibben.dataset.segmentation import alternation, runs
 from mckibben.dataset.table import open_problems
-from mckibben.errors import DatasetError, McKibbenWarning, RangeError
+from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.result import Remark, Result, column
 from mckibben.units import show
 
@@ -61,20 +61,16 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     """
     from scipy.ndimage import uniform_filter1d  # 50 ms, of recordings alone
 
-    count = len(values)
-    if count < _LEAST:
+    if len(values) < _LEAST:
         return {}
-    starts = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
-    lengths = np.diff(starts, append=count)
+    starts, lengths = runs(values)
     heights = values[starts]
     masks: dict[str, NDArray[np.bool_]] = {}
     low, high = heights.min(), heights.max()
-    if low == high:
-        return {}
     inside = (heights != low) & (heights != high)
-    bend = np.diff(heights[inside], 2)  # second differences change sign from sample to sample in noise
+    bend = np.diff(heights[inside], 2)
     bend[np.abs(bend) <= _ROUNDING * np.ptp(heights)] = 0
-    if len(bend) < 2 or np.mean(bend[:-1] * bend[1:] < 0) <= _JITTER:
+    if alternation(bend) <= _JITTER:
         return {}
     usual = np.median(np.repeat(lengths[inside], lengths[inside]))  # of the samples
     for end, value in (("floor", low), ("ceiling", high)):
@@ -178,7 +174,7 @@ def extracted_points(
         points, more = with_passes(points, np.zeros(len(spread), np.int64))
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
-    asked = [*offset_from(dataset)]
+    asked = []
     for query in questions_of(dataset, np.arange(len(dataset)), scatter=_SCATTER):
         at = "" if query.problem.line is None else f", at {points['time'].to_numpy()[query.problem.line]:.6g} s"
         asked.append(query._replace(problem=replace(query.problem, message=query.problem.message + at, line=None)))
@@ -186,9 +182,7 @@ def extracted_points(
     if problems := open_problems(asked, accept) if len(dataset) else []:
         raise DatasetError(dataset.table.attrs["source"] or "recording", problems)
     notes += [query.problem.message for query in asked]
-    words = [
-        points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in ("direction", "phase")
-    ]
+    words = [points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in WORDS]
     return ExtractedPoints(
         points["time"].to_numpy(),
         dataset.pressure,
@@ -228,11 +222,10 @@ class SampleAccount:
         self.of = np.full(table.sizes["sample"], -1, np.int8)
         self.notes: list[str] = []
         self.lost: list[str] = []
-        self.broken = self._breaks()
+        self.signals = RecordedSignals(table)
+        self.interval, self.broken = self.signals.interval, self._breaks()
         for name in ("pressure", "force"):
             self._ends(name)
-        names = [name for name in ("pressure", "contraction", "force") if name in table]
-        self.signals = RecordedSignals(self.time, {name: table[name].to_numpy() for name in names})
         for name, parts in self.signals.stuck.items():
             self.lose(parts, f"the {name} is stuck")
 
@@ -285,20 +278,13 @@ class SampleAccount:
 
     def _breaks(self) -> NDArray[np.bool_]:
         """Samples after a gap or a backward clock step."""
-        time = self.time
-        steps = np.diff(time)
-        broken = np.zeros(len(time), bool)
-        self.interval, gaps = usual_interval(steps)
-        if not self.interval:
-            remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
-            raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
+        time, steps, broken = self.time, np.diff(self.time), np.zeros(len(self.time), bool)
         self.back = np.flatnonzero(steps < 0) + 1
-        for what, where in (("gap", gaps), ("clock went back", steps < 0)):
-            places = np.flatnonzero(where)
-            if len(places):
-                shown = format_list(np.array([f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places]), most=5)
-                self.notes.append(f"{what}: {shown}; segments end there")
-                broken[places + 1] = True
+        for what, where in (("gap", self.signals.gaps), ("clock went back", steps < 0)):
+            if where.any():
+                spans = [slice(at, at + 2) for at in np.flatnonzero(where)]
+                self.notes.append(f"{what}: {places(time, spans)}; segments end there")
+                broken[1:] |= where
         if still := int(np.count_nonzero(steps == 0)):
             self.notes.append(f"{still} of {len(time)} samples have the time of the one before: durations are inexact")
         return broken

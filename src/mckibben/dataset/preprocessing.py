@@ -7,6 +7,7 @@ reversals of the contraction in row order, and the force of the slack muscle fro
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -90,15 +91,10 @@ def pressure_levels(pressure: Floats, tolerance: float = _LEVEL) -> Floats:
 
 def level_means(values: Floats, tolerance: float) -> Floats:
     """As `pressure_levels`, of any quantity: means of the values that follow each other closely, NaN in a sweep."""
-    order = np.argsort(values, kind="stable")
-    ranked = values[order]
-    group = np.cumsum(np.diff(ranked, prepend=ranked[:1]) > tolerance)
-    mean = np.bincount(group, ranked) / np.maximum(np.bincount(group), 1)
-    first, last = (np.searchsorted(group, np.arange(len(mean)), side=side) for side in ("left", "right"))
-    wide = ranked[last - 1] - ranked[first] > 3 * tolerance
-    levels = np.empty(len(values))
-    levels[order] = np.where(wide, np.nan, mean)[group]
-    return levels
+    ranked = pd.Series(values).sort_values()
+    groups = ranked.groupby((ranked.diff() > tolerance).cumsum())
+    narrow = groups.transform("max") - groups.transform("min") <= 3 * tolerance
+    return groups.transform("mean").where(narrow).sort_index().to_numpy()
 
 
 def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
@@ -131,15 +127,12 @@ def _thinned(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:
     rows = np.arange(table.sizes["point"])
     if not sample_rate(table) or "repeat" not in table or "direction" not in table:
         return table, rows, []
-    repeat = table["repeat"].to_numpy()
-    strokes = 1 + np.count_nonzero(np.diff(repeat) | (table["direction"].to_numpy()[1:] != table["direction"][:-1]))
+    strokes = np.count_nonzero(_begins(table, ("repeat", "direction")))
     if (step := -(-strokes // _STROKES)) < 2:
         return table, rows, []
-    rows = np.flatnonzero(repeat % step == 0)
-    note = (
-        f"{strokes:,} strokes of {table.sizes['point']:,} samples: one repeat in {step} is read, {len(rows):,} samples"
-    )
-    return table.isel(point=rows), rows, [note]
+    rows = np.flatnonzero(table["repeat"] % step == 0)
+    of = f"{strokes:,} strokes of {table.sizes['point']:,} samples"
+    return table.isel(point=rows), rows, [f"{of}: one repeat in {step} is read, {len(rows):,} samples"]
 
 
 def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
@@ -151,18 +144,23 @@ def _averaged(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, Ints]:
     if not sample_rate(table):
         return table, first
     names = [name for name in ("set_pressure", "set_force", "direction", "repeat") if name in table]
-    strokes = pd.DataFrame({name: table[name].to_numpy() for name in names} | {"file": files}).fillna(-1.0)
-    begins = np.flatnonzero((strokes != strokes.shift()).any(axis=1))
+    begins = np.flatnonzero(_begins(table, names, files))
     most = min(_MOST if "direction" in table else 20 * _MOST, max(_TOTAL // len(begins), _TOTAL // _STROKES))
     sizes = np.diff(np.append(begins, len(first)))
     run = -(-np.repeat(sizes, sizes) // most)  # samples of a mean
     first = first[(first - np.repeat(begins, sizes)) % run == 0]
-    counts = np.diff(np.append(first, len(strokes)))
+    counts = np.diff(np.append(first, len(files)))
     means = {
         name: ("point", np.add.reduceat(table[name].to_numpy(), first) / counts)
         for name in ("time", "pressure", "contraction", "force")
     }
     return table.isel(point=first).assign(means), first
+
+
+def _begins(table: xr.Dataset, names: Sequence[str], *others: NDArray[np.generic]) -> NDArray[np.bool_]:
+    """Mask of the points at which a variable, or another column, differs from the point before."""
+    columns = pd.DataFrame(dict(enumerate([*(table[name].to_numpy() for name in names), *others]))).fillna(-1.0)
+    return (columns != columns.shift()).any(axis=1).to_numpy()
 
 
 def sample_rate(table: xr.Dataset) -> float:
@@ -181,8 +179,7 @@ def contraction_rate(table: xr.Dataset) -> Floats | None:
         return None
     time, contraction = table["time"].to_numpy(), table["contraction"].to_numpy()
     rate = np.full(len(time), np.nan)
-    strokes = pd.DataFrame({"direction": table["direction"].to_numpy(), "level": _levels(table)})
-    ends = (strokes != strokes.shift()).any(axis=1).to_numpy() | (np.diff(time, prepend=-np.inf) <= 0)
+    ends = _begins(table, ["direction"], levels_of(table)) | (np.diff(time, prepend=-np.inf) <= 0)
     for rows in np.split(np.arange(len(time)), np.flatnonzero(ends)):
         if len(rows) > 2:
             rate[rows[1:-1]] = np.gradient(contraction[rows], time[rows])[1:-1]
@@ -220,7 +217,7 @@ def with_passes(table: xr.Dataset, files: Ints) -> tuple[xr.Dataset, list[str]]:
         return table, []
     loads = held_loads(table)
     of = "level" if loads is None else "load"
-    values, groups = np.unique(_levels(table) if loads is None else loads, return_inverse=True)
+    values, groups = np.unique(levels_of(table) if loads is None else loads, return_inverse=True)
     grouped = 2 * len(values) <= len(groups)
     strokes = passes(groups if grouped else 0 * groups, table["contraction"].to_numpy(), files)
     if strokes is None:
@@ -259,10 +256,10 @@ def held_loads(table: xr.Dataset) -> Floats | None:
     if not np.isfinite(levels).all() or counts.min(initial=len(levels)) < _FEWEST:
         return None
     spans = (np.ptp(pressure[levels == level]) for level in distinct)
-    return levels if len(distinct) < len(np.unique(_levels(table))) and min(spans) > 3 * _LEVEL else None
+    return levels if len(distinct) < len(np.unique(levels_of(table))) and min(spans) > 3 * _LEVEL else None
 
 
-def _levels(table: xr.Dataset) -> Floats:
+def levels_of(table: xr.Dataset) -> Floats:
     """Set pressure of each point, or the measured one where it is unknown."""
     measured = table["pressure"].to_numpy()
     nominal = table.get("set_pressure", table["pressure"]).to_numpy()
@@ -390,7 +387,7 @@ class Slack(NamedTuple):
 def _slack_of(table: xr.Dataset) -> Slack | None:
     if held_loads(table) is not None:
         return None
-    levels = _levels(table)
+    levels = levels_of(table)
     levels = np.where(np.isnan(grouped := pressure_levels(levels)), levels, grouped)
     strokes = np.unique(levels, return_inverse=True)[1]
     if "direction" in table:

@@ -7,14 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.table import Question
-from mckibben.dataset.vocabulary import parse_header
-from mckibben.errors import DatasetError, FileError, Problem
+from mckibben.dataset.table import Question, refusal
+from mckibben.dataset.vocabulary import Header, parse_header, parse_line
+from mckibben.errors import FileError
 from mckibben.storage.files import similar_file
 
 if TYPE_CHECKING:
@@ -53,12 +54,19 @@ class RawColumn:
     label: str = ""
     unit: str = ""
 
+    @property
+    def title(self) -> str:
+        """Label or name."""
+        return self.label or self.name
 
-def is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:
-    """Whether a column is read by its header, or named by the recipe."""
-    if column.name in mapping:
-        return mapping[column.name] != "ignore"
-    return bool(parse_header(column.label or column.name, column.unit).quantity)
+    def name_in(self, mapping: Mapping[str, str]) -> str:
+        """Name that a recipe gives to the column; empty if it gives none."""
+        return mapping.get(self.name, mapping.get(self.title, ""))
+
+    def header(self, mapping: Mapping[str, str] = MappingProxyType({})) -> Header:
+        """Meaning of the column, by the recipe or by its title."""
+        name = self.name_in(mapping)
+        return parse_header(parse_line(name)[2]) if name else parse_header(self.title, self.unit)
 
 
 @dataclass
@@ -124,8 +132,7 @@ class Budget:
             (columns, _COLUMNS, "columns"),
         ):
             if amount > most:
-                text = f"has more than {most:,} {what}"
-                raise DatasetError(str(self.path), [Problem(text, remedy=LIMIT_REMEDY)])
+                raise refusal(self.path, f"has more than {most:,} {what}", LIMIT_REMEDY)
 
 
 def check_regular(path: Path) -> int:
@@ -136,12 +143,11 @@ def check_regular(path: Path) -> int:
     if os.path.isfile(path):  # noqa: PTH113, false for a path that cannot be
         return path.stat().st_size
     meant = FILES_REMEDY if "*" in path.name else similar_file(path) or "give the path of a file of measurements"
-    problem = Problem("there is no such file", remedy=meant)
     if os.path.isdir(path):  # noqa: PTH112
-        problem = Problem("is a directory", remedy=FILES_REMEDY)
-    elif os.path.exists(path):  # noqa: PTH110
-        problem = Problem("is a pipe or a device", remedy="save its content in a file")
-    raise DatasetError(str(path), [problem])
+        raise refusal(path, "is a directory", FILES_REMEDY)
+    if os.path.exists(path):  # noqa: PTH110
+        raise refusal(path, "is a pipe or a device", "save its content in a file")
+    raise refusal(path, "there is no such file", meant)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -151,7 +157,7 @@ def read_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(os.fstat(file.fileno()).st_size)
     except OSError as error:
-        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+        raise refusal(path, f"cannot be read: {error}") from None
 
 
 @contextmanager
@@ -168,7 +174,7 @@ def readable(path: Path, what: str) -> Iterator[None]:
     except Exception as error:
         lines = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()
         text = f"cannot be read as {what}: {lines[0][:500]}"
-        raise DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")]) from error
+        raise refusal(path, text, "save it again, or export it as CSV") from error
 
 
 def hdf5_nodes(file: h5py.File, budget: Budget) -> dict[str, h5py.Group | h5py.Dataset | None]:
@@ -189,7 +195,11 @@ def hdf5_nodes(file: h5py.File, budget: Budget) -> dict[str, h5py.Group | h5py.D
     return nodes
 
 
-def not_installed(path: Path, library: str, extra: str) -> DatasetError:
-    """Error of a file whose library is not installed."""
-    remedy = f'pip install "mckibben[{extra}]", or export the file as CSV'
-    return DatasetError(str(path), [Problem(f"needs {library}, which is not installed", remedy=remedy)])
+@contextmanager
+def needs(path: Path, library: str, extra: str) -> Iterator[None]:
+    """Raise a `DatasetError` if a library that a file needs is not installed."""
+    try:
+        yield
+    except ImportError:
+        remedy = f'pip install "mckibben[{extra}]", or export the file as CSV'
+        raise refusal(path, f"needs {library}, which is not installed", remedy) from None

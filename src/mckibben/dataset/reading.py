@@ -25,7 +25,7 @@ from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn, RawTable
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_validated
-from mckibben.dataset.table import Table, open_problems, question
+from mckibben.dataset.table import Table, open_problems, question, refusal
 from mckibben.dataset.understanding import understand
 from mckibben.dataset.vocabulary import OF_MUSCLES
 from mckibben.errors import DatasetError, Problem, RangeError, described
@@ -251,7 +251,7 @@ def _files(path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]
         files += [] if parts else [_File(file, file, recipe)]
     if len(recipe.loads) not in (0, len(files)):
         text, remedy = f"{len(recipe.loads)} loads are given for {len(files)} files", "give one load for each file"
-        raise DatasetError(str(files[0].path), [Problem(text, field="loads", remedy=remedy)])
+        raise refusal(files[0].path, text, remedy, "loads")
     if recipe.clocks and recipe.clocks != PAIRED:
         return [files[0]._replace(others=files[1:])]
     loads = [recipe.loads[at : at + 1] for at in range(len(files))]
@@ -290,7 +290,7 @@ def _understood(file: _File, needed: Sequence[str], geometry: JointPaths | None)
     try:
         return understand(file.name, raw, recipe, needed, geometry), own
     except MemoryError:
-        raise DatasetError(str(file.path), [Problem("needs more memory than there is", remedy=LIMIT_REMEDY)]) from None
+        raise refusal(file.path, "needs more memory than there is", LIMIT_REMEDY) from None
 
 
 def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, own: bool = False) -> Kind:
@@ -350,8 +350,7 @@ def _own(kind: type[Kind], file: _File) -> Kind:
     """Dataset or recording of a file that this program wrote, with the options that apply."""
     path, recipe, others = file.path, file.recipe, ("columns", "from_name", "largest_force")
     if any(getattr(recipe, name) is not None for name in others):
-        remedy = f"leave out {', '.join(others)}"
-        raise DatasetError(str(path), [Problem("was written by this program: it is read as it is", remedy=remedy)])
+        raise refusal(path, "was written by this program: it is read as it is", f"leave out {', '.join(others)}")
     data = load_validated(path, lambda table: kind(_samples_as_points(table) if kind is IsobaricDataset else table))
     options = {name: getattr(recipe, name) for name in ("initial_length", "specimen", "slack_force")}
     changes = {name: value for name, value in options.items() if value not in (None, "")}

@@ -159,7 +159,7 @@ class Recording(MeasuredTable):
         if self.contraction is None:
             remedy = "give contraction, where it was fixed (command line: --read 'contraction=10 %'), or lengths"
             raise RangeError("the recording has no contraction", remedy=remedy)
-        time, pressure, contraction, force = self.time, self.pressure, self.contraction, self.force
+        time, pressure, contraction, force = going_on(self.time), self.pressure, self.contraction, self.force
         account = SampleAccount(self.table)
         interval = account.interval
         if interval > dwell:
@@ -172,24 +172,19 @@ class Recording(MeasuredTable):
         account.ask(accept)
         signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
-        unusable = account.broken | (account.of >= 0)
-        segments = steady_segments(signals, unusable, least)
-        first, last = segments.first, segments.last
-        firsts = zip(first, last, strict=True)
-        begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
-        begins, ends = np.maximum(begins, first + segments.edge), last - segments.edge
+        first, last, edge = steady_segments(signals, account.broken | (account.of >= 0), least)
+        begins = np.maximum(np.searchsorted(time, time[first] + settle), first + edge)
         # first to last sample plus one interval: each sample stands for one
-        whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
-        first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+        whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (last - edge > begins)
+        first, begins, last = first[whole], begins[whole], last[whole]
         slope = pressure_tolerance / np.abs(pressure).max(initial=1.0) + contraction_tolerance / _STEEPEST
         rest = np.sum(last - first) / len(time)
-        sound = account.sound(first, last, segments.edge, 2 * slope * np.abs(force).max())
-        first, begins, ends, last = first[sound], begins[sound], ends[sound], last[sound]
+        sound = account.sound(first, last, edge, 2 * slope * np.abs(force).max())
+        first, begins, ends, last = first[sound], begins[sound], last[sound] - edge, last[sound]
         if not len(first):
             text = f"there are no plateaus: nothing is steady for {dwell:g} s\n  {format_counts(account.counts())}"
             remedy = f"{_CONTINUOUS}; of plateaus, give a shorter dwell (--dwell) or larger tolerances (--tolerance)"
             raise RangeError("\n  ".join([text, *account.notes, *account.lost]), value=dwell, unit="s", remedy=remedy)
-        samples = ends - begins
         used = list(map(slice, begins, ends))
         for part, whole in zip(used, map(slice, first, last), strict=True):
             account.assign_reason(part, "used")
@@ -199,14 +194,13 @@ class Recording(MeasuredTable):
             origin = values[begins]  # subtracted to preserve precision in sums of many samples
             return origin + [(values[part] - values[part.start]).mean() for part in used]
 
-        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(going_on(time))
+        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
         if 2 * rest < 1:
             text = f"{1 - rest:.0%} of the samples are in no plateau"
             swept = [max(np.ptp(values) - 20 * tolerance, 0.0) for values, tolerance in signals]
             if np.ptp(p) < 0.1 * swept[0] or np.ptp(c) < 0.1 * swept[1]:
                 raise RangeError(f"{text}, as of loops or sweeps", remedy=_CONTINUOUS)
             account.notes.append(f"{text}: {_CONTINUOUS}")
-        spread = np.array([force[part].std() for part in used])
         levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
         direction, phase = approaches(self.table, account.broken, first, last, levels)
         if "set_pressure" in self.table:
@@ -219,14 +213,14 @@ class Recording(MeasuredTable):
         return extracted_points(
             self.table,
             account,
-            samples,
+            ends - begins,
             accept,
             pressure=p,
             contraction=c,
             force=f,
-            direction=direction if np.any(direction != "") else None,
-            phase=phase if np.any(phase != "") else None,
+            direction=direction if direction.any() else None,
+            phase=phase if phase.any() else None,
             time=t,
             set_pressure=set_pressure,
-            force_spread=spread,
+            force_spread=np.array([force[part].std() for part in used]),
         )

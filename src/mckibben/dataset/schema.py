@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.raw import Budget, check_regular, hdf5_nodes, readable
+from mckibben.dataset.table import refusal
 from mckibben.errors import DatasetError, Problem, Suggesting
 from mckibben.storage.files import atomic_write
 
@@ -54,11 +55,9 @@ VARIABLES: Mapping[str, Variable] = {
 """Variables of a dataset; the first gives the number of points."""
 
 RECORDED: Mapping[str, Variable] = {
-    "time": Variable("s", "time", required=True, dims=("sample",)),
-    "pressure": Variable("Pa", "gauge pressure", required=True, dims=("sample",)),
-    "force": Variable("N", "axial pull", required=True, dims=("sample",)),
-    "contraction": Variable("1", "contraction, positive when shorter", dims=("sample",)),
-    "set_pressure": Variable("Pa", "nominal gauge pressure", dims=("sample",)),
+    name: VARIABLES[name]._replace(required=required, dims=("sample",))
+    for required, names in ((True, ("time", "pressure", "force")), (False, ("contraction", "set_pressure")))
+    for name in names
 }
 """Variables of a recording; the first gives the number of samples."""
 
@@ -252,7 +251,7 @@ def _check_netcdf(path: Path, size: int) -> None:
         file.visititems_links(lambda name, link: None if isinstance(link, h5py.HardLink) else links.append(name))
         for name, node in hdf5_nodes(file, budget).items():
             if node is None or links:
-                raise DatasetError(str(path), [Problem("refers to other data", field=(links or [name])[0])])
+                raise refusal(path, "refers to other data", field=(links or [name])[0])
             if isinstance(node, h5py.Dataset) and node.shape is not None:
                 budget.spend(size=node.nbytes)
 

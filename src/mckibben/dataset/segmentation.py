@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -13,6 +14,21 @@ if TYPE_CHECKING:
 
 _GAP = 10  # usual intervals
 _PARTS = 20  # of a dwell: length of the compared means
+
+
+def runs(values: NDArray[np.generic]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First index and length of each run of equal values.
+
+    >>> [part.tolist() for part in runs(np.array([3.0, 3.0, 1.0]))]
+    [[0, 2], [2, 1]]
+    """
+    begins = np.flatnonzero(np.append(True, values[1:] != values[:-1])[: len(values)])
+    return begins, np.diff(begins, append=len(values))
+
+
+def alternation(steps: NDArray[np.float64]) -> float:
+    """Share of differences that change sign from one to the next, as they do in noise: 0 without any."""
+    return float(np.mean(steps[:-1] * steps[1:] < 0)) if len(steps) > 1 else 0.0
 
 
 def usual_interval(steps: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
@@ -88,10 +104,9 @@ def steady_segments(
     means = [(np.add.reduceat(values, edges) / sizes, tolerance) for values, tolerance in signals]
     bad = np.logical_or.reduceat(broken, edges)
 
-    starts = ~_sliding(bad.view(np.uint8), window)[0].astype(bool)
+    starts = ~sliding_window_view(bad, window).any(axis=1)
     for values, tolerance in means:
-        high, low = _sliding(values, window)
-        starts &= high - low <= 2 * tolerance
+        starts &= np.ptp(sliding_window_view(values, window), axis=1) <= 2 * tolerance
     opens = np.flatnonzero(np.diff(starts, prepend=False, append=False))
     first, last = opens[::2], opens[1::2] + window - 1  # blocks: the first, and the one after the last
     first = np.maximum(first, np.concatenate([[0], last[:-1]]))  # shared samples belong to the earlier one
@@ -99,17 +114,6 @@ def steady_segments(
     first, last = _trimmed(means, first[keep], last[keep])
     keep = last - first >= window
     return Segments(bounds[first[keep]], bounds[last[keep]], size if window > 4 else 0)
-
-
-def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sliding maximum and minimum, shape (n - window + 1,)."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # saves 50 ms when reading points
-
-    shift = -(window // 2)
-    count = len(values) - window + 1
-    high = maximum_filter1d(values, window, origin=shift, mode="mirror")[:count]
-    low = minimum_filter1d(values, window, origin=shift, mode="mirror")[:count]
-    return high, low
 
 
 def _trimmed(

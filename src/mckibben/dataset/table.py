@@ -51,6 +51,11 @@ def question(text: str, topic: str = "", *, line: int | None = None, field: str 
     return Question(Problem(text, line=line, field=field, remedy=remedy), topic)
 
 
+def refusal(path: Path, text: str, remedy: str = "", field: str = "") -> DatasetError:
+    """Error of a file with one problem."""
+    return DatasetError(str(path), [Problem(text, field=field, remedy=remedy)])
+
+
 def open_problems(questions: Sequence[Question], accept: Sequence[str]) -> list[Problem]:
     """Problems of the questions that no topic of `accept` answers."""
     return [asked.problem for asked in questions if not asked.topic or asked.topic not in accept]

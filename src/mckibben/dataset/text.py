@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from mckibben.dataset.cells import BEGINS, NUMBER, SEPARATORS, WITH_UNIT, Layout, decimal_of, split_cells, to_numbers
 from mckibben.dataset.matrix import matrix_remedy
 from mckibben.dataset.raw import MOST_PLAIN, Budget, Floats, RawColumn, RawTable
-from mckibben.dataset.table import question
+from mckibben.dataset.table import question, refusal
 from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe\0\0", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _COMMENT = ("#", "%", "//", "!")
@@ -54,8 +50,7 @@ def decode(data: bytes, path: Path) -> str:
     if not encoding and b"\0" in data:
         encoding = next(filter(partial(_is_text, data), ("utf-16-le", "utf-16-be")), "")
         if not encoding:
-            remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
-            raise DatasetError(str(path), [Problem("is a binary file", remedy=remedy)])
+            raise refusal(path, "is a binary file", "give text in UTF-8, .xlsx, .h5, .mat or .tdms")
     try:
         return data.decode(encoding or "utf-8")
     except UnicodeDecodeError:
@@ -108,56 +103,36 @@ def read_numbers(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTab
         layout = find_layout(lines, mapping)
         if layout is None or layout.separator == " ":
             return None
-        table, separator, rows, at = RawTable(place="line", decimal=decimal), layout.separator, b"", 0
+        table, separator, at = RawTable(place="line", decimal=decimal), layout.separator, 0
         _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
         names, units, first = _header(table, lines, layout)
-        most = 1 + chunk.count(b"\n") + sum(more.count(b"\n") for more in iter(lambda: file.read(_CHUNK), b"")) - first
-        Budget(path, MOST_PLAIN).spend(size=8 * most * len(names), columns=len(names))
-        values = np.empty((len(names), most))
-        file.seek(len(chunk))
-        for rows in _blocks(file, chunk.split(b"\n", first)[-1]):
-            count = _plain_rows(rows, separator, len(names))
-            if count and not table.decimal:
-                table.decimal = decimal_of(rows.decode().split("\n"), separator, path)
-            try:
-                read = _frame(io.BytesIO(rows), separator, table.decimal, len(names), dtype=np.float64)
-                values[:, at : at + count] = read.to_numpy().T
-            except ValueError:
-                count = 0
-            if not count:
-                return None
-            at += count
-        file.seek(-1, os.SEEK_END)
-        whole = file.read() == b"\n"
+        rows, count = head.split(b"\n", first)[-1], len(names)
+        if not rows.strip() or rows.translate(None, _PLAIN):
+            return None
+        table.decimal = decimal or decimal_of(lines[first:], separator, path)
+        file.seek(begin := len(head) - len(rows))
+        blocks = iter(lambda: file.read(_CHUNK), b"")
+        ends, marks = np.sum([(more.count(b"\n"), more.count(separator.encode())) for more in blocks], axis=0)
+        Budget(path, MOST_PLAIN).spend(size=8 * (1 + ends) * count, columns=count)
+        file.seek(max(file.tell() - _LONGEST, begin))
+        tail = file.read()
+        values = np.empty((count, 1 + ends - tail[len(tail.rstrip(b"\r\n")) :].count(b"\n")))
+        file.seek(begin)
+        options = {"dtype": np.float64, "quoting": csv.QUOTE_NONE, "na_filter": True}
+        try:
+            for block in _frame(file, separator, table.decimal, count, chunksize=_CHUNK // 32, **options):
+                values[:, at : at + len(block)] = block.to_numpy().T
+                at += len(block)
+        except ValueError:
+            return None
+    if at < values.shape[1] or marks != at * (count - 1) or not np.isfinite(values).all():
+        return None
     table.lines = np.arange(first + 1, first + 1 + at)
     for place, unit in enumerate(units):
-        _add_column(table, names, place, values[place, :at], unit)
-    if not whole:
-        _ask_of_cut(table, rows.decode().rsplit("\n", 50)[-50:])
+        _add_column(table, names, place, values[place], unit)
+    if not tail.endswith(b"\n"):
+        _ask_of_cut(table, tail.decode().splitlines()[-50:])
     return table
-
-
-def _blocks(file: BinaryIO, chunk: bytes) -> Iterator[bytes]:
-    """Rows of a file, from a chunk of it on, in blocks that end with a line."""
-    while more := file.read(_CHUNK):
-        block, _, chunk = chunk.rpartition(b"\n")
-        yield block
-        chunk += more
-    yield chunk.rstrip(b"\r\n")
-
-
-def _plain_rows(rows: bytes, separator: str, count: int) -> int:
-    """Number of rows of characters of numbers, each with a `count` of cells; 0 if there are others."""
-    if rows.translate(None, _PLAIN):
-        return 0
-    characters = np.frombuffer(rows, np.uint8)
-    ends = np.append(np.flatnonzero(characters == ord("\n")), characters.size)
-    marks = np.flatnonzero(characters == ord(separator))
-    if marks.size != ends.size * (count - 1):
-        return 0
-    begins, marks = np.append(-1, ends[:-1]), marks.reshape(ends.size, count - 1)
-    apart = np.all(marks[:, 0] > begins) and np.all(marks[:, -1] < ends) and np.all(ends - begins <= _LONGEST)
-    return ends.size if apart else 0
 
 
 def read_lines(
@@ -182,7 +157,7 @@ def read_lines(
     budget, table = Budget(path), RawTable(place="line")
     budget.spend(rows=len(lines))
     if max(map(len, lines)) > _LONGEST:
-        raise DatasetError(str(path), [Problem(f"has a line of more than {_LONGEST} characters", remedy="save rows")])
+        raise refusal(path, f"has a line of more than {_LONGEST} characters", "save rows")
     layout = find_layout(lines, mapping)
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
@@ -356,19 +331,17 @@ def _cells(rows: Sequence[str], separator: str, decimal: str, count: int, path: 
     try:
         read = _frame(io.StringIO("\n".join(rows)), separator, decimal, count, quoting=quoting)
     except ValueError as error:
-        raise DatasetError(str(path), [Problem(f"cannot be split into cells: {error}")]) from None
+        raise refusal(path, f"cannot be split into cells: {error}") from None
     if len(read) != len(rows):
-        raise DatasetError(str(path), [Problem("has quotation marks across lines", remedy="remove them")])
+        raise refusal(path, "has quotation marks across lines", "remove them")
     return [
         read[at].to_numpy(np.float64) if read[at].dtype.kind in "iuf" else [str(cell).strip() for cell in read[at]]
         for at in range(count)
     ]
 
 
-def _frame(
-    stream: io.BytesIO | io.StringIO, separator: str, decimal: str, count: int, **options: object
-) -> pd.DataFrame:
-    """Cells of rows by pandas."""
+def _frame(stream: BinaryIO | io.StringIO, separator: str, decimal: str, count: int, **options: object) -> Any:
+    """Cells of rows by pandas: a frame or, with a size of chunks, several."""
     import pandas as pd
 
     return pd.read_csv(  # type: ignore[call-overload]
@@ -378,10 +351,9 @@ def _frame(
         index_col=False,
         names=range(count),
         decimal=decimal,
-        na_filter=False,
         skipinitialspace=True,
         low_memory=False,
-        **options,
+        **{"na_filter": False, **options},
     )
 
 
@@ -405,8 +377,8 @@ def _of_labview(lines: list[str], path: Path) -> list[str]:
     """
     ends = [row for row, line in enumerate(lines) if line.startswith("***End_of_Header***")]
     if len(ends) != 2:
-        problem = Problem(f"has {max(len(ends) - 1, 0)} segments", remedy="write one segment to a file, or give TDMS")
-        raise DatasetError(str(path), [problem])
+        remedy = "write one segment to a file, or give TDMS"
+        raise refusal(path, f"has {max(len(ends) - 1, 0)} segments", remedy)
     before, header, rows = lines[: ends[1]], *lines[ends[1] + 1 : ends[1] + 2], lines[ends[1] + 2 :]
     separator = "," if any(line.startswith("Separator,") for line in before) else "\t"
     units = next((line for line in before if line.startswith("Y_Unit_Label")), "").split(separator)[1:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +15,14 @@ from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque
 from mckibben.dataset.cells import NUMBER, to_numbers
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
-from mckibben.dataset.schema import unquote
+from mckibben.dataset.schema import WORDS, unquote
 from mckibben.dataset.segmentation import usual_interval
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
 from mckibben.dataset.vocabulary import (
     ABSOLUTE,
     OF_MUSCLES,
     QUANTITIES,
+    VOCABULARY,
     Header,
     dimension_of,
     is_harmless,
@@ -53,20 +54,6 @@ _AT_JOINT = (
     "lever also --read 'lever=250 mm'; else "
 )
 _AT_LEVER = "of forces at a lever of the joint, give its arm: --read 'lever=250 mm' (in Python lever=0.25); else "
-_UNKNOWN = dict.fromkeys(("", "unknown", "unbekannt"), "")
-_WORDS: Mapping[str, Mapping[str, str]] = {
-    "direction": {
-        **dict.fromkeys("loading stretching belasten belastung dehnen".split(), "loading"),
-        **dict.fromkeys("unloading shortening entlasten entlastung verkürzen".split(), "unloading"),
-        **_UNKNOWN,
-    },
-    "phase": {
-        **dict.fromkeys("filling inflating befüllen".split(), "filling"),
-        **dict.fromkeys("venting deflating entlüften".split(), "venting"),
-        **_UNKNOWN,
-    },
-}
-"""Meanings of the words of a direction and of a phase; of none and of unknown ones it is empty."""
 _MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
@@ -145,7 +132,7 @@ class _Reader:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
             meant = " ".join(self._meant(name) for name in missing if QUANTITIES[name])
-            at_joint = any(parse_header(column.label or column.name).quantity in _OF_JOINTS for column in raw.columns)
+            at_joint = any(column.header().quantity in _OF_JOINTS for column in raw.columns)
             of_joint = _AT_JOINT if at_joint and not self.recipe.joint else ""
             of_joint = _AT_LEVER if "torque" in missing and "force" in table.columns else of_joint
             named = f"{of_joint}name them: {meant}{_ELSEWHERE}"
@@ -202,11 +189,10 @@ class _Reader:
         for column in self.raw.columns:
             if column.name not in self.table.ignored:
                 continue
-            label = column.label or column.name
-            unit = parse_header(label, column.unit).unit
+            unit = column.header().unit
             if dimension_of(unit) == quantity and quantity not in _KINDS:
                 return f"--column '{column.name}={quantity}_{unit}'"
-            match = _WITH_UNIT.fullmatch(label)
+            match = _WITH_UNIT.fullmatch(column.title)
             if match and parse_header(match[1]).quantity == quantity:
                 unit = closest(match[2], QUANTITIES[quantity])
                 line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
@@ -239,23 +225,24 @@ class _Reader:
         """Columns that are understood, with sign and origin; questions about the others."""
         understood = []
         for column in self.raw.columns:
-            label = column.label or column.name
-            name = self.mapping.get(column.name, self.mapping.get(label, ""))
+            name = column.name_in(self.mapping)
             if name == "ignore":
                 self.table.ignored.append(column.name)
                 continue
             gain, offset, name = parse_line(name)
-            header = parse_header(name) if name else self._header_of(column, label)
+            header = parse_header(name) if name else self._header_of(column)
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
                 known = [f"{quantity}_{units[0]}" for quantity, units in QUANTITIES.items() if units]
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
-                source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
+                source = (
+                    "columns" if name else "file" if column.unit and not parse_header(column.title).unit else "header"
+                )
                 understood.append(_Entry(column, header, source, gain, offset))
                 self._ask_of_contradiction(understood[-1])
             else:
-                self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
+                self._unread(column, header.unit)
         sensed = any(entry.header.quantity == "force" for entry in understood)
         return understood if sensed else [entry.without_sensor() for entry in understood]
 
@@ -264,31 +251,32 @@ class _Reader:
         if entry.source != "columns" or abs(entry.gain) != 1 or entry.offset:
             return
         column, named = entry.column, entry.header
-        said = parse_header(column.label or column.name, column.unit)
+        said = column.header()
         unlike = said.unit != named.unit and dimension_of(said.unit) and dimension_of(named.unit)
         if unlike or (said.absolute and not named.absolute and "pressure" in named.quantity):
             text = f"is named {named.quantity}_{named.unit}, which contradicts its header"
             self.ask(text, "words", field=column.name, remedy="correct either")
 
-    def _header_of(self, column: RawColumn, label: str) -> Header:
+    def _header_of(self, column: RawColumn) -> Header:
         """Meaning of a column that the recipe does not name; those of a joint are read in its tests alone."""
-        header = parse_header(label, column.unit)
+        header = column.header()
         if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
             return Header("time", "") if seconds_of(header, column.cells) is not None else header
         return header if self.recipe.joint is not None or header.quantity not in _OF_JOINTS else Header("", header.unit)
 
-    def _unread(self, column: RawColumn, label: str, dimension: str, *, other_unit: bool) -> None:
+    def _unread(self, column: RawColumn, unit: str) -> None:
         """Ask about a column that is not understood, unless its name or its content says that it is not needed."""
         self.table.ignored.append(column.name)
         if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
             self.raw.words += [(line, cell) for line, cell in zip(self.raw.lines, column.cells, strict=True) if cell]
             return
-        if dimension in ("", *_NEEDLESS_UNITS) and _is_needless(column, label, other_unit=other_unit):
-            return
-        remedy = _NEEDLESS.format(column.name)
-        if dimension not in ("", *_NEEDLESS_UNITS):
+        remedy, dimension = _NEEDLESS.format(column.name), dimension_of(unit)
+        if dimension in ("", *_NEEDLESS_UNITS):
+            if _is_needless(column, other_unit=bool(unit)):
+                return
+        else:
             kinds = _KINDS.get(dimension, "")
-            meant = f"{'KIND' if kinds else dimension}_{parse_header(label, column.unit).unit}"
+            meant = f"{'KIND' if kinds else dimension}_{unit}"
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}{kinds}; {remedy}"
         self.ask("is not understood", "columns", field=column.name, remedy=remedy)
 
@@ -333,7 +321,7 @@ class _Reader:
         """Questions about headers of the recipe that the file does not have."""
         names = {column.name for column in self.raw.columns} | {column.label for column in self.raw.columns}
         for key, name in self.mapping.items():
-            if key not in names and name not in ("loading", "unloading", "filling", "venting"):
+            if key not in names and name not in VOCABULARY["synonyms"]:
                 known = [column.name for column in self.raw.columns]
                 close = closest(key, known)
                 remedy = f"did you mean {close!r}?" if close else f"the file has {', '.join(known[:20])}"
@@ -350,7 +338,7 @@ class _Reader:
                 self.table.clock = column.name
                 return
             values, remarks = continuous(clock)
-        elif name in _WORDS:
+        elif name in WORDS:
             values = self._meaning(name, column)
         elif problem := self._not_convertible(column, header):
             self.asked_about |= {"contraction"} if name in MOTIONS else {name}
@@ -391,11 +379,10 @@ class _Reader:
     def _numbers(self, column: RawColumn, name: str) -> Floats:
         """Numbers of a column; cells that are none are corrupt."""
         cells = column.cells
-        texts = [] if isinstance(cells, np.ndarray) else cells
-        values = to_numbers(texts, self.raw.decimal, certain=bool(self.recipe.decimal)) if texts else np.asarray(cells)
+        values = to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
         wrong = ~np.isfinite(values)
-        if name in ("set_pressure", "set_force") and texts:
-            wrong &= [bool(cell.strip()) for cell in texts]
+        if name in ("set_pressure", "set_force") and not isinstance(cells, np.ndarray):
+            wrong &= [bool(cell.strip()) for cell in cells]
         for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
@@ -411,13 +398,14 @@ class _Reader:
 
     def _meaning(self, name: str, column: RawColumn) -> np.ndarray:
         """Directions or phases by their words."""
-        said = {**_WORDS[name], **{key.lower(): word for key, word in self.mapping.items() if word in _WORDS[name]}}
+        said = dict.fromkeys(("", "unknown", "unbekannt"), "")
+        said |= {synonym: word for word in WORDS[name] for synonym in (word, *VOCABULARY["synonyms"][word].split())}
+        said |= {key.lower(): word for key, word in self.mapping.items() if word in WORDS[name]}
         cells = [str(cell).strip().lower() for cell in column.cells]
-        first, second = list(dict.fromkeys(filter(None, _WORDS[name].values())))
         for cell in [cell for cell in dict.fromkeys(cells) if cell not in said][:_WORDS_LISTED]:
             at = cells.index(cell)
             shown = str(column.cells[at])[:40]
-            meant = (_COLUMN_REMEDY.format(shown, word).removeprefix("name it: ") for word in (first, second))
+            meant = (_COLUMN_REMEDY.format(shown, word).removeprefix("name it: ") for word in WORDS[name])
             remedy = f"give its meaning: {' or '.join(meant)}"
             self.ask(f"{shown!r} is not a {name}", field=column.name, line=int(self.table.lines[at]), remedy=remedy)
         return np.array([said.get(cell, "") for cell in cells], "<U9")
@@ -454,9 +442,8 @@ class _Reader:
         if shortest <= 0 or longest > 2 * initial:
             span = f"{show(shortest, 'mm', 4)} to {show(longest, 'mm', 4)}"
             text = f"lengths of {span} do not fit the initial length, {show(initial, 'mm', 5)}"
-            unit = (
-                f"the angle: --column '{column.header}=angle_UNIT', the geometry" if "angle" in table.columns else "it"
-            )
+            turned = f"the angle: --column '{column.header}=angle_UNIT', the geometry"
+            unit = turned if "angle" in table.columns else "it"
             remedy = f"check the unit of {unit} and initial_length (command line: --initial-length)"
             self.ask(text, field=column.quantity, remedy=remedy)
         table.columns["contraction"] = replace(column, values=1 - length / initial)
@@ -476,19 +463,15 @@ class _Reader:
         bad = self.bad.copy() if "corrupt" in self.recipe.accept else np.zeros(len(self.bad), bool)
         if self.recipe.largest_force is not None and "force" in table.columns:
             full = table.columns["force"].values >= self.recipe.largest_force
-            table.repairs += [
-                f"{table.place} {line}: force at the end of the sensor's range" for line in table.lines[full]
-            ]
+            reason = "force at the end of the sensor's range"
+            table.repairs += [f"{table.place} {line}: {reason}" for line in table.lines[full]]
             bad |= full
         if 2 * np.count_nonzero(bad) > len(bad):
-            self.ask(
-                f"{np.count_nonzero(bad)} of {len(bad)} rows would be left out", remedy="check columns and decimal sign"
-            )
+            text = f"{np.count_nonzero(bad)} of {len(bad)} rows would be left out"
+            self.ask(text, remedy="check columns and decimal sign")
         elif bad.any():
-            table.lines = table.lines[~bad]
-            table.columns = {
-                name: replace(column, values=column.values[~bad]) for name, column in table.columns.items()
-            }
+            table.lines, columns = table.lines[~bad], table.columns.items()
+            table.columns = {name: replace(column, values=column.values[~bad]) for name, column in columns}
 
 
 def _unless(match: re.Match[str], initial: float) -> str:
@@ -496,16 +479,16 @@ def _unless(match: re.Match[str], initial: float) -> str:
     return "" if abs(quantity(match[0], "m") - initial) < _ROUNDING else match[0]
 
 
-def _is_needless(column: RawColumn, label: str, *, other_unit: bool) -> bool:
+def _is_needless(column: RawColumn, *, other_unit: bool) -> bool:
     """Whether the name or the content of a column says that it is no pressure, force, length or mark of rows."""
     cells = column.cells
     if isinstance(cells, np.ndarray):
         if _UNNAMED.fullmatch(column.name):
             return bool(np.all(np.diff(cells) == 1))
-        return other_unit or is_harmless(label)
+        return other_unit or is_harmless(column.title)
     texts = {str(cell).strip() for cell in cells} - {""}
     numbers = sum(bool(NUMBER.fullmatch(text)) for text in texts)
     if 0 < numbers < len(texts):
         return False
     constant = len(texts) == 1 and not any(dimension_of(text) or set("0123456789") & {*text} for text in texts)
-    return not texts or constant or is_harmless(label)
+    return not texts or constant or is_harmless(column.title)

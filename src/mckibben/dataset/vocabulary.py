@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import re
+import tomllib
 import unicodedata
 from collections.abc import Mapping
+from importlib import resources
 from typing import NamedTuple
 
 from mckibben.units import factor
@@ -38,94 +40,22 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 as `relative_length` is.
 """
 
-_NAMES: Mapping[str, str] = {
-    "pressure": """p, pressure, muscle pressure, air pressure, inner pressure, internal pressure, actuator pressure,
-        druck, muskeldruck, druck im muskel, innendruck, istdruck, p muskel, p ist, messdruck, überdruck, ueberdruck,
-        absolutdruck, luftdruck, pression, presión, presion, pressione, 压力, 气压, 压强, 表压, 圧力, 空気圧, 内圧,
-        ゲージ圧""",
-    "force": """f, force, axial force, tension, tensile force, pull, pulling force, contractile force, load, load cell,
-        kraft, zugkraft, axialkraft, muskelkraft, standardkraft, kraftaufnehmer, standard force, last,
-        force de traction, fuerza, forza, 力, 拉力, 张力, 收缩力, 荷重, 張力, 収縮力, 発生力""",
-    "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
-        verkuerzung, relative verkürzung, taux de contraction, contracción, contrazione, 收缩率, 収縮率""",
-    "length": """l, length, muscle length, länge, laenge, muskellänge, muskellaenge, longueur, longitud, lunghezza,
-        长度, 長さ""",
-    "displacement": """displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung,
-        wegaufnehmer, traversenweg, standardweg, déplacement, deplacement, course, längenänderung, laengenaenderung,
-        length change, change in length, desplazamiento, spostamento, 位移, 变位, 変位, 行程, ストローク""",
-    "shortening": """shortening, verkürzungsweg, raccourcissement, 收缩量, 収縮量""",
-    "lengthening": """lengthening, elongation, verlängerung, allongement, 伸长, 伸び""",
-    "relative_length": """relative length, length ratio, l/l0, relative länge, längenverhältnis""",
-    "angle": """angle, joint angle, theta, θ, phi, φ, winkel, gelenkwinkel, 角度, 关节角度, 関節角度""",
-    "torque": """torque, joint torque, moment, tau, τ, drehmoment, gelenkmoment, couple, 扭矩, 力矩, 转矩, トルク""",
-    "pressure1": "p1, pressure1",
-    "pressure2": "p2, pressure2",
-    **{name: name for pair in OF_MUSCLES[1:] for name in pair},
-    "set_pressure": """set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure,
-        target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
-        sollwert druck, druck sollwert""",
-    "set_force": """set force, force set, force setpoint, nominal force, target force, set load, nominal load, weight,
-        weights, mass, masse, hanging weight, hanging mass, sollkraft, kraft soll, gewicht, gewichte, anhängelast,
-        poids, 重量, 质量, 質量, 砝码, おもり""",
-    "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp, test time,
-        zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum, uhrzeit,
-        zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time, date/time,
-        datum/uhrzeit, temps, heure, zeitpunkt, tiempo, tempo, 时间, 時間, 時刻, 日時, 日期""",
-    "direction": "direction, richtung",
-    "phase": "phase",
-    "repeat": "repeat, wiederholung",
-}
-_QUANTITY = {name.strip(): quantity for quantity, names in _NAMES.items() for name in names.split(",")}
+VOCABULARY = tomllib.loads((resources.files("mckibben.dataset") / "vocabulary.toml").read_text(encoding="utf-8"))
+"""Names, spellings, synonyms and patterns of vocabulary.toml."""
+_QUANTITY = {name.strip(): quantity for quantity, names in VOCABULARY["names"].items() for name in names.split(",")}
 _MODIFIERS = re.compile(
     r"\b(actual|measured|ist|istwert|value|wert|gauge|relative|rel|mean|average|avg|mittel|mittelwert|last|"
     r"sensor|muscle|muskel|pam|mckibben|actuator|raw|(?:ch|channel|kanal|ai|sensor|signal) ?\d+|\d+|feedback)\b"
 )
-_HARMLESS = re.compile(
-    r"""^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle
-    |zyklus|alarm\w*|\w*temperature?|température|temp|温度|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom
-    |batt(?:ery)?|volt\w*|operator|bediener|seq|stamp|frame|sub\ frame|header|secs|nsecs|ns|events?|marker|ptemp\w*
-    |wind\w*|hysteresis|speed|velocity|geschwindigkeit|acceleration|angle|winkel|torque|drehmoment|frequency|frequenz
-    |milliseconds?|ms|file|datei)\b|$)""",
-    re.VERBOSE,
-)
+_HARMLESS = re.compile(VOCABULARY["patterns"]["harmless"], re.VERBOSE)
 ABSOLUTE = re.compile(
     r"\b(?:absolute?[rsn]?|absolue?|abs|absolutdruck)\b|绝对|絶対|(?<=bar|psi|kpa)a\b|\(a\)", re.IGNORECASE
 )
 _GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.IGNORECASE)
-AMBIGUOUS = re.compile(
-    r"""strain|dehnung|elongation|stauchung|position|peak
-    |\bmax|\bmin|\bstd|range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered
-    |corrected|net\b|brutto|tara""",
-    re.IGNORECASE | re.VERBOSE,
-)
+AMBIGUOUS = re.compile(VOCABULARY["patterns"]["ambiguous"], re.IGNORECASE | re.VERBOSE)
 """Words in a name after which a column is not what the rest of its name says."""
 _MEASURED = re.compile("force|kraft|press|druck|length|länge|contract|kontrak")
-_SPELLED: Mapping[str, str] = {
-    **dict.fromkeys(("%", "pct", "per cent", "prozent", "percentage"), "percent"),
-    **dict.fromkeys(("-", "1", "mm/mm", "m/m", "[-]"), "ratio"),
-    **dict.fromkeys(("‰", "mm/m", "promille"), "permille"),
-    **dict.fromkeys(("kgf/cm2", "kg/cm2", "kg/cm^2", "at", "kp/cm2"), "kgf/cm^2"),
-    **dict.fromkeys(("n/mm2", "n/mm^2"), "MPa"),
-    **dict.fromkeys(("n/m2", "n/m^2", "pascal"), "Pa"),
-    **dict.fromkeys(("kilopascal", "kilopascals"), "kPa"),
-    **dict.fromkeys(("torr", "mm hg"), "mmHg"),
-    **dict.fromkeys(("newton", "newtons"), "N"),
-    **dict.fromkeys(("kp", "kg", "kilograms", "kilogram-force"), "kgf"),
-    **dict.fromkeys(("g", "gram", "grams", "gram-force", "p"), "gf"),
-    **dict.fromkeys(("lb", "lbs", "pounds"), "lbf"),
-    **dict.fromkeys(("inch", "inches", "in.", '"'), "in"),
-    **dict.fromkeys(("millimeter", "millimetre", "millimeters", "millimetres"), "mm"),
-    **dict.fromkeys(("μm", "µm", "micron", "microns"), "um"),
-    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
-    **dict.fromkeys(("msec", "milliseconds"), "ms"),
-    **dict.fromkeys(("μs", "µs", "microseconds"), "us"),
-    **dict.fromkeys(("nanoseconds", "nanosec"), "ns"),
-    **dict.fromkeys(("hour", "hours", "hr", "std", "stunden"), "h"),
-    **dict.fromkeys(("°", "degree", "degrees", "grad"), "deg"),
-    **dict.fromkeys(("kgcm", "kpcm"), "kgf*cm"),
-    **dict.fromkeys(("inlb", "lbin", "inlbf"), "lbf*in"),
-    "minutes": "min",
-}
+_SPELLED = {text: unit for unit, spellings in VOCABULARY["spellings"].items() for text in spellings}
 _TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
 """Names of clocks that say their unit: of Arduino, Simulink and LabVIEW."""
 _BRACKETS = re.compile(
@@ -140,6 +70,7 @@ _ROLES = {
     ("pressure", "soll"): "set_pressure",
 }
 """Quantity by the dimension of a unit and a name that only says whether the value is set or measured."""
+_LETTERS = {"T": "", "P": "pressure", "f": ""}  # temperature, pressure, frequency
 _LONGEST = 300  # characters of a header
 _LINE = re.compile(
     r"(-)?(?:(#)\s*\*\s*(?:x|\(\s*x\s*([+-]\s*#)\s*\))\s*([+-]\s*#)?\s+)?(\S+)".replace(
@@ -232,8 +163,7 @@ def _read_whole(text: str, unit: str) -> Header:
     absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(plain)) and "pressure" in quantity
     bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if "pressure" in quantity else spelled.strip()
     if not quantity or (quantity == "pressure" and AMBIGUOUS.search(name)):
-        dimension = dimension_of(bare)
-        return Header("", canonical_unit(bare, dimension) if dimension else bare, plain)
+        return _in_other_unit("", bare, plain)
     known = canonical_unit(bare, quantity) if bare else _TIME_UNITS.get(plain, "") if quantity == "time" else ""
     if bare and not known:
         return _in_other_unit(quantity, bare, plain)
@@ -253,10 +183,8 @@ def _in_other_unit(quantity: str, unit: str, name: str) -> Header:
 def _named(name: str, unit: str = "") -> str:
     """Quantity of a name, which may only say whether a value in a unit is set or measured; empty if it is unknown."""
     plain = _plain(_CATMAN.sub("", name))
-    if name.strip() in ("T", "P"):  # a temperature; a pressure
-        return {"T": "", "P": "pressure"}[name.strip()]
-    if name.strip() == "f":  # a frequency
-        return ""
+    if (letter := _LETTERS.get(name.strip())) is not None:
+        return letter
     if quantity := _QUANTITY.get(plain):
         return quantity
     if AMBIGUOUS.search(plain):

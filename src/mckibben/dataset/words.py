@@ -5,27 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 
-from mckibben.dataset.vocabulary import canonical_unit, dimension_of
+from mckibben.dataset.vocabulary import VOCABULARY, canonical_unit, dimension_of
 
-_CHANGES = re.compile(
-    r"""(?<![a-z])(?:
-    gains?\b | amplif | verst[äa]rk | multipl | divid | geteilt | scal(?:e|ing) | skal | factor | faktor
-    | convers | convert | umrechn | umgerech | offset | bias | zero(?:ed|ing)? | null(?:punkt|abgleich|ung)
-    | tar(?:e|ed|a|iert)\b | subtract | abgezogen | correct | korrig | calib | kalib | cal\b | sensitiv | empfind
-    | (?:per|/)\ ?(?:digit|count|bit|lsb) | raw\b(?!\ data$) | counts?\b | digits?\b | lsb | excit | lever | hebel
-    | slope | intercept | absolut | abs\b | atmosph | barom | vacuum | relative\ to | referred | instead | actually
-    | swapped | exchanged | vertauscht | invert | revers | negative | wrong | falsch | fault | defekt | invalid
-    | ung[üu]ltig | broken | slipp | replaced | changed | switched | gewechselt | in\ parallel | both\ muscles
-    | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | twice | doppelt
-    | fitting | stretch | nominal | preload | vorlast | untared | uncalib | estimat
-    | not\ (?:tared|zeroed|calibrated|includ|count|consider|contain|weigh) | nicht\b | without\b | ohne\b | includ
-    | inkl | enthalt | zzgl | zuz[üu]gl | plus\b | (?:dead|self|own|eigen)[ -]?(?:weight|gewicht)
-    | (?:hook|hanger|plate|pan|tray)s?\b | (?:last|gewichts?|waag)?-?(?:haken|teller|schale|platte|geh[äa]nge)n?\b
-    | satur | overload | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo
-    | summe?\b | muscle\ (?:[b-h]|[2-9])\b | delay | lag\b | shift
-    ) | (?:^|[\s=])[x×*]\ ?\d | \d\s[x×*]\s | \b(?:mean|average|mittel)\b""",
-    re.IGNORECASE | re.VERBOSE,
-)
+_CHANGES = re.compile(VOCABULARY["patterns"]["changes"], re.IGNORECASE | re.VERBOSE)
 _QUANTITY = re.compile(
     r"(?<![a-z])(?:forces?|loads?|pressures?|contractions?|lengths?|displacements?|units?|readings?|muscles?|kr[äa]fte?|dr[uü]cke?|"
     r"kontraktion|verk[uü]rzung|l[äa]ngen?|weg|einheiten?|muskel[n]?|[Fp](?=_| ?[=\[(]))(?![a-z])",

@@ -13,10 +13,9 @@ from xml.etree.ElementTree import iterparse
 
 from mckibben.dataset.file_names import several
 from mckibben.dataset.matrix import MATRIX, find_matrix, matrix_remedy, read_matrix
-from mckibben.dataset.raw import Budget, RawTable, not_installed, readable
-from mckibben.dataset.table import question
+from mckibben.dataset.raw import Budget, RawTable, needs, readable
+from mckibben.dataset.table import question, refusal
 from mckibben.dataset.text import find_layout, read_lines
-from mckibben.errors import DatasetError, Problem
 
 if TYPE_CHECKING:
     from openpyxl.worksheet.worksheet import Worksheet
@@ -35,10 +34,8 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
 
     Raises a `DatasetError` if there are several such sheets or none, or the file is damaged or too large.
     """
-    try:
+    with needs(path, "openpyxl", "excel"):
         from openpyxl import load_workbook
-    except ImportError:
-        raise not_installed(path, "openpyxl", "excel") from None
     with readable(path, "a workbook"):
         texts = _parts(path, data)
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
@@ -52,7 +49,7 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
         text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
         remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
         remedy = next(filter(None, map(matrix_remedy, lines.values())), remedy)
-        raise DatasetError(str(path), [Problem(text, remedy=remedy)])
+        raise refusal(path, text, remedy)
     sheet: Worksheet = book[chosen[0]]
     cells = chain.from_iterable(sheet.iter_rows(values_only=True))
     settled = "." if any(isinstance(cell, float) for cell in cells) else ""
@@ -72,11 +69,10 @@ def _parts(path: Path, data: bytes) -> dict[str, str]:
         size = sum(info.file_size for info in archive.infolist())
         if size > _SHEET_BYTES:
             text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
-            raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
+            raise refusal(path, text, "save the sheet as CSV")
         names = [name for name in archive.namelist() if name.endswith(".xml")]
         if "[Content_Types].xml" not in names:
-            other = Problem("is an archive (.zip, .ods?), and no .xlsx", remedy="save its table as .xlsx or CSV")
-            raise DatasetError(str(path), [other])
+            raise refusal(path, "is an archive (.zip, .ods?), and no .xlsx", "save its table as .xlsx or CSV")
         return {name: _texts(path, archive.read(name)) for name in names}
 
 
@@ -86,8 +82,7 @@ def _texts(path: Path, xml: bytes) -> str:
     for event, element in iterparse(io.BytesIO(xml), ("start", "end")):
         depth += 1 if event == "start" else -1
         if depth > _MOST_NESTED:
-            problem = Problem(f"has more than {_MOST_NESTED} nested elements of XML", remedy="save the sheet as CSV")
-            raise DatasetError(str(path), [problem])
+            raise refusal(path, f"has more than {_MOST_NESTED} nested elements of XML", "save the sheet as CSV")
         if event == "end":
             texts += [element.text] * bool(element.text and element.tag.endswith(("}t", "}text")))
             element.clear()
