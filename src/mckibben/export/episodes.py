@@ -242,11 +242,8 @@ def elements_of(joints: Sequence[str], muscles: Sequence[str], history: int) -> 
     >>> list(elements_of([""], "12", 2))[5:9], len(elements_of([""], "12", 100))
     (['reference_stiffness', 'action1_before1', 'action2_before1', 'angle_before1'], 798)
     """
-    now = {
-        f"{name}{end}": element
-        for name, element in OBSERVATION.items()
-        for end in (muscles if name == "pressure" else joints)
-    }
+    ends = dict.fromkeys(OBSERVATION, joints) | {"pressure": muscles}
+    now = {f"{name}{end}": element for name, element in OBSERVATION.items() for end in ends[name]}
     elements = dict(now)
     for back in range(1, history):
         elements |= {f"action{end}_before{back}": ("1", 1.0) for end in muscles}
@@ -333,29 +330,24 @@ class SingleProgram:
     """Compiled episodes of one plant, whose parameters are arguments, so that a new one does not recompile."""
 
     def __init__(self, plants: Plants, settings: Settings, *, substeps: int, repeat: int, history: int) -> None:
-        self._plants = plants
-        numbers, starts = self._layouts = tuple(map(FlatTree.like, plants.row(0)))
-        muscles = np.size(settings.low)
+        self._plants, action = plants, jnp.zeros_like(settings.low)
+        parts, start = plants.row(0)
+        at, _ = jax.eval_shape(lambda: begin(parts, start, settings.period, history))
+        _, step = jax.eval_shape(lambda at: advance(parts, at, action, settings, substeps, repeat), at)
+        numbers, starts, episodes, self._steps = map(FlatTree.like, (parts, start, at, step))
+        self._layouts = numbers, starts
 
-        def following(parts: BatchParts, episode: Episode, action: Array) -> tuple[Episode, EpisodeStep]:
-            return advance(parts, episode, action, settings, substeps, repeat)
-
-        def first(parts: BatchParts, start: PyTree) -> tuple[Episode, Array]:
-            return begin(parts, start, settings.period, history)
-
-        at, step = jax.eval_shape(lambda: following(plants.row(0)[0], first(*plants.row(0))[0], jnp.zeros(muscles)))
-        episodes, self._steps = FlatTree.like(at), FlatTree.like(step)
-
-        def flat_first(packed: Array, start: Array) -> tuple[Array, Array]:
-            episode, observation = first(numbers.unpack(packed), starts.unpack(start))
+        def first(packed: Array, start: Array) -> tuple[Array, Array]:
+            episode, observation = begin(numbers.unpack(packed), starts.unpack(start), settings.period, history)
             return episodes.pack(episode, jnp), observation
 
-        def flat_following(packed: Array, episode: Array, action: Array) -> tuple[Array, Array]:
-            at, step = following(numbers.unpack(packed), episodes.unpack(episode), action)
+        def following(packed: Array, episode: Array, action: Array) -> tuple[Array, Array]:
+            unpacked = numbers.unpack(packed), episodes.unpack(episode)
+            at, step = advance(*unpacked, action, settings, substeps, repeat)
             return episodes.pack(at, jnp), self._steps.pack(step, jnp)
 
-        self._first = compile_flat(flat_first, numbers.size, starts.size)
-        self._following = compile_flat(flat_following, numbers.size, episodes.size, muscles)
+        self._first = compile_flat(first, numbers.size, starts.size)
+        self._following = compile_flat(following, numbers.size, episodes.size, action.size)
 
     def begin(self, row: int) -> NDArray[np.float64]:
         """Begin an episode with the plant of a row; return its observation."""
@@ -426,12 +418,6 @@ def _observation(
 ) -> Array:
     """Observation in the units of `OBSERVATION`, within its limits; numbers that are not finite become 0 or a limit."""
     in_bar = [pressure / bar for pressure in pressures]
-    quantities = angles, velocities, in_bar, *zip(*setpoints, strict=True)
-    limits = [limit for _, limit in OBSERVATION.values()]
-    return jnp.stack(
-        [
-            jnp.clip(jnp.nan_to_num(value), -limit, limit)
-            for values, limit in zip(quantities, limits, strict=True)
-            for value in values
-        ]
-    )
+    quantities = zip((angles, velocities, in_bar, *zip(*setpoints, strict=True)), OBSERVATION.values(), strict=True)
+    clipped = [jnp.clip(jnp.nan_to_num(jnp.stack(values)), -limit, limit) for values, (_, limit) in quantities]
+    return jnp.concatenate(clipped)

@@ -84,8 +84,7 @@ class Environment(metaclass=CheckedCalls):
         self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat, "history": history}
         joints = [f".{name}" for name in self.scenario.joint_names] or [""]
         muscles = [f".{name}" for name in self.scenario.muscle_names] or ["1", "2"]
-        limits = (nominal.clip_commands([limit] * len(muscles)) for limit in (-np.inf, np.inf))
-        low, high = (np.array(commands, float) for commands in limits)
+        low, high = (np.array(nominal.clip_commands([limit] * len(muscles)), float) for limit in (-np.inf, np.inf))
         unit, shown = (1.0, "1") if self.scenario.valve.direct else (bar, "bar")
         self.settings = numeric(Settings(period, low, high, reward))
         units, largest = zip(*(elements := elements_of(joints, muscles, history)).values(), strict=True)
