@@ -1,5 +1,6 @@
 """Environments: spaces, seeds, the reward, and the same motion as the plant's, single and vectorised."""
 
+import functools
 import warnings
 from pathlib import Path
 
@@ -21,7 +22,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not instal
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from mckibben.export.episodes import example_of  # noqa: E402
+from mckibben.export.episodes import example_of, plants_of  # noqa: E402
 from mckibben.export.gym import JointEnv, JointVectorEnv, RewardTerms  # noqa: E402
 
 RANDOM = ("load.mass2=+-50 %", "reference.angle.amplitude=5..15 deg")
@@ -271,6 +272,19 @@ def test_a_robot_without_references_is_refused():
         JointVectorEnv("examples/robot/lei-leg.yaml", 2)
     assert caught.value.field == "reference"
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(("masses", "rows"), [("80..90 kg", 0), ("1..80 kg", 4)])
+def test_robots_without_a_start_are_left_out(knee, masses, rows):
+    start = knee.start.model_copy(update={"angles": {"knee": np.radians(15)}})
+    leaning = knee.model_copy(update={"start": start})
+    plants = functools.partial(plants_of, leaning, [f"robot.bodies.1.mass={masses}"], 16, 0)
+    if rows:
+        assert plants().rows == rows
+    else:
+        with pytest.raises(ExportError) as caught:
+            plants()
+        assert caught.value.field == "start"
 
 
 def test_gymnasium_makes_both_by_their_id():

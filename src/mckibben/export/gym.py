@@ -114,7 +114,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
 
     Raises `ScenarioError` or `ParameterError` for mistakes in scenario and parameters; `ExportError` if a robot follows
     no references, no plant has a start, or the reward needs an unknown volume; `UnreachableError` if the muscles of a
-    robot cannot hold any start.
+    robot cannot hold its start.
 
     Parameters
     ----------

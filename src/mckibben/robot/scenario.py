@@ -356,7 +356,7 @@ class RobotScenario(StudiedScenario):
         return RobotProblem(linearisable(self.plant(), self.control_period), self.control(), start)
 
     def _starts(self) -> RobotStarts:
-        """Starts of the runs of a batch: those of other runs are in the place of those that do not exist."""
+        """Starts of the runs of a batch: others are in the place of those that do not exist."""
         parts = {"robot": self.robot, "valve": self.valve, "reference": self.references()}
         count, varying = lanes_of(parts)
         if count is None:
@@ -373,7 +373,8 @@ class RobotScenario(StudiedScenario):
                 return None
 
         starts = [start_of(*row) for row in np.stack(leaves, axis=-1).tolist()]
-        found = next((start for start in starts if start), None) or self.initial()
+        nowhere = RobotStart((0.0,) * len(self.joint_names), (0.0,) * len(self.muscle_names))
+        found = next((start for start in starts if start), nowhere)
         exists = np.array([start is not None for start in starts])
         return RobotStarts(
             jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts)), exists
