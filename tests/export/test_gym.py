@@ -1,6 +1,8 @@
 """Environments: spaces, seeds, the reward, and the same motion as the plant's, single and vectorised."""
 
+import functools
 import warnings
+from pathlib import Path
 
 import equinox as eqx
 import numpy as np
@@ -8,6 +10,10 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import CallError, ExportError, ParameterError
+from mckibben.plant import PerfectSensors
+from mckibben.robot import RobotScenario
+from mckibben.robot.comparison import RobotSuite
+from mckibben.robot.dynamics import joint_load
 from mckibben.scenario import with_values
 from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
@@ -16,11 +22,14 @@ gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not instal
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
+from mckibben.export.episodes import example_of, plants_of  # noqa: E402
 from mckibben.export.gym import JointEnv, JointVectorEnv, RewardTerms  # noqa: E402
 
 RANDOM = ("load.mass2=+-50 %", "reference.angle.amplitude=5..15 deg")
 STEPS, REPEAT = 4, 5
 REWARD = RewardTerms(stiffness_scale=3.0, air_price=0.1)
+LEG = "examples/robot/lei-leg-control.yaml"
+KNEE = "\ncontrollers: {knee: {class: decoupling, feedback: {bandwidth: 40 rad/s}}}\n"
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +192,99 @@ def test_an_episode_that_swings_over_ends_without_reward(scenario):
     env.reset(seed=0)
     _, reward, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
     assert (reward, terminated, truncated) == (0.0, True, False)
+
+
+@pytest.fixture(scope="module")
+def knee():
+    """A robot of one joint with noise and delay."""
+    return RobotScenario.parse(Path("tests/robot/one-joint.yaml").read_text(encoding="utf-8") + KNEE)
+
+
+@pytest.mark.slow
+def test_a_robot_of_one_joint_is_the_joint(knee):
+    names = ("valve", "sensors", "command_delay", "duration", "control_period", "substeps")
+    joint = mk.Scenario(
+        name="joint",
+        joint=knee.robot.pair(0),
+        load=joint_load(knee.robot, (0.0,), 0, 9.81),
+        controller=knee.controllers["knee"],
+        reference=knee.reference["knee"],
+        start={"angle": 0.0, "stiffness": 14.0},
+        **{name: getattr(knee, name) for name in names},
+    )
+    robot, alone = (JointEnv(scenario, reward=REWARD, history=2, repeat=REPEAT) for scenario in (knee, joint))
+    now = ["angle.knee", "velocity.knee", "pressure.knee1", "pressure.knee2"]
+    now += ["reference_angle.knee", "reference_stiffness.knee"]
+    assert list(robot.metadata["observation_units"])[:8] == [*now, "action.knee1_before1", "action.knee2_before1"]
+    assert [*robot.metadata["action_ranges"].values()] == [*alone.metadata["action_ranges"].values()]
+    assert robot.observation_space == alone.observation_space
+    np.testing.assert_allclose(robot.reset(seed=0)[0], alone.reset(seed=0)[0], rtol=1e-6)
+    draw, over = np.random.default_rng(0), False
+    while not over:
+        action = draw.uniform(-0.4, 0.4, 2).astype(np.float32)  # within the stops, which a joint lacks
+        (observation, reward, *ends, info), own = robot.step(action), alone.step(action)
+        np.testing.assert_allclose(observation, own[0], rtol=1e-6)
+        assert (reward, info["air"]) == pytest.approx((own[1], own[4]["air"]), rel=1e-9)
+        np.testing.assert_allclose(info["stiffness"], [own[4]["stiffness"]], rtol=1e-9)
+        assert tuple(ends) == own[2:4]
+        over = any(ends)
+    check_env(robot, skip_render_check=True)
+
+
+@pytest.mark.slow
+def test_joints_of_a_robot_share_the_reward_and_one_of_them_ends_the_episode():
+    whole = RobotScenario.read(LEG)
+    start = whole.start.model_copy(update={"angles": dict.fromkeys(whole.joint_names, 0.0)})
+    leg = whole.model_copy(update={"duration": 0.2, "substeps": 4, "sensors": PerfectSensors(), "start": start})
+    random = ["robot.bodies.1.mass=+-20 %", "reference.hip.angle.offset=0 deg, 95 deg"]
+    envs = JointVectorEnv(leg, 64, random_plant=random, plants=16, reward=REWARD)
+    assert len(np.unique(envs.joint.plants.varying.plant.robot.bodies[1].mass)) == 16
+    first, info = envs.reset(seed=0)
+    assert first.shape == (64, 18)
+    actions = np.random.default_rng(0).uniform(-1, 1, (64, 6)).astype(np.float32)
+    observation, reward, terminated, _, told = envs.step(actions)
+    assert envs.observation_space.contains(observation)
+    names = list(envs.metadata["observation_units"])
+    angle, wanted, stiffness = (
+        observation[:, [names.index(f"{quantity}.{joint}") for joint in leg.joint_names]].astype(float)
+        for quantity in ("angle", "reference_angle", "reference_stiffness")
+    )
+    far = np.radians(95) == np.asarray(envs.joint.plants.varying.reference[1].angle.offset)[info["plant"]]
+    np.testing.assert_array_equal(terminated, far)
+    assert 0 < far.sum() < 64
+    fit = 1 / (1 + ((angle - wanted) / np.radians(2)) ** 2 + ((told["stiffness"] - stiffness) / 3.0) ** 2)
+    shared = fit.mean(axis=1) - 0.1 * told["air"] / 3 / leg.control_period
+    np.testing.assert_allclose(reward, np.where(far, 0, shared), rtol=1e-5)
+    after, reward, terminated, _, info = envs.step(actions)
+    assert not (reward[far].any() or terminated[far].any())
+    np.testing.assert_allclose(after[far][:, :6], 0, atol=1e-9)
+
+
+def test_a_suite_of_a_robot_gives_its_conditions(knee):
+    suite = RobotSuite(name="knee", scenario=knee, conditions=("robot.bodies.1.mass=+-20 %",))
+    example, varied = example_of(suite, "command_delay=0..3 ms")
+    assert isinstance(example, RobotScenario)
+    assert [text.partition("=")[0] for text in varied] == ["robot.bodies.1.mass", "sensors.seed", "command_delay"]
+
+
+def test_a_robot_without_references_is_refused():
+    with pytest.raises(ExportError) as caught:
+        JointVectorEnv("examples/robot/lei-leg.yaml", 2)
+    assert caught.value.field == "reference"
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize(("masses", "rows"), [("80..90 kg", 0), ("1..80 kg", 4)])
+def test_robots_without_a_start_are_left_out(knee, masses, rows):
+    start = knee.start.model_copy(update={"angles": {"knee": np.radians(15)}})
+    leaning = knee.model_copy(update={"start": start})
+    plants = functools.partial(plants_of, leaning, [f"robot.bodies.1.mass={masses}"], 16, 0)
+    if rows:
+        assert plants().rows == rows
+    else:
+        with pytest.raises(ExportError) as caught:
+            plants()
+        assert caught.value.field == "start"
 
 
 def test_gymnasium_makes_both_by_their_id():

@@ -16,37 +16,39 @@ from numpy.typing import NDArray
 
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit_arrays, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import Plant
 from mckibben.rig.compiled import FlatTree, compile_flat
-from mckibben.scenario import Scenario, batched, initial_state, valid_rows
+from mckibben.scenario import batched, read_scenario, valid_rows
+from mckibben.scenario.scenario import BatchParts, StudiedScenario
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT
-from mckibben.simulation.problem import SimulationProblem
-from mckibben.study.compare.suite import Suite
+from mckibben.study.compare.suite import ControllerSuite
 from mckibben.study.parameters import parse_sweeps, sample
 from mckibben.units import atm, bar, deg, litre
 
 OBSERVATION = {
     "angle": ("rad", np.pi),
     "velocity": ("rad/s", 100.0),
-    "pressure1": ("bar", 20.0),
-    "pressure2": ("bar", 20.0),
+    "pressure": ("bar", 20.0),
     "reference_angle": ("rad", np.pi),
     "reference_stiffness": ("N*m/rad", 1e4),
 }
-"""Elements of an observation, their units and largest magnitudes; larger values are clipped."""
+"""Quantities of an observation, their units and largest magnitudes; larger values are clipped.
+
+There is a pressure of each muscle; all others are of each joint.
+"""
 
 
 class RewardTerms(NamedTuple):
-    r"""Terms of the reward of a control period.
+    r"""Terms of the reward of a control period, the mean over the joints.
 
     .. math:: \frac{1}{1 + (e_\theta / s_\theta)^2 + (e_K / s_K)^2} - c \dot V
 
     with the errors of the true angle and isobaric stiffness from their references, and the flow of air into the muscles
-    [L/s, at atmospheric pressure]. The first term is between 0 and 1, so ending an episode early reduces the return.
+    [L/s, at atmospheric pressure] per joint. The first term is between 0 and 1, so ending an episode early reduces the
+    return.
 
     Attributes
     ----------
@@ -62,6 +64,8 @@ class RewardTerms(NamedTuple):
 
 
 Numbers = Array | NDArray[np.float64]
+ScenarioLike = StudiedScenario | ControllerSuite | str | os.PathLike[str]
+"""Scenario, its file, or a suite."""
 
 
 class Settings(NamedTuple):
@@ -72,7 +76,7 @@ class Settings(NamedTuple):
     period
         Control period [s].
     low, high
-        Commands [Pa] at the actions -1 and 1, of both muscles.
+        Commands [Pa] at the actions -1 and 1, of each muscle.
     reward
         Terms of the reward.
     """
@@ -91,18 +95,18 @@ class Plants(NamedTuple):
     varying, fixed
         Leaves with a row per plant, and those that all plants share.
     starts
-        State of each plant at rest at the first setpoint.
+        State of each plant at rest at the first setpoints.
     rows
         Number of plants.
     """
 
-    varying: SimulationProblem
-    fixed: SimulationProblem
-    starts: PlantState
+    varying: BatchParts
+    fixed: BatchParts
+    starts: PyTree
     rows: int
 
-    def row(self, row: PyTree) -> tuple[SimulationProblem, PlantState]:
-        """Plant, reference and start of a row."""
+    def row(self, row: PyTree) -> tuple[BatchParts, PyTree]:
+        """Plant with the references of its joints, and start, of a row."""
         varying, start = jax.tree.map(lambda leaf: leaf[row], (self.varying, self.starts))
         return eqx.combine(varying, self.fixed), start
 
@@ -114,16 +118,18 @@ class Episode(NamedTuple):
     ----------
     period
         Control periods so far.
-    measured
-        The last measurement.
+    state
+        State of the plant.
+    angles
+        The last measured angles [rad].
     seen
-        Observations, latest first, and the action before each, shape (history, 8).
+        Observations, latest first, each with the action before it: shape (history, 4 joints + 2 muscles).
     """
 
-    period: Array  # control periods so far
-    state: PlantState
-    measured: Measurement  # the last one
-    seen: Array  # a row for each observation, the latest first: 6 elements, and the action before it
+    period: Array
+    state: PyTree
+    angles: tuple[Array, ...]
+    seen: Array
 
 
 class EpisodeStep(NamedTuple):
@@ -132,40 +138,46 @@ class EpisodeStep(NamedTuple):
     Attributes
     ----------
     observation
-        Shape (8 history - 2,), see `elements_of`.
+        Its elements are those of `elements_of`.
     reward
         Mean of the rewards of the control periods.
     failed
-        Whether the angle left its reference by more than 90 deg, or the stiffness is not finite.
+        Whether an angle left its reference by more than 90 deg, or a stiffness is not finite.
     stiffness, air
-        True stiffness [N*m/rad] at the end, and air into the muscles during the step [L].
+        True stiffness [N*m/rad] of each joint at the end, and air into the muscles during the step [L].
     """
 
     observation: Numbers
     reward: Numbers
     failed: Numbers
-    stiffness: Numbers
+    stiffness: PyTree
     air: Numbers
 
 
-def conditions_of(suite: Suite) -> tuple[str, ...]:
+def conditions_of(suite: ControllerSuite) -> tuple[str, ...]:
     """Variations of a suite's plants and of its first reference, with another sensor noise in each plant."""
-    varied = (*suite.conditions, *next(iter(suite.references.values())).over)
+    varied = (*suite.conditions, *(text for case in list(suite.references.values())[:1] for text in case.over))
     noise = suite.has_noise and "sensors.seed" not in {text.partition("=")[0].strip() for text in varied}
     return (*varied, "sensors.seed=0..99999") if noise else varied
 
 
-def example_of(
-    scenario: Scenario | Suite | str | os.PathLike[str], random_plant: Sequence[str]
-) -> tuple[Scenario, tuple[str, ...]]:
-    """Scenario, and the variations of its plant; a suite adds its conditions."""
-    random_plant = (random_plant,) if isinstance(random_plant, str) else random_plant
-    if isinstance(scenario, Suite):
+def example_of(scenario: ScenarioLike, random_plant: Sequence[str]) -> tuple[StudiedScenario, tuple[str, ...]]:
+    """Scenario, and the variations of its plant; a suite adds its conditions.
+
+    Raises `ExportError` if its robot follows no references.
+    """
+    random_plant = (random_plant,) if isinstance(random_plant, str) else tuple(random_plant)
+    if isinstance(scenario, ControllerSuite):
         return scenario.example(), (*conditions_of(scenario), *random_plant)
-    return (scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)), tuple(random_plant)
+    example = scenario if isinstance(scenario, StudiedScenario) else read_scenario(scenario)
+    if not example.references():
+        message = f"{example.name}: the joints have no reference to follow"
+        remedy = "give the robot `reference`, `duration` and `controller`, as in examples/robot/lei-leg-control.yaml"
+        raise ExportError(message, field="reference", remedy=remedy)
+    return example, random_plant
 
 
-def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
+def plants_of(scenario: StudiedScenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
     """Plants with varied parameters (``load.mass2=+-50 %``), those without start dropped.
 
     Raises `ExportError` if no plant is valid, or none has an equilibrium at the start.
@@ -183,59 +195,69 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
         valid = valid_rows(scenario, table)
         table = {name: column[valid] for name, column in table.items()}
     varied = batched(scenario, table) if table and len(next(iter(table.values()))) else scenario
-    plant = varied.plant().with_period(scenario.control_period)
-    problem = numeric(SimulationProblem(plant, (), varied.reference(), initial_state(varied)))  # type: ignore
-    lanes, flags = lanes_of(problem)
+    plant, reference, start = varied.batch_parts()
+    references = tuple(reference[name] for name in scenario.joint_names) or (reference,)
+    parts = numeric(BatchParts(plant.with_period(scenario.control_period), references, start))
+    lanes, flags = lanes_of(parts)
     if table and lanes is None:
         message = "no random plant is valid, or none of its parameters belongs to the plant or the reference"
-        remedy = "vary numbers of joint, load, valve, sensors, disturbance or reference"
+        remedy = "vary numbers of the plant, its valve and sensors, or of a reference"
         raise ExportError(message, field="random_plant", value=list(random_plant), remedy=remedy)
     rows = lanes or 1
     if lanes is None:
-        problem, flags = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem), True
-    varying, fixed = eqx.partition(problem, flags)
-    plants = Plants(varying, fixed, (), rows)  # type: ignore[arg-type]
-    starts, exist = _starts(plants._replace(rows=0), np.arange(rows))
+        parts, flags = jax.tree.map(lambda leaf: np.asarray(leaf)[None], parts), True
+    varying, fixed = eqx.partition(parts, flags)
+    starts, exist = _starts(Plants(varying, fixed, (), 0), np.arange(rows))
     existing = np.flatnonzero(np.asarray(exist))
     if not existing.size:
         raise ExportError("no plant has an equilibrium at the start", field="start", remedy="give another `start`")
     take = lambda tree: jax.tree.map(lambda leaf: np.asarray(leaf)[existing], tree)  # noqa: E731
-    return Plants(take(varying), fixed, take(starts), len(existing))
+    return Plants(take(varying._replace(start=())), fixed._replace(start=()), take(starts), len(existing))
 
 
 @jit_arrays
-def _starts(plants: Plants, rows: PyTree) -> tuple[PlantState, Array]:
+def _starts(plants: Plants, rows: PyTree) -> tuple[PyTree, Array]:
     """State at rest of each plant, and whether it exists."""
 
-    def start(row: Array) -> tuple[PlantState, Array]:
-        problem, _ = plants.row(row)
-        setpoint = problem.reference(jnp.zeros(1))
-        state, exists = problem.start(setpoint)
+    def start(row: Array) -> tuple[PyTree, Array]:
+        (plant, references, at_rest), _ = plants.row(row)
+        state, exists = at_rest.state(plant, [reference(jnp.zeros(())).angle for reference in references])
         return jax.tree.map(jnp.asarray, state), exists
 
     return jax.vmap(start)(rows)
 
 
-def elements_of(history: int) -> dict[str, tuple[str, float]]:
+def elements_of(joints: Sequence[str], muscles: Sequence[str], history: int) -> dict[str, tuple[str, float]]:
     """Elements as in `OBSERVATION`, of the last observations and the actions between them.
+
+    Parameters
+    ----------
+    joints, muscles
+        Ends of the names of elements of each joint, and of each muscle.
+    history
+        Number of observations.
 
     Examples
     --------
-    >>> list(elements_of(2))[5:9], len(elements_of(100))
+    >>> list(elements_of([""], "12", 2))[5:9], len(elements_of([""], "12", 100))
     (['reference_stiffness', 'action1_before1', 'action2_before1', 'angle_before1'], 798)
     """
-    elements = dict(OBSERVATION)
+    ends = dict.fromkeys(OBSERVATION, joints) | {"pressure": muscles}
+    now = {f"{name}{end}": element for name, element in OBSERVATION.items() for end in ends[name]}
+    elements = dict(now)
     for back in range(1, history):
-        elements |= {f"action{number}_before{back}": ("1", 1.0) for number in (1, 2)}
-        elements |= {f"{name}_before{back}": element for name, element in OBSERVATION.items()}
+        elements |= {f"action{end}_before{back}": ("1", 1.0) for end in muscles}
+        elements |= {f"{name}_before{back}": element for name, element in now.items()}
     return elements
 
 
-def begin(problem: SimulationProblem, start: PlantState, period: ArrayLike, history: int) -> tuple[Episode, Array]:
+def begin(parts: BatchParts, start: PyTree, period: ArrayLike, history: int) -> tuple[Episode, Array]:
     """The start of an episode, and the first observation, which is repeated as its history, with actions of 0.
 
     Parameters
     ----------
+    parts
+        Plant, and the references of its joints.
     start
         State of the plant.
     period
@@ -243,16 +265,17 @@ def begin(problem: SimulationProblem, start: PlantState, period: ArrayLike, hist
     history
         Observations in an observation.
     """
-    state, measured = problem.plant.sample(start, period)
-    measured = jax.tree.map(jnp.asarray, measured)
-    zero = jnp.zeros_like(measured.angle)
-    now = _observation(measured, zero, problem.reference(zero))
-    seen = jnp.tile(jnp.concatenate([now, jnp.zeros(2)]), (history, 1))
-    return Episode(jnp.asarray(0), state, measured, seen), seen.ravel()[:-2]
+    state, measured = parts.plant.sample(start, period)
+    angles = tuple(map(jnp.asarray, parts.plant.mechanism.by_joint(measured[0])))
+    zero = jnp.zeros_like(angles[0])
+    now = _observation(angles, [zero] * len(angles), measured[1], [reference(zero) for reference in parts.reference])
+    muscles = len(measured[1])
+    seen = jnp.tile(jnp.concatenate([now, jnp.zeros(muscles)]), (history, 1))
+    return Episode(jnp.asarray(0), state, angles, seen), seen.ravel()[:-muscles]
 
 
 def advance(
-    problem: SimulationProblem, episode: Episode, action: Array, settings: Settings, substeps: int, repeat: int
+    parts: BatchParts, episode: Episode, action: Array, settings: Settings, substeps: int, repeat: int
 ) -> tuple[Episode, EpisodeStep]:
     """Advance by several control periods under an action of -1 to 1 per muscle; the reward is their mean.
 
@@ -260,95 +283,83 @@ def advance(
 
     Parameters
     ----------
+    parts
+        Plant, and the references of its joints.
     action
-        Shape (2,), mapped to commands by `Settings`.
+        Shape (muscles,), mapped to commands by `Settings`.
     substeps, repeat
         Integration steps per control period, and control periods.
     """
-    plant, (period, low, high, terms) = problem.plant, settings
+    plant, (period, low, high, terms) = parts.plant, settings
+    mechanism, joints, muscles = plant.mechanism, len(parts.reference), action.shape[0]
     wanted = low + (high - low) * (action + 1) / 2
-    commands = plant.clip_commands((wanted[0], wanted[1]))
+    commands = plant.clip_commands([wanted[muscle] for muscle in range(muscles)])
 
     def next_period(_: Array, carry: tuple[Episode, Array, EpisodeStep]) -> tuple[Episode, Array, EpisodeStep]:
         episode, content, so_far = carry
         state = plant.follow(episode.state, commands, period, substeps)
         state, measured = plant.sample(state, period)
-        velocity = (measured.angle - episode.measured.angle) / period
-        following = Episode(episode.period + 1, state, measured, episode.seen)
-        setpoint = problem.reference(following.period * period)
-        stiffness = plant.joint.evaluate(state.angle, state.pressures)[1]
-        angle_error, stiffness_error = state.angle - setpoint.angle, stiffness - setpoint.stiffness
+        angles = tuple(mechanism.by_joint(measured[0]))
+        velocities = [(angle - before) / period for angle, before in zip(angles, episode.angles, strict=True)]
+        following = Episode(episode.period + 1, state, angles, episode.seen)
+        setpoints = [reference(following.period * period) for reference in parts.reference]
+        stiffnesses = mechanism.stiffness(state[0], state.pressures)
+        failed, fit = so_far.failed, 0.0
+        for angle, stiffness, setpoint in zip(mechanism.by_joint(state[0]), stiffnesses, setpoints, strict=True):
+            angle_error, stiffness_error = angle - setpoint.angle, stiffness - setpoint.stiffness
+            cost = (angle_error / terms.angle_scale) ** 2 + (stiffness_error / terms.stiffness_scale) ** 2
+            fit += 1 / (1 + cost)
+            failed |= ~(jnp.abs(angle_error) <= SWUNG_OVER_AT) | ~jnp.isfinite(stiffness)
         now = _content(plant, state)
         air = jnp.sum(jnp.maximum(now - content, 0.0))
-        cost = (angle_error / terms.angle_scale) ** 2 + (stiffness_error / terms.stiffness_scale) ** 2
-        reward = 1 / (1 + cost) - terms.air_price * air / period
-        failed = ~(jnp.abs(angle_error) <= SWUNG_OVER_AT) | ~jnp.isfinite(stiffness)
-        observation = _observation(measured, velocity, setpoint)
-        reward = jnp.where(so_far.failed | failed, 0.0, reward)
-        step = EpisodeStep(observation, so_far.reward + reward, so_far.failed | failed, stiffness, so_far.air + air)
-        return following, now, step
+        reward = jnp.where(failed, 0.0, (fit - terms.air_price * air / period) / joints)
+        observation = _observation(angles, velocities, measured[1], setpoints)
+        stiffness = mechanism.like_joints(stiffnesses)
+        return following, now, EpisodeStep(observation, so_far.reward + reward, failed, stiffness, so_far.air + air)
 
     zero = jnp.zeros(())
-    first = EpisodeStep(jnp.zeros(len(OBSERVATION)), zero, jnp.asarray(False), zero, zero)
+    nothing = jnp.zeros(episode.seen.shape[1] - muscles)
+    first = EpisodeStep(nothing, zero, jnp.asarray(False), mechanism.like_joints([zero] * joints), zero)
     episode, _, step = lax.fori_loop(0, repeat, next_period, (episode, _content(plant, episode.state), first))
     seen = jnp.concatenate([jnp.concatenate([step.observation, jnp.clip(action, -1, 1)])[None], episode.seen[:-1]])
-    step = step._replace(observation=seen.ravel()[:-2], reward=step.reward / repeat)
+    step = step._replace(observation=seen.ravel()[:-muscles], reward=step.reward / repeat)
     return episode._replace(seen=seen), step
 
 
-class _FlatEpisodes:
-    """`begin` and `advance` with episode and `EpisodeStep` packed as arrays."""
-
-    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int, history: int) -> None:
-        """Begin with the layout of an episode as an array."""
-        self._settings, self._counts, self._history = settings, (substeps, repeat), history
-        self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period, history)[0]))
-        self.size = self._layout.size
-
-    def begin(self, problem: SimulationProblem, start: PlantState) -> tuple[Array, Array]:
-        """Begin an episode."""
-        episode, observation = begin(problem, start, self._settings.period, self._history)
-        return self._layout.pack(episode, jnp), jnp.concatenate([observation, jnp.zeros(len(EpisodeStep._fields) - 1)])
-
-    def advance(self, problem: SimulationProblem, episode: Array, action: Array) -> tuple[Array, Array]:
-        """Advance an episode."""
-        at, step = advance(problem, self._layout.unpack(episode), action, self._settings, *self._counts)
-        return self._layout.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
-
-
-def _step(values: ArrayLike) -> EpisodeStep:
-    """`EpisodeStep` from an array with its elements along the last axis."""
-    values, others = np.asarray(values), len(EpisodeStep._fields) - 1
-    return EpisodeStep(values[..., :-others], *np.moveaxis(values[..., -others:], -1, 0))
-
-
 class SingleProgram:
-    """Compiled episodes of one joint, whose parameters are arguments, so that a new plant does not recompile."""
+    """Compiled episodes of one plant, whose parameters are arguments, so that a new one does not recompile."""
 
-    def __init__(self, plants: Plants, settings: Settings, **counts: int) -> None:
-        flat, self._plants = _FlatEpisodes(plants, settings, **counts), plants
-        numbers, starts = self._layouts = tuple(map(FlatTree.like, plants.row(0)))
+    def __init__(self, plants: Plants, settings: Settings, *, substeps: int, repeat: int, history: int) -> None:
+        self._plants, action = plants, jnp.zeros_like(settings.low)
+        parts, start = plants.row(0)
+        at, _ = jax.eval_shape(lambda: begin(parts, start, settings.period, history))
+        _, step = jax.eval_shape(lambda at: advance(parts, at, action, settings, substeps, repeat), at)
+        numbers, starts, episodes, self._steps = map(FlatTree.like, (parts, start, at, step))
+        self._layouts = numbers, starts
 
         def first(packed: Array, start: Array) -> tuple[Array, Array]:
-            return flat.begin(numbers.unpack(packed), starts.unpack(start))
+            episode, observation = begin(numbers.unpack(packed), starts.unpack(start), settings.period, history)
+            return episodes.pack(episode, jnp), observation
 
         def following(packed: Array, episode: Array, action: Array) -> tuple[Array, Array]:
-            return flat.advance(numbers.unpack(packed), episode, action)
+            unpacked = numbers.unpack(packed), episodes.unpack(episode)
+            at, step = advance(*unpacked, action, settings, substeps, repeat)
+            return episodes.pack(at, jnp), self._steps.pack(step, jnp)
 
         self._first = compile_flat(first, numbers.size, starts.size)
-        self._following = compile_flat(following, numbers.size, flat.size, 2)
+        self._following = compile_flat(following, numbers.size, episodes.size, action.size)
 
-    def begin(self, row: int) -> EpisodeStep:
-        """Begin an episode with the plant of a row."""
+    def begin(self, row: int) -> NDArray[np.float64]:
+        """Begin an episode with the plant of a row; return its observation."""
         numbers, start = (layout.pack(part) for layout, part in zip(self._layouts, self._plants.row(row), strict=True))
         self._numbers = jnp.asarray(numbers)
-        self._episode, values = self._first(self._numbers, start)
-        return _step(values)
+        self._episode, observation = self._first(self._numbers, start)
+        return np.asarray(observation)
 
     def advance(self, action: ArrayLike) -> EpisodeStep:
         """Advance the episode."""
         self._episode, values = self._following(self._numbers, self._episode, np.asarray(action, float))
-        return _step(values)
+        return self._steps.unpack(np.asarray(values))
 
 
 def _begun(shared: PyTree, lane: PyTree) -> tuple[Episode, Array]:
@@ -367,7 +378,7 @@ _BEGIN, _ADVANCE = BatchFunction(_begun), BatchFunction(_advanced)
 
 
 class ManyProgram:
-    """Episodes of many joints, compiled as C, or by XLA without a C compiler; finished episodes restart."""
+    """Episodes of many plants, compiled as C, or by XLA without a C compiler; finished episodes restart."""
 
     def __init__(self, plants: Plants, settings: Settings, *, substeps: int, repeat: int, history: int) -> None:
         self._plants = plants
@@ -384,30 +395,29 @@ class ManyProgram:
         """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
         lanes = self._varying, self._episodes, np.asarray(actions, float).T
         (moved, step), _ = _ADVANCE("auto", self._shared[1], lanes)
-        step = EpisodeStep(np.asarray(step.observation).T, *map(np.asarray, step[1:]))
+        columns = [np.asarray(column) for column in step]
         if over.any():
-            first = self.begin(rows)
+            starting = [self.begin(rows).T, *map(np.zeros_like, columns[1:])]
             moved = jax.tree.map(lambda new, old: np.where(over, new, old), self._episodes, moved)
-            ended = over.reshape(-1, 1)
-            rest = (np.where(over, 0, column).astype(column.dtype) for column in step[1:])
-            step = EpisodeStep(np.where(ended, first, step.observation), *rest)
+            columns = [np.where(over, new, old) for new, old in zip(starting, columns, strict=True)]
         self._episodes = moved
-        return step
+        return EpisodeStep(*(column.T for column in columns))
 
 
-def _content(plant: JointPlant, state: PlantState) -> Array:
-    """Air in both muscles as volumes at atmospheric pressure [L]; zero if a volume is unknown."""
-    muscles = plant.joint.muscle1, plant.joint.muscle2
-    if not all(muscle.specimen.has_volume for muscle in muscles):
-        return jnp.zeros(2)
+def _content(plant: Plant, state: PyTree) -> Array:
+    """Air in the muscles as volumes at atmospheric pressure [L]; zero if a volume is unknown."""
+    if not all(muscle.specimen.has_volume for muscle in plant.muscles):
+        return jnp.zeros(len(plant.muscles))
     volumes = plant.air_volumes(state)
     content = [air.volume * (pressure + atm) for air, pressure in zip(volumes, state.pressures, strict=True)]
     return jnp.stack(content) / (atm * litre)
 
 
-def _observation(measured: Measurement, velocity: Array, setpoint: Setpoint) -> Array:
+def _observation(
+    angles: Sequence[Array], velocities: Sequence[Array], pressures: Sequence[Array], setpoints: Sequence[Setpoint]
+) -> Array:
     """Observation in the units of `OBSERVATION`, within its limits; numbers that are not finite become 0 or a limit."""
-    pressure1, pressure2 = measured.pressures
-    observation = jnp.stack([measured.angle, velocity, pressure1 / bar, pressure2 / bar, *setpoint])
-    limit = jnp.array([limit for _, limit in OBSERVATION.values()])
-    return jnp.clip(jnp.nan_to_num(observation), -limit, limit)
+    in_bar = [pressure / bar for pressure in pressures]
+    quantities = zip((angles, velocities, in_bar, *zip(*setpoints, strict=True)), OBSERVATION.values(), strict=True)
+    clipped = [jnp.clip(jnp.nan_to_num(jnp.stack(values)), -limit, limit) for values, (_, limit) in quantities]
+    return jnp.concatenate(clipped)

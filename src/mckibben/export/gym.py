@@ -1,4 +1,4 @@
-"""Gymnasium environments, single and vectorised: a joint that follows references of angle and stiffness.
+"""Gymnasium environments, single and vectorised: a joint or robot that follows references of angle and stiffness.
 
 Importing this module registers ``mckibben/Joint-v0``; ``gymnasium.make("mckibben.export.gym:mckibben/Joint-v0",
 scenario="scenario.yaml")`` imports it automatically.
@@ -6,7 +6,6 @@ scenario="scenario.yaml")`` imports it automatically.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any, TypedDict, Unpack
 
@@ -22,6 +21,7 @@ from mckibben.errors import ExportError
 from mckibben.export.episodes import (
     ManyProgram,
     RewardTerms,
+    ScenarioLike,
     Settings,
     SingleProgram,
     elements_of,
@@ -29,8 +29,6 @@ from mckibben.export.episodes import (
     plants_of,
 )
 from mckibben.numerics.compiled import numeric
-from mckibben.scenario import Scenario
-from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
 
 Floats = NDArray[np.float32]
@@ -57,7 +55,7 @@ class Environment(metaclass=CheckedCalls):
 
     def __init__(
         self,
-        scenario: Scenario | Suite | str | os.PathLike[str],
+        scenario: ScenarioLike,
         *,
         random_plant: Sequence[str] = (),
         repeat: int = 1,
@@ -68,16 +66,15 @@ class Environment(metaclass=CheckedCalls):
     ) -> None:
         self.scenario, random_plant = example_of(scenario, random_plant)
         nominal, reward = self.scenario.plant(), RewardTerms(*map(float, reward))
-        if reward.air_price and not all(
-            muscle.specimen.has_volume for muscle in (nominal.joint.muscle1, nominal.joint.muscle2)
-        ):
+        if reward.air_price and not all(muscle.specimen.has_volume for muscle in nominal.muscles):
             raise ExportError(
                 "the reward has a price of air, but the volume of a muscle is unknown",
                 field="air_price",
                 value=reward.air_price,
                 remedy="give the specimen its initial_diameter and braid_angle, or an air_price of 0",
             )
-        periods = round(self.scenario.duration / self.scenario.control_period)
+        period = self.scenario.control_period
+        periods = round(self.scenario.timing["duration"] / period)
         for name, value, most in (("repeat", repeat, periods), ("history", history, _MOST_HISTORY)):
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
                 remedy = f"choose a whole number, 1 to {most}"
@@ -85,38 +82,39 @@ class Environment(metaclass=CheckedCalls):
         self.plants = plants_of(self.scenario, random_plant, plants, plants_seed)
         self.most_steps = -(-periods // repeat)
         self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat, "history": history}
-        direct, unit, shown = nominal.valve.direct, bar, "bar"
-        rated = [muscle.specimen.domain for muscle in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
-        ranges = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in rated]
-        if direct:
-            ranges, unit, shown = [(-1.0, 1.0)] * 2, 1.0, "1"
-        low, high = np.array(ranges).T
-        self.settings = numeric(Settings(self.scenario.control_period, low, high, reward))
-        units, limits = zip(*(elements := elements_of(history)).values(), strict=True)
-        limit = np.array(limits, np.float32)
+        joints = [f".{name}" for name in self.scenario.joint_names] or [""]
+        muscles = [f".{name}" for name in self.scenario.muscle_names] or ["1", "2"]
+        low, high = (np.array(nominal.clip_commands([limit] * len(muscles)), float) for limit in (-np.inf, np.inf))
+        unit, shown = (1.0, "1") if self.scenario.valve.direct else (bar, "bar")
+        self.settings = numeric(Settings(period, low, high, reward))
+        units, largest = zip(*(elements := elements_of(joints, muscles, history)).values(), strict=True)
+        limit = np.array(largest, np.float32)
         self.observation_space = Box(-limit, limit, dtype=np.float32)
-        self.action_space = Box(-1, 1, (2,), dtype=np.float32)
+        self.action_space = Box(-1, 1, low.shape, dtype=np.float32)
+        ranges = zip(muscles, low.tolist(), high.tolist(), strict=True)
         self.metadata = {
             "render_modes": [],
             "observation_units": dict(zip(elements, units, strict=True)),
-            "action_ranges": {f"command{i}": (x / unit, y / unit, shown) for i, (x, y) in enumerate(ranges, 1)},
-            "step": repeat * self.scenario.control_period,  # s
+            "action_ranges": {f"command{end}": (x / unit, y / unit, shown) for end, x, y in ranges},
+            "step": repeat * period,  # s
             "left_out": ("controller of the scenario", "its reference beyond the current period"),
         }
 
 
 class JointEnv(gymnasium.Env[Floats, Floats]):
-    """A joint controlled by an agent for the duration of a scenario, whose controller is ignored.
+    """A joint or robot controlled by an agent for the duration of a scenario, whose controller is ignored.
 
     A step is `repeat` control periods. Actions of -1 to 1 map to commands from the lowest to the highest pressure of
     each muscle, or to valve openings if commands are `direct`; ``metadata["action_ranges"]`` has both in their unit.
     Observations are sensor values: angle [rad], velocity [rad/s] (the change of the measured angle over the last
-    control period), gauge pressures [bar]; and the references of angle [rad] and stiffness [N*m/rad]. An episode is
-    terminated if the angle error exceeds 90 deg, and truncated at the end of the scenario. `info` has the true
-    stiffness [N*m/rad] and the air used in the step [L].
+    control period), gauge pressures [bar]; and the references of angle [rad] and stiffness [N*m/rad]. Each quantity of
+    a robot has an element for each joint or muscle, such as ``angle.knee`` or ``pressure.knee1``. An episode is
+    terminated if an angle error exceeds 90 deg, and truncated at the end of the scenario. `info` has the true
+    stiffness [N*m/rad], an array over the joints of a robot, and the air used in the step [L].
 
-    Raises `ScenarioError` or `ParameterError` for mistakes in scenario and parameters; `ExportError` if no plant has a
-    start, or the reward needs an unknown volume.
+    Raises `ScenarioError` or `ParameterError` for mistakes in scenario and parameters; `ExportError` if a robot follows
+    no references, no plant has a start, or the reward needs an unknown volume; `UnreachableError` if the muscles of a
+    robot cannot hold its start.
 
     Parameters
     ----------
@@ -140,7 +138,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
 
     def __init__(
         self,
-        scenario: Scenario | Suite | str | os.PathLike[str],
+        scenario: ScenarioLike,
         *,
         render_mode: None = None,
         **options: Unpack[Options],
@@ -165,7 +163,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         row = (options or {}).get("plant")
         row = int(self.np_random.integers(self.joint.plants.rows) if row is None else row)
         self._steps = 0
-        return np.asarray(self._program.begin(row).observation, np.float32), {"plant": row}
+        return self._program.begin(row).astype(np.float32), {"plant": row}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, Info]:
         """Apply commands for a step.
@@ -174,7 +172,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         """
         step = self._program.advance(action)
         self._steps += 1
-        info = {"stiffness": float(step.stiffness), "air": float(step.air)}
+        info = {"stiffness": np.asarray(step.stiffness)[()], "air": float(step.air)}
         observation, ended = np.asarray(step.observation, np.float32), self._steps >= self.joint.most_steps
         return observation, float(step.reward), bool(step.failed), ended, info
 
@@ -182,18 +180,18 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
 class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
     """Many `JointEnv` in one compiled program; a finished episode restarts at the next step.
 
-    All arrays have a row per joint; `info` has arrays too, and for each of them, with an underscore before its name,
-    which rows are valid.
+    All arrays have a row per environment; `info` has arrays too, and for each of them, with an underscore before its
+    name, which rows are valid.
 
     Parameters
     ----------
     num_envs
-        Number of joints. All other parameters are as for `JointEnv`.
+        Number of environments. All other parameters are as for `JointEnv`.
     """
 
     def __init__(
         self,
-        scenario: Scenario | Suite | str | os.PathLike[str],
+        scenario: ScenarioLike,
         num_envs: int = 1,
         *,
         render_mode: None = None,
@@ -216,9 +214,9 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Floats) -> tuple[Floats, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Apply the commands of all joints for a step.
+        """Apply the commands of all environments for a step.
 
-        A joint whose episode ended in the step before begins another; its action is ignored and its reward is 0.
+        One whose episode ended in the step before begins another; its action is ignored and its reward is 0.
         """
         if self._over.any():
             self._rows = np.where(self._over, self._draw(), self._rows)
@@ -231,7 +229,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         return np.asarray(step.observation, np.float32), np.asarray(step.reward), failed, ended, info
 
     def _draw(self) -> NDArray[np.int64]:
-        """A plant for each joint."""
+        """A plant for each environment."""
         return self.np_random.integers(self.joint.plants.rows, size=self.num_envs)
 
 

@@ -81,6 +81,9 @@ class Hinge(Mechanism):
     def routes(self, position: ArrayLike) -> tuple[Route, Route]:
         return self.joint.routes(position)
 
+    def stiffness(self, position: Scalar, pressures: Sequence[Array]) -> tuple[Array]:
+        return (self.joint.evaluate(position, (pressures[0], pressures[1]))[1],)
+
     def acceleration(self, position: Scalar, velocity: Scalar, torques: Sequence[Array]) -> Array:
         return self.load.acceleration(position, velocity, *torques)
 

@@ -57,6 +57,10 @@ class Mechanism(abc.ABC):
         """Return all muscles with their paths in a position."""
 
     @abc.abstractmethod
+    def stiffness(self, position: PyTree, pressures: Sequence[Array]) -> tuple[Array, ...]:
+        """Return the isobaric stiffness [N*m/rad] of each joint, the others held, at gauge pressures [Pa]."""
+
+    @abc.abstractmethod
     def acceleration(self, position: PyTree, velocity: PyTree, torques: Sequence[Array]) -> PyTree:
         """Return the acceleration [rad/s^2, m/s^2] under torques [N*m] of muscles, friction and disturbance by joint.
 

@@ -153,6 +153,9 @@ class Tree(Mechanism):
     def routes(self, position: Posture) -> Sequence[Route]:
         return self.robot.routed_muscles(position.angles)
 
+    def stiffness(self, position: Posture, pressures: Sequence[Array]) -> tuple[Array, ...]:
+        return self.robot.stiffness(position.angles, pressures)
+
     def acceleration(self, position: Posture, velocity: Velocity, torques: Sequence[Array]) -> Velocity:
         robot, stops = self.robot, self.stop_torques(position, velocity)
         joints = zip(robot.joints, torques, velocity.angles, stops, strict=True)

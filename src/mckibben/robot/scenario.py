@@ -6,14 +6,14 @@ import dataclasses
 import functools
 import importlib
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import ArrayLike, PyTree
 from numpy.typing import NDArray
 from pydantic import (
     Field,
@@ -43,7 +43,7 @@ from mckibben.robot.dynamics import joint_load
 from mckibben.robot.ground import Ground
 from mckibben.robot.mechanism import Robot
 from mckibben.robot.metrics import TrackingMetrics
-from mckibben.robot.plant import RobotPlant, RobotStart
+from mckibben.robot.plant import RobotPlant, RobotStart, RobotState
 from mckibben.robot.point_stiffness import SINGULAR, movable
 from mckibben.robot.posture import holding_torques, is_affine
 from mckibben.robot.reaching import PointReference
@@ -75,6 +75,17 @@ _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the robot."""
 
 _JOINTS = TypeAdapter(dict[str, ReferencePart])
+
+
+class RobotStarts(NamedTuple):
+    """Starts of the runs of a batch, and whether they exist."""
+
+    starts: RobotStart
+    exist: NDArray[np.bool_]
+
+    def state(self, plant: RobotPlant, angles: Sequence[ArrayLike]) -> tuple[RobotState, NDArray[np.bool_]]:
+        """Return the state of a plant, and whether it exists, as `AtRest.state`."""
+        return plant.begin(self.starts), self.exist
 
 
 class RobotScenario(StudiedScenario):
@@ -236,6 +247,10 @@ class RobotScenario(StudiedScenario):
     def joint_names(self) -> tuple[str, ...]:
         return self.robot.joint_names
 
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        return self.robot.muscle_names
+
     def references(self) -> dict[str, Reference]:
         return self._joint_references[0]
 
@@ -278,7 +293,6 @@ class RobotScenario(StudiedScenario):
         self.initial()
 
     def needed_substeps(self) -> int:
-        """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
         if self.substeps is not None:
             return self.substeps
         parts = self.plant(), self.control(), self.initial()
@@ -341,12 +355,12 @@ class RobotScenario(StudiedScenario):
     def _linearisable(self, start: RobotStart) -> RobotProblem:
         return RobotProblem(linearisable(self.plant(), self.control_period), self.control(), start)
 
-    def _starts(self) -> tuple[RobotStart, NDArray[np.bool_]]:
-        """Starts of the runs of a batch, and whether they exist: those of other runs are in the place of others."""
+    def _starts(self) -> RobotStarts:
+        """Starts of the runs of a batch: others are in the place of those that do not exist."""
         parts = {"robot": self.robot, "valve": self.valve, "reference": self.references()}
         count, varying = lanes_of(parts)
         if count is None:
-            return self.initial(), np.ones((), bool)
+            return RobotStarts(self.initial(), np.ones((), bool))
         lanes, shared = eqx.partition(parts, varying)
         leaves, structure = jax.tree.flatten(lanes)
 
@@ -359,9 +373,12 @@ class RobotScenario(StudiedScenario):
                 return None
 
         starts = [start_of(*row) for row in np.stack(leaves, axis=-1).tolist()]
-        found = next((start for start in starts if start), None) or self.initial()
+        nowhere = RobotStart((0.0,) * len(self.joint_names), (0.0,) * len(self.muscle_names))
+        found = next((start for start in starts if start), nowhere)
         exists = np.array([start is not None for start in starts])
-        return jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts)), exists
+        return RobotStarts(
+            jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts)), exists
+        )
 
     def initial(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.

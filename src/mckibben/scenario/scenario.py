@@ -142,6 +142,7 @@ class StudiedScenario(RunSettings):
 
     if TYPE_CHECKING:  # fields of each class, in the order of its files
         name: str
+        valve: Actuator
         command_delay: float | None
         control_period: float
         accuracy: float
@@ -153,6 +154,11 @@ class StudiedScenario(RunSettings):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints of a robot, of each of which there are metrics."""
+        return ()
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        """Names of the muscles of a robot, in the order of commands and pressures."""
         return ()
 
     @property
@@ -188,6 +194,10 @@ class StudiedScenario(RunSettings):
     @abc.abstractmethod
     def check_start(self) -> None:
         """Raise `McKibbenError` if its run cannot start."""
+
+    @abc.abstractmethod
+    def needed_substeps(self) -> int:
+        """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
 
     @abc.abstractmethod
     def run_once(self, *, source: str = "") -> RunResult:
@@ -424,7 +434,6 @@ class Scenario(StudiedScenario):
         return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
 
     def needed_substeps(self) -> int:
-        """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
         if self.substeps is not None:
             return self.substeps
         return _with_run(self, needed_substeps, accuracy=self.accuracy)

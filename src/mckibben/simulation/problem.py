@@ -35,6 +35,12 @@ class AtRest(NamedTuple):
     angle: ArrayLike
     stiffness: ArrayLike = math.nan
 
+    def state(self, plant: JointPlant, angles: Sequence[ArrayLike]) -> tuple[PlantState, Array]:
+        """Return the state of a plant, and whether it exists; `angles` are the first desired ones [rad], of a joint."""
+        (desired,) = angles
+        angle = jnp.where(jnp.isnan(self.angle), desired, self.angle)
+        return plant.find_equilibrium(angle, jnp.asarray(self.stiffness))
+
 
 class SimulationProblem(NamedTuple):
     """All parts of a run; leaves are numbers, or arrays over runs."""
@@ -55,12 +61,7 @@ class SimulationProblem(NamedTuple):
         """The initial state for setpoints of shape (periods,), and whether it exists."""
         if isinstance(self.initial, PlantState):
             return self.plant.complete_state(jax.tree.map(floating, self.initial)), jnp.asarray(True)
-        return self.plant.find_equilibrium(*self.rest(setpoints))
-
-    def rest(self, setpoints: Setpoint) -> tuple[Array, Array]:
-        """Angle [rad] and stiffness [N*m/rad] of the start at rest."""
-        angle, stiffness = self.initial[:2]
-        return jnp.where(jnp.isnan(angle), setpoints.angle[0], angle), jnp.asarray(stiffness)
+        return self.initial.state(self.plant, [setpoints.angle[0]])
 
 
 Problem = TypeVar("Problem", bound=tuple)
