@@ -111,7 +111,6 @@ def _sharing(controller: PyTree, mechanism: Mechanism, numbers: Mechanism) -> Py
 
     Programs then compute once what both need, such as the stiffness at the measured angle.
     """
-
     parts: dict[type, list[tuple[Component, Component]]] = {}
     found: dict[int, Component] = {}
 
