@@ -12,7 +12,7 @@ from PIL import Image
 import mckibben as mk
 from mckibben.errors import FileError, ParameterError, RangeError, SimulationError
 from mckibben.joint import Geometry
-from mckibben.joint.mechanism import Mechanism, muscle_sizes
+from mckibben.joint.linkage import Linkage, muscle_sizes
 from mckibben.report import animate, draw_joint
 from mckibben.robot import RobotScenario
 from mckibben.scenario import run_scenario
@@ -42,19 +42,19 @@ ALL = {"knee": KNEE, "bones": BONES, "pulleys": PULLEYS, "cams": CAMS, "table": 
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_lines_of_action_are_at_the_moment_arms(name):
-    mechanism = Mechanism(ALL[name])
+    linkage = Linkage(ALL[name])
     for angle in (-30 * deg, 0.0, 25 * deg):
-        for strand, arm in zip(mechanism.strands(angle), ALL[name].moment_arms(angle), strict=True):
+        for strand, arm in zip(linkage.strands(angle), ALL[name].moment_arms(angle), strict=True):
             (x, y), (u, v) = strand.start, (strand.end - strand.start) / strand.length
             assert abs(x * v - y * u) == pytest.approx(float(arm), rel=1e-4)
 
 
 @pytest.mark.parametrize(("geometry", "connectors"), [(KNEE, (208 * mm, 208 * mm)), (BONES, (20 * mm, 10 * mm))])
 def test_straight_muscles_have_the_lengths_of_their_paths(geometry, connectors):
-    mechanism = Mechanism(geometry)
+    linkage = Linkage(geometry)
     for angle in ANGLES:
         for strand, connector, path in zip(
-            mechanism.strands(angle), connectors, geometry.path_lengths(angle), strict=True
+            linkage.strands(angle), connectors, geometry.path_lengths(angle), strict=True
         ):
             assert strand.length - connector == pytest.approx(float(path), rel=1e-12)
             first, last = strand.body(float(path))

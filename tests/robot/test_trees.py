@@ -13,7 +13,7 @@ from mckibben.errors import RangeError, ScenarioError
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
 from mckibben.robot import JointwiseControl, RobotScenario, RobotStart, TimedReference, simulate_robot
 from mckibben.robot.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
-from mckibben.robot.tree import MASSLESS, BodyInertia, Frame, Hinge, equations, frames_of, path_through
+from mckibben.robot.tree import MASSLESS, BodyInertia, Frame, TreeHinge, equations, frames_of, path_through
 
 ARM = "examples/robot/umarm.yaml"
 REFERENCE = json.loads(Path(__file__).with_name("umarm.json").read_text())
@@ -69,7 +69,7 @@ def random_tree(rng):
         inertia = np.trace(spread) * np.eye(3) - spread
         parent, rotor = int(rng.integers(0, number + 1)), float(rng.uniform(0, 0.01))
         angle, rate = float(rng.uniform(-1, 1)), float(rng.uniform(-3, 3))
-        hinges.append(Hinge(vector(axis / np.linalg.norm(axis)), vector(place), angle, rate, parent, True, rotor))
+        hinges.append(TreeHinge(vector(axis / np.linalg.norm(axis)), vector(place), angle, rate, parent, True, rotor))
         tensor = Tensor(*(float(inertia[at]) for at in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))))
         bodies.append(BodyInertia(float(rng.uniform(0.2, 2)), vector(rng.uniform(-0.2, 0.2, 3)), tensor))
     paths = []

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mckibben.errors import ParameterError, SimulationError
-from mckibben.joint.mechanism import Mechanism, muscle_sizes
+from mckibben.joint.linkage import Linkage, muscle_sizes
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
 from mckibben.report.palette import MEASURED
 from mckibben.report.robot import BONE, set_space
@@ -154,13 +154,13 @@ def _pressure_scale(figure: SubFigure, axes: Axes, highest: float) -> ScalarMapp
 
 def _stage_of_joint(figure: SubFigure, result: RunResult, plant: JointPlant, at: NDArray[np.int64]) -> Stage:
     angles = result["angle"][at]
-    mechanism = Mechanism(plant.joint.geometry, (float(angles.min()), float(angles.max())))
+    linkage = Linkage(plant.joint.geometry, (float(angles.min()), float(angles.max())))
     lengths, diameters = muscle_sizes(plant.joint, (result["contraction1"][at], result["contraction2"][at]))
     pressures = np.array([result["pressure1"][at], result["pressure2"][at]]) / bar
     stage = figure.subplots()
-    limb, masses = limb_and_masses(plant, mechanism)
-    picture = JointPicture(stage, mechanism, limb, masses, plant.joint.springs)
-    box = outer_points(mechanism, limb, np.linspace(angles.min(), angles.max(), 5).tolist())
+    limb, masses = limb_and_masses(plant, linkage)
+    picture = JointPicture(stage, linkage, limb, masses, plant.joint.springs)
+    box = outer_points(linkage, limb, np.linspace(angles.min(), angles.max(), 5).tolist())
     margin = 0.05 * np.ptp(box, axis=0).max()
     stage.set_xlim(box[:, 0].min() - margin, box[:, 0].max() + margin)
     stage.set_ylim(box[:, 1].min() - margin, box[:, 1].max() + margin)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_kind
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
-from mckibben.joint.mechanism import SLENDER, Mechanism, Points, Strand, muscle_sizes
+from mckibben.joint.linkage import SLENDER, Linkage, Points, Strand, muscle_sizes
 from mckibben.plant import JointPlant
 from mckibben.report.palette import BLACK, GREY, MUSCLES
 from mckibben.report.style import blank, minus, pressure_colours, styled
@@ -38,7 +38,7 @@ class JointPicture:
     ----------
     axes
         Panel, whose axes are hidden.
-    mechanism
+    linkage
         Geometry of the joint, scaled for drawing.
     limb, masses
         Length [m] of the moving limb, and distances [m] of its point masses from the joint axis.
@@ -47,17 +47,17 @@ class JointPicture:
     """
 
     def __init__(
-        self, axes: Axes, mechanism: Mechanism, limb: float, masses: Sequence[float], springs: tuple[bool, bool]
+        self, axes: Axes, linkage: Linkage, limb: float, masses: Sequence[float], springs: tuple[bool, bool]
     ) -> None:
-        self.mechanism, self._limb, self._masses, self._springs = mechanism, limb, masses, springs
-        scale = mechanism.height
+        self.linkage, self._limb, self._masses, self._springs = linkage, limb, masses, springs
+        scale = linkage.height
         axes.set_aspect("equal")
         axes.axis("off")
-        fixed = np.array([np.zeros(2), scale * mechanism.up])
+        fixed = np.array([np.zeros(2), scale * linkage.up])
         axes.plot(*fixed.T, color=_BONE, linewidth=9, solid_capstyle="round", zorder=1)
-        ends = [strand.start for strand in mechanism.strands(0.0)]
-        axes.plot(*np.array([ends[0], scale * mechanism.up, ends[1]]).T, color=_BONE, linewidth=5, zorder=1)
-        self._cams = [Polygon(outline, facecolor=_PLATE, linewidth=0, zorder=2) for outline in mechanism.cams(0.0)]
+        ends = [strand.start for strand in linkage.strands(0.0)]
+        axes.plot(*np.array([ends[0], scale * linkage.up, ends[1]]).T, color=_BONE, linewidth=5, zorder=1)
+        self._cams = [Polygon(outline, facecolor=_PLATE, linewidth=0, zorder=2) for outline in linkage.cams(0.0)]
         self._bone = axes.plot([], [], color=_BONE, linewidth=9, solid_capstyle="round", zorder=2)[0]
         self._levers = axes.plot([], [], color=_BONE, linewidth=5, solid_capstyle="round", zorder=2)[0]
         self._weights = axes.plot([], [], "o", color="#6B7480", markersize=9, zorder=3)[0]
@@ -89,15 +89,15 @@ class JointPicture:
         tuple of Strand
             Lines of action of muscles 1 and 2.
         """
-        mechanism = self.mechanism
-        strands = mechanism.strands(angle)
-        for patch, outline in zip(self._cams, mechanism.cams(angle), strict=True):
+        linkage = self.linkage
+        strands = linkage.strands(angle)
+        for patch, outline in zip(self._cams, linkage.cams(angle), strict=True):
             patch.set_xy(outline)
-        self._bone.set_data(*np.array([np.zeros(2), mechanism.limb(angle, self._limb)]).T)
-        anchors = [strand.end for strand, straight in zip(strands, mechanism.straight, strict=True) if straight]
+        self._bone.set_data(*np.array([np.zeros(2), linkage.limb(angle, self._limb)]).T)
+        anchors = [strand.end for strand, straight in zip(strands, linkage.straight, strict=True) if straight]
         levers = [point for end in anchors for point in (end, np.zeros(2))]
         self._levers.set_data(*np.array(levers).reshape(-1, 2).T)
-        self._weights.set_data(*np.array([mechanism.limb(angle, at) for at in self._masses]).reshape(-1, 2).T)
+        self._weights.set_data(*np.array([linkage.limb(angle, at) for at in self._masses]).reshape(-1, 2).T)
         for index, strand in enumerate(strands):
             first, last = strand.body(lengths[index])
             cable = [strand.start, first, (np.nan, np.nan), last, strand.end, *strand.wrap]
@@ -134,16 +134,16 @@ def _coil(first: Points, last: Points, width: float) -> list[Points]:
     return [first + i / 20 * along + (width / 2 if i % 2 else -width / 2) * (1 <= i <= 19) * across for i in range(21)]
 
 
-def outer_points(mechanism: Mechanism, limb: float, angles: Sequence[float]) -> Points:
+def outer_points(linkage: Linkage, limb: float, angles: Sequence[float]) -> Points:
     """Points that a picture has to contain at these angles [rad]."""
     points = [np.zeros(2)]
     for angle in angles:
-        points += [point for strand in mechanism.strands(angle) for point in (strand.start, strand.end, *strand.wrap)]
-        points += [mechanism.limb(angle, limb)]
+        points += [point for strand in linkage.strands(angle) for point in (strand.start, strand.end, *strand.wrap)]
+        points += [linkage.limb(angle, limb)]
     return np.array(points)
 
 
-def limb_and_masses(plant: JointPlant | None, mechanism: Mechanism) -> tuple[float, list[float]]:
+def limb_and_masses(plant: JointPlant | None, linkage: Linkage) -> tuple[float, list[float]]:
     """Length [m] of the moving limb, and the distances [m] of the load's point masses, if any."""
     load = None if plant is None else plant.load
     masses = []
@@ -151,7 +151,7 @@ def limb_and_masses(plant: JointPlant | None, mechanism: Mechanism) -> tuple[flo
         masses = [float(load.distance1), float(load.distance2)]
     elif isinstance(load, PendulumLoad):
         masses = [float(load.length)]
-    return max([_LIMB * mechanism.height, *(1.1 * at for at in masses)]), masses
+    return max([_LIMB * linkage.height, *(1.1 * at for at in masses)]), masses
 
 
 @styled
@@ -190,8 +190,8 @@ def draw_joint(
     muscles = body if isinstance(body, AntagonisticJoint) else None
     geometry: Any = body if muscles is None else muscles.geometry
     check_kind("draw_joint", "joint", geometry, Geometry)
-    mechanism = Mechanism(geometry, (angle,))
-    limb, masses = limb_and_masses(plant, mechanism)
+    linkage = Linkage(geometry, (angle,))
+    limb, masses = limb_and_masses(plant, linkage)
     lengths: Sequence[SupportsFloat] = geometry.path_lengths(angle)
     diameters: Sequence[SupportsFloat | None] = (None, None)
     if muscles is not None:
@@ -201,17 +201,17 @@ def draw_joint(
     colours = [_UNKNOWN] * 2 if scale is None else list(scale.to_rgba(np.asarray(pressures, float) / bar))
 
     springs = muscles.springs if muscles else (False, False)
-    box = outer_points(mechanism, limb, (angle,))
+    box = outer_points(linkage, limb, (angle,))
     figure = blank(4.2, 5.0) if labels else blank(2.4, 4.0)
     axes = figure.subplots()
-    strands = JointPicture(axes, mechanism, limb, masses, springs).update(angle, *sizes, colours)
+    strands = JointPicture(axes, linkage, limb, masses, springs).update(angle, *sizes, colours)
     (left, bottom), (right, top) = box.min(axis=0), box.max(axis=0)
     margin = 0.04 * max(right - left, top - bottom)
     axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
     if scale is not None:
         figure.colorbar(scale, ax=axes, label="pressure [bar]", location="bottom", fraction=0.04, pad=0.02)
     if labels:
-        _label(axes, mechanism, strands, sizes[0], angle)
+        _label(axes, linkage, strands, sizes[0], angle)
     return figure
 
 
@@ -233,9 +233,9 @@ def _note(
     axes.text(x, y, text, ha=ha, va=va, parse_math=True, zorder=8, bbox=halo, **_NOTE, **look)
 
 
-def _label(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], lengths: Sequence[float], angle: float) -> None:
+def _label(axes: Axes, linkage: Linkage, strands: Sequence[Strand], lengths: Sequence[float], angle: float) -> None:
     """Names of the muscles, moment arms and angle, and the lengths of a `KneeGeometry`."""
-    geometry, up, height = mechanism.geometry, mechanism.up, mechanism.height
+    geometry, up, height = linkage.geometry, linkage.up, linkage.height
     right = np.array([up[1], -up[0]])
     gap, rotation = 0.045 * height, 90.0 if abs(up[1]) > 0.5 else 0.0
     second = 1.0 if (strands[1].start - strands[0].start) @ right >= 0 else -1.0
@@ -255,13 +255,13 @@ def _label(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], lengths:
     if isinstance(geometry, KneeGeometry):
         _label_height(axes, geometry, height)
     if abs(angle) > 1 * deg:
-        down, radius = mechanism.limb(0.0, 0.4 * height), 0.3 * height
+        down, radius = linkage.limb(0.0, 0.4 * height), 0.3 * height
         axes.plot(*np.array([np.zeros(2), down]).T, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3)
         zero = math.degrees(math.atan2(down[1], down[0]))
         first, last = sorted((zero, zero + angle / deg))
         arc = {"theta1": first, "theta2": last, "color": BLACK, "linewidth": 0.9, "zorder": 7}
         axes.add_patch(Arc((0, 0), 2 * radius, 2 * radius, **arc))
-        _note(axes, mechanism.limb(angle / 2, radius), "$θ$", mechanism.limb(angle / 2, 1.0), gap / 2)
+        _note(axes, linkage.limb(angle / 2, radius), "$θ$", linkage.limb(angle / 2, 1.0), gap / 2)
     arms = " and ".join(f"{float(arm) / mm:.3g}" for arm in geometry.moment_arms(angle))
     axes.set_title(f"{minus(angle / deg, '.3g')} deg: moment arms {arms} mm", loc="center", color=GREY)
 

@@ -17,7 +17,7 @@ from mckibben.joint import GeneralLoad
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
 from mckibben.robot.bodies import BodyPoint, Foot
 from mckibben.robot.mechanism import Robot
-from mckibben.robot.tree import MASSLESS, BodyInertia, Equations, Frame, Hinge, ancestors, equations, frames_of
+from mckibben.robot.tree import MASSLESS, BodyInertia, Equations, Frame, TreeHinge, ancestors, equations, frames_of
 
 Scalar = Float[Array, ""]
 
@@ -75,7 +75,7 @@ class _Tree(NamedTuple):
     """Bodies of a robot in a posture and at a velocity, and the number of its base."""
 
     slider: Frame
-    hinges: list[Hinge]  # of base and joints
+    hinges: list[TreeHinge]  # of base and joints
     bodies: list[BodyInertia]  # on the slider and on each hinge
     base: int
 
@@ -87,7 +87,7 @@ class _Tree(NamedTuple):
 def _tree(robot: Robot, posture: Posture, velocity: Velocity) -> _Tree:
     turns = [name for name in robot.motions if name in TURNS]
     hinges = [
-        Hinge(TURNS[name], ZERO, getattr(posture, name), getattr(velocity, name), number)
+        TreeHinge(TURNS[name], ZERO, getattr(posture, name), getattr(velocity, name), number)
         for number, name in enumerate(turns)
     ]
     hinges += robot.hinges(posture.angles, velocity.angles, len(turns))

@@ -25,7 +25,7 @@ from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, difference, total
 from mckibben.robot.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
 from mckibben.robot.muscles import MuscleUnit, Skeleton, check_contractions
-from mckibben.robot.tree import Frame, Hinge, frames_of
+from mckibben.robot.tree import Frame, TreeHinge, frames_of
 from mckibben.units import deg
 
 
@@ -340,7 +340,7 @@ class Robot(Component):
 
     def _skeleton(self, angles: Sequence[ArrayLike]) -> Skeleton:
         @functools.cache
-        def posed() -> tuple[list[Hinge], list[Frame]]:
+        def posed() -> tuple[list[TreeHinge], list[Frame]]:
             hinges = self.hinges(angles, [0.0] * len(self.joints))
             return hinges, frames_of(Frame(IDENTITY, ZERO, ZERO, ZERO), hinges)
 
@@ -355,10 +355,10 @@ class Robot(Component):
         """Return the length [m] of lines through points at angles [rad], and its derivatives [m/rad] by joint."""
         return self._skeleton(angles).path_through(points)[:2]
 
-    def hinges(self, angles: Sequence[Any], rates: Sequence[Any], base: int = 0) -> list[Hinge]:
+    def hinges(self, angles: Sequence[Any], rates: Sequence[Any], base: int = 0) -> list[TreeHinge]:
         """Return the hinges of the joints at angles [rad] and rates [rad/s]; the base has a number."""
         return [
-            Hinge(
+            TreeHinge(
                 joint.direction,
                 joint.place.vector,
                 joint.offset + angle,

@@ -20,7 +20,7 @@ from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import total
 from mckibben.robot.bodies import BodyPoint, Joint
-from mckibben.robot.tree import Frame, Hinge, path_through
+from mckibben.robot.tree import Frame, TreeHinge, path_through
 from mckibben.units import Coordinate
 
 Action = Literal["lengthens", "shortens"]
@@ -33,7 +33,7 @@ class Skeleton(NamedTuple):
     joints: Sequence[Joint]
     frame_names: Sequence[str]
     angles: Sequence[ArrayLike]
-    posed: Callable[[], tuple[list[Hinge], list[Frame]]]
+    posed: Callable[[], tuple[list[TreeHinge], list[Frame]]]
 
     def number(self, name: str) -> int:
         """Return the number of a joint."""

@@ -19,7 +19,7 @@ from mckibben.numerics.elementary import Number
 from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, Z, difference, product, total
 
 
-class Hinge(NamedTuple):
+class TreeHinge(NamedTuple):
     """Hinge between a body and its parent."""
 
     axis: Vector  # unit vector of known numbers in the axes of the parent
@@ -93,7 +93,7 @@ class Frame(NamedTuple):
         return self.position + arm, self.velocity + self.rate.cross(arm)
 
 
-def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
+def frames_of(base: Frame, hinges: Sequence[TreeHinge]) -> list[Frame]:
     """Return the frames of the base and of the body on each hinge, with one rotation about successive parallel axes."""
     frames = [base]
     turns: list[tuple[Rotation, Vector, Any]] = [(base.axes, ZERO, 0.0)]  # of bodies: axes, and a turn about an axis
@@ -114,7 +114,7 @@ def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
     return frames
 
 
-def ancestors(hinges: Sequence[Hinge], body: int) -> list[int]:
+def ancestors(hinges: Sequence[TreeHinge], body: int) -> list[int]:
     """Return the numbers of a body and of its parents up to the base, which is left out."""
     found = []
     while body:
@@ -124,7 +124,7 @@ def ancestors(hinges: Sequence[Hinge], body: int) -> list[int]:
 
 
 def path_through(
-    points: Sequence[tuple[int, Vector]], hinges: Sequence[Hinge], frames: Sequence[Frame]
+    points: Sequence[tuple[int, Vector]], hinges: Sequence[TreeHinge], frames: Sequence[Frame]
 ) -> tuple[Any, dict[int, Any], Callable[[], Bends]]:
     """Return the length [m] of straight lines through points of bodies, and its derivatives [m/rad] by hinge.
 
@@ -200,7 +200,7 @@ class _Composite(NamedTuple):
 
 def equations(
     slides: Sequence[Vector],  # directions in which the base moves without turning
-    hinges: Sequence[Hinge],
+    hinges: Sequence[TreeHinge],
     bodies: Sequence[BodyInertia],  # of the base and on each hinge
     frames: Sequence[Frame],  # their frames
     gravity: Any,  # downwards [m/s^2]
@@ -241,7 +241,7 @@ def equations(
 
 
 def _velocity_accelerations(
-    hinges: Sequence[Hinge], frames: Sequence[Frame], gravity: Any
+    hinges: Sequence[TreeHinge], frames: Sequence[Frame], gravity: Any
 ) -> list[tuple[Vector, Vector]]:
     """Angular and linear acceleration of each frame without those of the motions, and with gravity as one upwards."""
     moving = [(ZERO, Z.scaled(gravity))]
@@ -254,7 +254,7 @@ def _velocity_accelerations(
 
 def _column(
     slides: Sequence[Vector],
-    hinges: Sequence[Hinge],
+    hinges: Sequence[TreeHinge],
     frames: Sequence[Frame],
     index: int,
     momentum: Vector,

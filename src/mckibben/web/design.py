@@ -19,7 +19,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
 from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
-from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
+from mckibben.joint.linkage import SLENDER, Linkage, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import jit
 from mckibben.plant.joint_plant import rated_for
@@ -282,9 +282,9 @@ def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[ArrayLik
     contractions
         Contractions of both muscles [-], which give their thickness.
     """
-    mechanism = Mechanism(joint.geometry, (-POSE * deg, POSE * deg))
-    strands, height = mechanism.strands(angle), mechanism.height / mm
-    bone, shank = 0.016 * height, 0.55 * mechanism.height
+    linkage = Linkage(joint.geometry, (-POSE * deg, POSE * deg))
+    strands, height = linkage.strands(angle), linkage.height / mm
+    bone, shank = 0.016 * height, 0.55 * linkage.height
 
     def points(*places: Sequence[float] | Points) -> str:
         """Points [m] in millimetres, with y pointing down."""
@@ -294,12 +294,12 @@ def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[ArrayLik
         look = f'stroke="{color}" stroke-width="{width:.2f}" stroke-linecap="round"'
         return f'<polyline points="{points(*places)}" fill="none" {look}/>'
 
-    top = mechanism.height * mechanism.up
-    levers = [strand.end for strand, straight in zip(strands, mechanism.straight, strict=True) if straight]
+    top = linkage.height * linkage.up
+    levers = [strand.end for strand, straight in zip(strands, linkage.straight, strict=True) if straight]
     parts = [
-        *(f'<polygon points="{points(*outline)}" fill="#dce1e8"/>' for outline in mechanism.cams(angle)),
+        *(f'<polygon points="{points(*outline)}" fill="#dce1e8"/>' for outline in linkage.cams(angle)),
         path("#c3cad1", 2.2 * bone, top, (0, 0)),
-        path("#aab4bd", 2.2 * bone, (0, 0), mechanism.limb(angle, shank)),
+        path("#aab4bd", 2.2 * bone, (0, 0), linkage.limb(angle, shank)),
         path("#8a949d", bone, strands[0].start, top, strands[1].start),
         *(path("#8a949d", bone, (0, 0), end) for end in levers),
     ]

@@ -1,4 +1,4 @@
-"""Planar mechanism of a joint: anchors, pulleys, and the muscles between them, derived from the geometry."""
+"""Planar linkage of a joint: anchors, pulleys, and the muscles between them, derived from the geometry."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Strand(NamedTuple):
         return self.start + above * along, self.start + (above + length) * along
 
 
-class Mechanism:
+class Linkage:
     """The parts of a geometry in the plane.
 
     Straight muscles lie between their anchors. Any other path is drawn on a pulley whose radius is the present moment
