@@ -105,7 +105,7 @@ TARGETS = {
 """Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = "c", "js", "mjcf"
+ROBOT_TARGETS = "c", "js", "fmu", "fmu-controller", "mjcf"
 """Formats of a robot."""
 
 

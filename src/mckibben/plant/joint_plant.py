@@ -78,6 +78,10 @@ class Hinge(Mechanism):
         (value,) = values
         return value
 
+    def stiffness(self, position: ArrayLike, pressures: Sequence[Array]) -> tuple[Array]:
+        pressure1, pressure2 = pressures
+        return (self.joint.stiffness(position, (pressure1, pressure2)),)
+
     def routes(self, position: ArrayLike) -> tuple[Route, Route]:
         return self.joint.routes(position)
 
