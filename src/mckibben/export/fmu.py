@@ -72,8 +72,11 @@ def controller_fmu(
     module.add("evaluate", "commands from now on", results, both)
     module.add("advance", "state after a control period", advance, both)
     columns = next(f for f in module.functions if f.name == "evaluate").results["results"]
-    telemetry = {f"results.{member.path}": attributes(member.path.split(".")[0]).get("units", "") for member in columns}
+    units = {f"results.{member.path}": attributes(member.path.split(".")[0]).get("units", "") for member in columns}
+    units |= units_of(module)
+    if source.plant.valve.direct:
+        units |= dict.fromkeys((f"results.command{number}" for number, _ in enumerate(source.plant.muscles, 1)), "")
     title = f"Controller of the scenario {scenario.name!r}"
-    unit = FunctionalUnit(module, title, scenario.control_period, units_of(module) | telemetry, sampled=True)
+    unit = FunctionalUnit(module, title, scenario.control_period, units, sampled=True)
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, tuple(missing))

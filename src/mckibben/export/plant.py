@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from mckibben.codegen.source_module import SourceModule
+from mckibben.component.columns import attributes
 from mckibben.export.controller import units_of
 from mckibben.export.functional_unit import FunctionalUnit, per_second
 from mckibben.muscle import MuscleState
@@ -111,9 +112,10 @@ def plant_unit(plant: Plant, initial: PyTree, name: str, period: float, substeps
         for i, muscle in enumerate(plant.muscles)
         for k, unit in enumerate(muscle.creep.state_units)
     }
-    coordinates = [member.path for member in module.state if member.path.startswith(f"{position}.")]
-    for path in (path.removeprefix(position) for path in coordinates):
-        units[f"state.{velocity}{path}"] = per_second(units[f"state.{position}{path}"])
+    coordinates = (member.path for member in module.state if member.path.startswith(f"{position}."))
+    for at, name in ((path.removeprefix(position), path.rpartition(".")[2]) for path in coordinates):
+        unit = units.setdefault(f"state.{position}{at}", attributes(name).get("units", ""))
+        units[f"state.{velocity}{at}"] = per_second(unit)
     if valve.direct:
         units |= {f"inputs.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}
     return FunctionalUnit(module, "Joints with pneumatic muscles, loads and valves", period, units,
