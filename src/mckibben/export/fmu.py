@@ -74,8 +74,8 @@ def controller_fmu(
     columns = next(f for f in module.functions if f.name == "evaluate").results["results"]
     units = {f"results.{member.path}": attributes(member.path.split(".")[0]).get("units", "") for member in columns}
     units |= units_of(module)
-    if source.plant.valve.direct:
-        units |= dict.fromkeys((f"results.command{number}" for number, _ in enumerate(source.plant.muscles, 1)), "")
+    if (plant := scenario.plant()).valve.direct:
+        units |= {f"results.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}
     title = f"Controller of the scenario {scenario.name!r}"
     unit = FunctionalUnit(module, title, scenario.control_period, units, sampled=True)
     content, missing = fmu(unit, scenario.dumps(folder=folder))

@@ -14,11 +14,13 @@ from mckibben.export.controller import units_of
 from mckibben.export.functional_unit import FunctionalUnit, per_second
 from mckibben.muscle import MuscleState
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IOState, Plant
+from mckibben.plant import IOState, JointPlant
 from mckibben.robot import RobotPlant
 
+_Plant = JointPlant | RobotPlant
 
-def plant_unit(plant: Plant, initial: PyTree, name: str, period: float, substeps: int) -> FunctionalUnit:
+
+def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substeps: int) -> FunctionalUnit:
     """Program of a plant without sensors and disturbances, from an initial state.
 
     Functions: `init`, the state at positions, velocities and pressures; `evaluate`, stiffness and tensions; `advance`,
@@ -52,14 +54,14 @@ def plant_unit(plant: Plant, initial: PyTree, name: str, period: float, substeps
     inputs["torque"] = plant.mechanism.like_joints([jnp.zeros(())] * len(plant.disturbances))
     module = SourceModule(name, numbers)
 
-    def commanded(parameters: PyTree, state: PyTree, inputs: PyTree) -> tuple[Plant, PyTree, tuple[Array, ...]]:
+    def commanded(parameters: PyTree, state: PyTree, inputs: PyTree) -> tuple[_Plant, PyTree, tuple[Array, ...]]:
         """Plant, state under the torque and right after the commands, and these within their limits."""
         plant = eqx.combine(parameters, fixed)
         commands = clipped(plant, inputs)
         state = eqx.combine(state, whole)._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
         return plant, plant.apply_commands(state, commands), commands
 
-    def clipped(plant: Plant, inputs: PyTree) -> tuple[Array, ...]:
+    def clipped(plant: _Plant, inputs: PyTree) -> tuple[Array, ...]:
         return plant.clip_commands([inputs[f"command{number}"] for number, _ in enumerate(plant.muscles, 1)])
 
     def init(parameters: PyTree, start: PyTree, inputs: PyTree) -> dict[str, PyTree]:

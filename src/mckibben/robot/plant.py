@@ -151,7 +151,7 @@ class Tree(Mechanism):
     def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
         return tuple(values) if template is None else template._replace(angles=tuple(values))
 
-    def moving(self, value: Posture) -> PyTree:
+    def moving(self, value: PyTree) -> PyTree:
         return value._replace(**dict.fromkeys({*MOTIONS["floating"]}.difference(self.robot.motions)))
 
     def stiffness(self, position: Posture, pressures: Sequence[Array]) -> tuple[Array, ...]:
