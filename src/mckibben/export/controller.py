@@ -89,7 +89,7 @@ def controller_functions(scenario: Scenario | RobotScenario, limits: Limits | No
 
 
 def parts_of(scenario: Scenario | RobotScenario) -> tuple[PyTree, PyTree, PyTree]:
-    """Plant, controller, and state of the plant at the start."""
+    """Plant, controller, and state of the plant at the start; `ExportError` for a robot without a controller."""
     if scenario.duration is None:
         remedy = "give it `controller` or `controllers`, `reference` and `duration`"
         raise ExportError("the robot has no controller", field="controller", remedy=remedy)

@@ -100,7 +100,7 @@ def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substep
         return {"state": moving(plant.project(at)._replace(io=(), pressures=state.pressures))}
 
     both = {"state": jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), state), "inputs": inputs}
-    text = "state at an angle, a velocity and pressures, its muscles relaxed"
+    text = "state at positions, velocities and pressures, its muscles relaxed"
     module.add("init", text, init, {"start": start, "inputs": inputs})
     module.add("advance", "state after a duration [s]", advance, both | {"duration": np.zeros(())})
     module.add("evaluate", "forces and stiffness", results, both)
@@ -120,5 +120,5 @@ def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substep
         units[f"state.{velocity}{at}"] = per_second(unit)
     if valve.direct:
         units |= {f"inputs.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}
-    return FunctionalUnit(module, "Joints with pneumatic muscles, loads and valves", period, units,
-                          model_exchange=not valve.switches)  # fmt: skip
+    title = "Joints with pneumatic muscles, loads and valves"
+    return FunctionalUnit(module, title, period, units, model_exchange=not valve.switches)
