@@ -12,6 +12,8 @@ from mckibben.errors import ExportError, ParameterError
 from mckibben.export.casadi import casadi_plant
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.plant import IOState
+from mckibben.robot import RobotScenario
+from tests.robot.test_control import ONE, TORQUE
 
 casadi = pytest.importorskip("casadi", reason="the extra casadi is not installed")
 VALVE = mk.FirstOrderValve(time_constant=0.02)
@@ -128,6 +130,49 @@ def test_series_springs(knee, load):
         close(tensions, np.stack(joint.tensions(angle, p)))
         assert stiffness == pytest.approx(float(joint.stiffness(angle, p)), rel=1e-9)
         assert float(slope(angle)) == pytest.approx(-stiffness, rel=1e-9)
+
+
+@pytest.mark.parametrize("base", ["fixed", "vertical"])
+@pytest.mark.slow
+def test_a_robot(base):
+    """Its state has the coordinates that move; others are those of its start."""
+    text = ONE.replace("robot:", f"robot:\n  base: {base}\n  foot: {{body: shank}}") + TORQUE
+    scenario = RobotScenario.parse(text)
+    made, plant = casadi_plant(scenario, substeps=2, parameters=["robot.bodies.1.mass"]), scenario.plant()
+    moving = ("z", "angles_0") if base == "vertical" else ("angles_0",)
+    assert made.inputs == ("command1", "command2", "torque_0")
+    assert made.state == (*(f"{part}_{name}" for part in ("posture", "velocity") for name in moving), "pressures_0",
+                          "pressures_1")  # fmt: skip
+    assert len(made.left_out) == 2
+    plant = plant.with_ideal_io()
+    start = plant.begin(scenario.initial())
+    state = start._replace(velocity=start.velocity._replace(angles=(jnp.asarray(1.5),)))
+    commands, torque = (1e5, 5e5), 0.3
+
+    @jax.jit
+    def expected(plant, state):
+        pushed = state._replace(io=IOState(jnp.zeros(()), (jnp.asarray(torque),), ()))
+        motion = plant.rate(pushed)
+        pressures, _ = plant.valve.rates(state.pressures, state.air, commands, None)
+        return (motion.position, motion.velocity, pressures), plant.advance(pushed, commands, 1e-3, 2)
+
+    def numbers(posture, velocity, pressures):
+        moved = [[*((at.z,) if base == "vertical" else ()), *at.angles] for at in (posture, velocity)]
+        return np.array([*moved[0], *moved[1], *pressures], float)
+
+    rate, after = expected(plant, state)
+    arguments = numbers(*state[:3]), [*commands, torque]
+    close(made.functions["differentiate"](*arguments, 0.5), numbers(*rate))
+    close(made.functions["advance"](*arguments, 1e-3, 0.5), numbers(*after[:3]))
+    stiffness = np.asarray(made.functions["evaluate"](*arguments, 0.5)).ravel()[1]
+    close(stiffness, plant.robot.stiffness(state.posture.angles, state.pressures)[0])
+    heavier = np.asarray(made.functions["differentiate"](*arguments, 1.0)).ravel()
+    assert np.max(np.abs(heavier - numbers(*rate))) > 0.1
+
+
+def test_a_plant_of_a_robot_alone():
+    made = casadi_plant(RobotScenario.read("examples/robot/lei-leg-in-space.yaml").plant(), substeps=1)
+    assert [name for name in made.state if name.startswith("posture")]
 
 
 def test_what_cannot_be_written_is_refused(knee, load, scenario):

@@ -1,6 +1,7 @@
 """FMUs against the simulation, in fmpy."""
 
 import importlib.util
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -10,12 +11,15 @@ import pytest
 
 from mckibben.errors import ExportError
 from mckibben.export import export
+from mckibben.export.controller import controller_module
 from mckibben.export.hardware import Hardware
 from mckibben.numerics.compiled import jit, numeric
+from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import FaultCode, FirmwareState
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
+from tests.robot.test_control import AIR, DECOUPLING, LAG, ONE, TORQUE
 
 fmpy = pytest.importorskip("fmpy", reason="needs the extra fmu")
 validation = pytest.importorskip("fmpy.validation", reason="needs the extra fmu")
@@ -108,30 +112,88 @@ def simulated(scenario):
 @pytest.mark.slow
 def test_closed_loop_is_the_simulation(simulated, folder, opened):
     setpoints, expected = simulated
-    rows = closed_loop(setpoints, folder, opened)
+    signals = {"setpoint.angle": setpoints.angle, "setpoint.stiffness": setpoints.stiffness}
+    rows = closed_loop(signals, folder, opened, (*STATE, "command1", "command2"), PERIOD)
     assert np.ptp(expected[:, 0]) > 0.1
     assert np.max(np.abs(rows - expected) / np.max(np.abs(expected), 0)) < 1e-9
 
 
-def closed_loop(setpoints, folder, opened):
-    """States and commands of the FMUs of plant and controller in a loop."""
-    joint, loop = opened(folder / "plant.fmu"), opened(folder / "controller.fmu", initialized=False)
+IDEAL = re.sub(r"(sensors|command_delay):.*\n", "", ONE)
+SLIP = "law: lei-mas-10-180n, friction: {half_width: 12 N, presliding_length: 0.5 mm, elements: 2}}"
+ROBOTS = {
+    "fine steps": IDEAL.replace("substeps: 4", "substeps: 40") + DECOUPLING,  # a run has other ones if nothing slips
+    "friction and air": IDEAL.replace("law: lei-mas-10-180n}", SLIP).replace(LAG, AIR) + DECOUPLING,
+    "a base that falls": IDEAL.replace("robot:", "robot:\n  base: vertical\n  foot: {body: shank}") + TORQUE,
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.slow
+def test_a_robot_in_a_closed_loop_is_its_simulation(name, tmp_path, opened):
+    scenario = RobotScenario.parse(ROBOTS[name])
+    for target in ("fmu", "fmu-controller"):
+        export(scenario, target, tmp_path)
+    run = scenario.run_once()
+    signals = {"setpoint.angles[1]": run["desired_angle"][0], "setpoint.stiffness[1]": run["desired_stiffness"][0]}
+    names = ("angles[1]", "velocities[1]", "pressure1", "pressure2", "tension1", "tension2", "command1", "command2")
+    rows = closed_loop(signals, tmp_path, opened, names, scenario.control_period)
+    columns = [*run["angle"], *run["velocity"], *run["pressure"], *run["tension"], *run["command"]]
+    expected = np.stack(columns, 1)
+    assert np.ptp(expected[:, 0]) > 0.05
+    assert np.max(np.abs(rows - expected) / np.max(np.abs(expected), 0)) < 1e-9
+
+
+def closed_loop(setpoints, folder, opened, names, period):
+    """Outputs of the FMUs of plant and controller in a loop; a measurement is the output of the plant of that name."""
+    plant, loop = opened(folder / "plant.fmu"), opened(folder / "controller.fmu", initialized=False)
+    measured = [name.partition(".")[2] for name in loop.references if name.startswith("measurement.")]
+    sent = [name for name in names if name.startswith("command")]
     rows = []
-    for number, (angle, stiffness) in enumerate(zip(*map(np.asarray, setpoints), strict=True)):
-        state = joint.get(*STATE)
-        measured = zip(("angle", "pressure1", "pressure2"), state[[0, 2, 3]], strict=True)
-        loop.set(setpoint__angle=angle, setpoint__stiffness=stiffness)
-        loop.set(**{f"measurement__{name}": value for name, value in measured})
+    for number, row in enumerate(zip(*map(np.asarray, setpoints.values()), strict=True)):
+        loop.set(**dict(zip(setpoints, row, strict=True)))
+        loop.set(**dict(zip((f"measurement.{name}" for name in measured), plant.get(*measured), strict=True)))
         if number == 0:
             loop.fmu.exitInitializationMode()
-        commands = loop.get("command1", "command2")
-        joint.set(command1=commands[0], command2=commands[1])
-        for one in (loop, joint):
-            one.fmu.doStep(number * PERIOD, PERIOD)
-        rows.append([*state, *commands])
-        assert loop.get("command1") == commands[0]  # held for masters that read outputs after the step
-    assert joint.get("time") == pytest.approx(len(rows) * PERIOD)
+        commands = loop.get(*sent)
+        rows.append([*plant.get(*names[: -len(sent)]), *commands])
+        plant.set(**dict(zip(sent, commands, strict=True)))
+        for one in (loop, plant):
+            one.fmu.doStep(number * period, period)
+        assert np.array_equal(loop.get(*sent), commands)  # held for masters that read outputs after the step
+    assert plant.get("time") == pytest.approx(len(rows) * period)
     return np.array(rows)
+
+
+@pytest.mark.slow
+def test_the_controller_of_a_leg_repeats_the_recorded_run(tmp_path, opened):
+    scenario = RobotScenario.read("examples/robot/lei-leg-control.yaml").replace(duration=0.4)
+    export(scenario, "fmu-controller", tmp_path)
+    recorded = controller_module(scenario)
+    short = (
+        re.sub(r"(angles|stiffness)_(\d+)", lambda at: f"{at[1]}[{int(at[2]) + 1}]", name) for name in recorded.columns
+    )
+    names = [re.sub(r"pressures_(\d+)", lambda at: f"pressure{int(at[1]) + 1}", name) for name in short]
+    names = [name.replace("commands.pressure", "command") for name in names]
+    first, *rows = (dict(zip(names, row, strict=True)) for row in recorded.recording)
+    loop, found = opened(tmp_path / "controller.fmu", initialized=False), []
+    sent = [name for name in names if name.startswith("command")]
+    loop.set(**{name: value for name, value in first.items() if name.startswith("measurement")})
+    loop.fmu.exitInitializationMode()
+    for number, row in enumerate(rows):
+        loop.set(**{name: value for name, value in row.items() if name not in sent})
+        found.append(loop.get(*sent))
+        loop.fmu.doStep(number * scenario.control_period, scenario.control_period)
+    expected = np.array([[row[name] for name in sent] for row in rows])
+    assert len(sent) == 6 and np.ptp(expected, 0).min() > 1e4
+    assert np.max(np.abs(found - expected)) < 1e-9 * expected.max()
+
+
+def test_a_robot_without_a_controller_is_refused(tmp_path):
+    for target in ("fmu", "fmu-controller"):
+        with pytest.raises(ExportError) as caught:
+            export(RobotScenario.read("examples/robot/lei-leg.yaml"), target, tmp_path / "out")
+        assert caught.value.field == "controller" and caught.value.remedy
+    assert not (tmp_path / "out").exists()
 
 
 def commands(plant, end=0.4):

@@ -99,6 +99,7 @@ def test_a_file_of_a_controlled_robot_reads_back():
     ("text", "field"),
     [
         (ONE, None),
+        ("name: a\nrobot: {from: lei-leg-planar}\nduration: 1 s", None),
         (ONE + PID + TORQUE, None),
         (ONE + TORQUE.replace("feedback", "feedbck"), "controller.feedbck"),
         (ONE + PID.replace("kp: 2 bar/rad", "kp: 2 kg"), "controllers.knee.position.kp"),

@@ -29,7 +29,7 @@ def export(
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
         for pages. fmu, fmu-controller: FMUs, the joint with load and valves, or the controller. mjcf: joint and muscles
-        for MuJoCo. For a robot: c, js or mjcf.
+        for MuJoCo. For a robot: all but firmware.
     out : DIR
         Output folder.
     name : NAME
@@ -53,9 +53,9 @@ def export(
     with keeping(folder):
         read = read_scenario(scenario)
         parts = None if hardware is None else Hardware.read(hardware)
-        if to in CONTROLLERS and not isinstance(read, Scenario):
+        if to != "mjcf" and not isinstance(read, Scenario):
             count = len(read.robot.all_muscles)
-            echo(f"a controller of {count} muscles takes about {count**2 / 15:.0f} s of processor time", err=True)
+            echo(f"the export of {count} muscles takes about {count**2 / 15:.0f} s of processor time", err=True)
         exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
     if to in CONTROLLERS and isinstance(read, Scenario):
         exported = replace(exported, margins=read.margins())

@@ -11,9 +11,11 @@ from jaxtyping import Array, PyTree
 
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.errors import ExportError, ParameterError
+from mckibben.export.controller import parts_of
 from mckibben.export.evaluation import evaluate, find_function
 from mckibben.export.plant import plant_unit
 from mckibben.plant import JointPlant
+from mckibben.robot import RobotPlant, RobotScenario
 from mckibben.scenario import Scenario
 
 
@@ -27,17 +29,20 @@ class CasadiPlant(NamedTuple):
 
 
 def casadi_plant(
-    scenario: Scenario | JointPlant, *, substeps: int | None = None, parameters: Sequence[str] = ()
+    scenario: Scenario | RobotScenario | JointPlant | RobotPlant,
+    *,
+    substeps: int | None = None,
+    parameters: Sequence[str] = (),
 ) -> CasadiPlant:
     """CasADi functions of a plant.
 
-    Raises `ExportError` if CasADi is missing, or a part of the plant cannot be expressed; `ParameterError` if there is
-    no such parameter.
+    Raises `ExportError` if CasADi is missing, a part of the plant cannot be expressed, or a robot's scenario has no
+    controller; `ParameterError` if there is no such parameter.
 
     Parameters
     ----------
     scenario
-        Scenario, or only a plant.
+        Scenario of a joint or a robot, or only a plant.
     substeps
         Integration steps of ``advance``. Default: those of a control period of the scenario; of a plant, 4.
     parameters
@@ -52,10 +57,12 @@ def casadi_plant(
     >>> round(stiffness, 2)  # as AntagonisticJoint.stiffness
     71.93
     """
-    is_scenario = isinstance(scenario, Scenario)
-    plant = scenario.plant() if is_scenario else scenario
-    steps = substeps or (scenario.needed_substeps() if is_scenario else 4)
-    unit = plant_unit(plant, plant.init_state(0.0, (0.0, 0.0)), "plant", 1.0, steps)
+    if isinstance(scenario, Scenario | RobotScenario):
+        plant, _, start = parts_of(scenario)
+        steps = substeps or scenario.needed_substeps()
+    else:
+        plant, steps, start = scenario, substeps or 4, _at_rest(scenario)
+    unit = plant_unit(plant, start, "plant", 1.0, steps)
     names = [function.name for function in unit.module.functions]
     functions = {name: casadi_function(unit.module, name, parameters=parameters) for name in names}
     arguments = find_function(unit.module.functions, "advance").arguments
@@ -68,6 +75,13 @@ def casadi_plant(
     if not unit.model_exchange:
         left_out.append("differentiate: the valves switch at integration steps; advance includes them")
     return CasadiPlant(functions, state, inputs, tuple(left_out))
+
+
+def _at_rest(plant: JointPlant | RobotPlant) -> PyTree:
+    """State without pressure at angles of 0, or as near as stops permit."""
+    if isinstance(plant, JointPlant):
+        return plant.init_state(0.0, (0.0, 0.0))
+    return plant.init_state(plant.robot.posture_angles({}), (0.0,) * len(plant.muscles))
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:

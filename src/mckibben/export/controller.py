@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, PyTree
@@ -75,22 +74,22 @@ def controller_functions(scenario: Scenario | RobotScenario, limits: Limits | No
     Setpoints of a robot are ``angles`` and ``stiffness`` of all joints. Raises `ExportError` for a robot without a
     controller.
     """
-    plant, controller, initial = _parts(scenario)
+    plant, controller, initial = parts_of(scenario)
     bounds, period = containment_of(scenario, limits or Limits()), scenario.control_period
-    zero = jnp.zeros(())
     if isinstance(scenario, Scenario):
-        return functions_of(plant, controller, initial, period, Setpoint(zero, zero), bounds)
+        return functions_of(plant, controller, initial, period, scenario.reference()(0.0), bounds)
 
     def stepped(controller: TrackingControl, state: PyTree, setpoint: PyTree, *sample: PyTree) -> PyTree:
         return controller.step_toward(state, tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"])), *sample)
 
-    setpoint = dict.fromkeys(("angles", "stiffness"), (zero,) * len(scenario.robot.joints))
+    setpoints = zip(*(reference(0.0) for reference in controller.reference.references), strict=True)
+    setpoint = dict(zip(("angles", "stiffness"), setpoints, strict=True))
     controller = dataclasses.replace(controller, reference=TimedReference(()))  # setpoints are arguments
     return functions_of(plant, controller, initial, period, setpoint, bounds, stepped)
 
 
-def _parts(scenario: Scenario | RobotScenario) -> tuple[PyTree, PyTree, PyTree]:
-    """Plant, controller, and state of the plant at the start."""
+def parts_of(scenario: Scenario | RobotScenario) -> tuple[PyTree, PyTree, PyTree]:
+    """Plant, controller, and state of the plant at the start; `ExportError` for a robot without a controller."""
     if scenario.duration is None:
         remedy = "give it `controller` or `controllers`, `reference` and `duration`"
         raise ExportError("the robot has no controller", field="controller", remedy=remedy)
@@ -118,7 +117,7 @@ def controller_module(
         controller, substeps = source.of(source.parameters), scenario.needed_substeps()
     else:
         assert scenario.duration is not None  # else `controller_functions` raises
-        controller = _parts(scenario)[1]
+        controller = parts_of(scenario)[1]
         rows = setpoints_over(controller, sampling_times(scenario.duration, source.period))
         substeps = scenario.substeps or source.plant.needed_substeps(source.initial.posture.angles, None, source.period)
     rows = jax.tree.map(lambda x: x[:_MOST_PERIODS], rows)

@@ -8,70 +8,61 @@ from __future__ import annotations
 from pathlib import Path
 
 import jax
-import numpy as np
 from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
 from mckibben.export.containment.limits import Limits
-from mckibben.export.controller import controller_functions, units_of
+from mckibben.export.controller import controller_functions, parts_of, units_of
 from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
 from mckibben.export.plant import plant_unit
 from mckibben.export.targets import Exported
-from mckibben.joint import Measurement
+from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
-from mckibben.simulation.problem import sampled
-
-_NUMBER = np.zeros(())
 
 
-def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out.
+def plant_fmu(scenario: Scenario | RobotScenario, name: str, folder: Path) -> Exported:
+    """The plant for model exchange and co-simulation: commands and external torques in, motion and forces out.
 
-    Raises `ExportError` for parts that C cannot express, and without FMPy. Sensors, disturbances and the delay of the
-    commands are omitted.
+    Raises `ExportError` for parts that C cannot express, without FMPy, and for a robot without a controller. Sensors,
+    disturbances and the delay of the commands are omitted.
     """
-    plant = scenario.plant()
-    unit = plant_unit(plant, scenario.initial(plant), name, scenario.control_period, scenario.needed_substeps())
+    plant, _, initial = parts_of(scenario)
+    unit = plant_unit(plant, initial, name, scenario.control_period, scenario.needed_substeps())
     left_out = []
     if not unit.model_exchange:
         left_out.append(f"model exchange: a {type(plant.valve).__name__} switches at steps of the integration")
     if not plant.has_ideal_io:
-        left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
+        left_out.append("sensors and disturbance: connect your own to the angles, the pressures and the torques")
     if plant.command_delay is not None:
         left_out.append("delay of the commands: give one to the signals of the inputs")
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, (*left_out, *missing))
 
 
-def controller_fmu(scenario: Scenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:
+def controller_fmu(
+    scenario: Scenario | RobotScenario, name: str, folder: Path, *, limits: Limits | None = None
+) -> Exported:
     """The controller for co-simulation with steps of the control period.
 
-    Inputs that are not finite, out of range or frozen leave the state as it is, and end in a vent.
+    Inputs that are not finite, out of range or frozen leave the state as it is, and end in a vent. Raises `ExportError`
+    as `plant_fmu`.
     """
     source = controller_functions(scenario, limits)
     module = SourceModule(name, source.parameters, "controller.")
-    inputs = {
-        "setpoint": {"angle": _NUMBER, "stiffness": _NUMBER},
-        "measurement": {"angle": _NUMBER, "pressure1": _NUMBER, "pressure2": _NUMBER},
-    }
-
-    def measured(inputs: PyTree) -> Measurement:
-        at = inputs["measurement"]
-        return source.measurement._replace(angle=at["angle"], pressures=(at["pressure1"], at["pressure2"]))
+    inputs = {"setpoint": source.setpoint, "measurement": source.measurement}
 
     def step(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        setpoint = source.setpoint._replace(**inputs["setpoint"])
-        return source.contained(parameters, state, setpoint, measured(inputs))
+        return source.contained(parameters, state, inputs["setpoint"], inputs["measurement"])
 
     def results(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         done = step(parameters, state, inputs)
-        commands = {f"command{number}": done["commands"][f"pressure{number}"] for number in (1, 2)}
+        commands = {f"command{number}": command for number, command in enumerate(done["commands"].values(), 1)}
         return {"results": jax.tree.map(lambda number: number.astype(float), commands | done["telemetry"])}
 
     def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        return {"state": source.start(parameters, measured(inputs))}
+        return {"state": source.start(parameters, inputs["measurement"])}
 
     def advance(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": step(parameters, state, inputs)["state"]}
@@ -80,24 +71,12 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, *, limits: Limit
     module.add("init", "first state, from the first measurement", init, {"inputs": inputs})
     module.add("evaluate", "commands from now on", results, both)
     module.add("advance", "state after a control period", advance, both)
-    setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
-    pressure1, pressure2 = source.measurement.pressures
-    starts = {
-        "setpoint.angle": setpoints.angle[0],
-        "setpoint.stiffness": setpoints.stiffness[0],
-        "measurement.angle": source.measurement.angle,
-        "measurement.pressure1": pressure1,
-        "measurement.pressure2": pressure2,
-    }
     columns = next(f for f in module.functions if f.name == "evaluate").results["results"]
-    telemetry = {f"results.{member.path}": attributes(member.path).get("units", "") for member in columns}
-    unit = FunctionalUnit(
-        module,
-        f"Controller of the scenario {scenario.name!r}",
-        scenario.control_period,
-        {path: float(value) for path, value in starts.items()},
-        units_of(module) | telemetry,
-        sampled=True,
-    )
+    units = {f"results.{member.path}": attributes(member.path.split(".")[0]).get("units", "") for member in columns}
+    units |= units_of(module)
+    if (plant := scenario.plant()).valve.direct:
+        units |= {f"results.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}
+    title = f"Controller of the scenario {scenario.name!r}"
+    unit = FunctionalUnit(module, title, scenario.control_period, units, sampled=True)
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, tuple(missing))

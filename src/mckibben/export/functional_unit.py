@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from mckibben.codegen.source_module import Member, SourceModule, element
@@ -20,20 +20,14 @@ class FunctionalUnit:
     ----------
     longest
         Longest step [s] of `advance`; a communication step is a whole number of them if `sampled`.
-    start
-        Start values by the path of a state or input.
     units
         Units of the variables by structure and path, such as ``state.angle``.
-    names
-        Names of states that replace their paths.
     """
 
     module: SourceModule
     title: str
     longest: float
-    start: Mapping[str, float]
     units: Mapping[str, str]
-    names: Mapping[str, str] = field(default_factory=dict)
     sampled: bool = False
     model_exchange: bool = False
 
@@ -67,20 +61,21 @@ def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
     """Inputs, states with their rates, results, parameters, time."""
     module, functions = unit.module, {function.name: function for function in unit.module.functions}
     results = functions["evaluate"]
-    for name, place, path in _elements(module, "inputs", results.arguments["inputs"]):
-        yield ScalarVariable(name, place, "i", unit.units.get(f"inputs.{path}", ""), unit.start[path])
+    for name, place, path, start in _elements(module, "inputs", results.arguments["inputs"]):
+        yield ScalarVariable(name, place, "i", unit.units.get(f"inputs.{path}", ""), start)
     rates = functions["differentiate"].results["rates"] if "differentiate" in functions else []
-    paths = {member.path: name for member in rates for name in [unit.names.get(member.path, member.path)]}
-    states = {}
-    for name, place, path in _elements(module, "model.state", module.state):
-        if path in unit.start or path in paths:
-            states[path] = unit.names.get(path, name)
-            kind = "s" if path in unit.start else "c"
-            yield ScalarVariable(states[path], place, kind, unit.units.get(f"state.{path}", ""), unit.start.get(path))
-    for _, place, path in _elements(module, "rates", rates):
-        held = unit.units.get(f"state.{path}", "")
-        yield ScalarVariable(f"der({states[path]})", place, "o", _per_second(held), None, list(states).index(path))
-    for name, place, path in _elements(module, "results", results.results["results"]):
+    moving = {member.path for member in rates}
+    starts = {member.path: member.value.item() for member in functions["init"].arguments.get("start", [])}
+    states: list[str] = []
+    for name, place, path, _ in _elements(module, "model.state", module.state):
+        if path in starts or path in moving:
+            states.append(name)
+            kind = "s" if path in starts else "c"
+            yield ScalarVariable(name, place, kind, unit.units.get(f"state.{path}", ""), starts.get(path))
+    for name, place, path, _ in _elements(module, "rates", rates):
+        rate = per_second(unit.units.get(f"state.{path}", ""))
+        yield ScalarVariable(f"der({name})", place, "o", rate, None, states.index(name))
+    for name, place, path, _ in _elements(module, "results", results.results["results"]):
         yield ScalarVariable(name, place, "o", unit.units.get(f"results.{path}", ""))
     for member in module.members:
         symbol, short = unit.units.get(f"parameters.{member.path}", ""), member.path.removeprefix(module.prefix)
@@ -90,21 +85,34 @@ def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
     yield ScalarVariable("time", "time", "t")
 
 
-def _per_second(unit: str) -> str:
+def per_second(unit: str) -> str:
     """Unit of a rate.
 
-    >>> _per_second("rad"), _per_second("rad/s"), _per_second("")
+    >>> per_second("rad"), per_second("rad/s"), per_second("")
     ('rad/s', 'rad/s^2', '')
     """
     return f"{unit}^2" if unit.endswith("/s") else f"{unit}/s" if unit else ""
 
 
-def _elements(module: SourceModule, structure: str, members: Sequence[Member]) -> Iterator[tuple[str, str, str]]:
-    """Name, place and path of each number in a structure."""
+def _elements(module: SourceModule, structure: str, members: Sequence[Member]) -> Iterator[tuple[str, str, str, float]]:
+    """Name, place, path and value of each number in a structure."""
     for member in members:
-        for number in range(member.size):
+        for number, value in enumerate(member.value.flat):
             place = element(structure, member, number)
-            yield _named(member.path, number if member.shape else None), place, member.path
+            yield _named(_short(member.path), number if member.shape else None), place, member.path, value.item()
+
+
+def _short(path: str) -> str:
+    """Path of a quantity of muscles or joints without what holds it; muscles count from 1, as their commands.
+
+    Examples
+    --------
+    >>> [_short(path) for path in ("measurement.pressures.0", "air.temperatures.1", "posture.angles.0")]
+    ['measurement.pressure1', 'temperature2', 'angles.0']
+    """
+    path = re.sub(r"^(air\.(?=temperatures)|posture\.)", "", path)
+    path = re.sub(r"^velocity\.angles\.", "velocities.", re.sub(r"^torque\.", "torques.", path))
+    return re.sub(r"(pressure|temperature)s\.(\d+)$", lambda match: f"{match[1]}{int(match[2]) + 1}", path)
 
 
 def _named(path: str, number: int | None) -> str:

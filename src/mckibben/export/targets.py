@@ -105,7 +105,7 @@ TARGETS = {
 """Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = "c", "js", "mjcf"
+ROBOT_TARGETS = "c", "js", "fmu", "fmu-controller", "mjcf"
 """Formats of a robot."""
 
 
@@ -169,7 +169,7 @@ def _options(hardware: Hardware | None, target: str) -> dict[str, object]:
         return {}
     if target not in CONTROLLERS or (hardware.single and target not in ("c", "firmware")):
         field, formats = ("single", ("c", "firmware")) if target in CONTROLLERS else ("hardware", CONTROLLERS)
-        remedy = f"leave it out, or write {' or '.join(formats)}, of a joint"
+        remedy = f"leave it out, or write {' or '.join(formats)}"
         raise ExportError(f"{field} does not apply to {target}", field=field, value=target, remedy=remedy)
     if target == "firmware":
         return {"hardware": hardware}

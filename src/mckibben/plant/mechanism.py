@@ -52,6 +52,10 @@ class Mechanism(abc.ABC):
     def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
         """Return a tuple over the joints in the form of a template, by default that of a torque."""
 
+    def moving(self, value: PyTree) -> PyTree:
+        """Return a position or velocity with None for the coordinates of the base that are held."""
+        return value
+
     @abc.abstractmethod
     def routes(self, position: PyTree) -> Sequence[Route]:
         """Return all muscles with their paths in a position."""

@@ -30,6 +30,7 @@ from mckibben.plant.base import IOState, LastStep, Plant
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.mechanism import Mechanism
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
+from mckibben.robot.bodies import MOTIONS
 from mckibben.robot.dynamics import (
     Contact,
     Posture,
@@ -149,6 +150,9 @@ class Tree(Mechanism):
 
     def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
         return tuple(values) if template is None else template._replace(angles=tuple(values))
+
+    def moving(self, value: PyTree) -> PyTree:
+        return value._replace(**dict.fromkeys({*MOTIONS["floating"]}.difference(self.robot.motions)))
 
     def routes(self, position: Posture) -> Sequence[Route]:
         return self.robot.routed_muscles(position.angles)

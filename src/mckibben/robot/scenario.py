@@ -190,7 +190,7 @@ class RobotScenario(StudiedScenario):
 
     @model_validator(mode="after")
     def _controlled(self) -> RobotScenario:
-        if not (self.controllers or self.controller or self.reference):
+        if not (self.controllers or self.controller or self.reference or self.duration):
             return self
         if self.controllers and self.controller:
             fail_validation("has a controller of each joint and one of all", "give controllers, or controller")
@@ -198,7 +198,7 @@ class RobotScenario(StudiedScenario):
             fail_validation("is a list of controllers", "give `controllers` by joint", field="controller")
         if not (self.controllers or self.controller):
             remedy = "give `controller: {class: computed_torque, ...}`, or `controllers` by joint"
-            fail_validation("has references, and no controller", remedy)
+            fail_validation("has references or a duration, and no controller", remedy)
         if isinstance(self.reference, dict):
             _check_each(self.robot, "reference", self.reference)
         if self.controllers:
