@@ -204,7 +204,8 @@ def _copies(points: Points) -> Iterator[Question]:
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     earlier = first[inverse.ravel()]
     copied = (earlier < np.arange(len(rows))) & points.taut
-    if np.count_nonzero(copied[1:] & copied[:-1] & (np.diff(earlier) == 1)) >= 3:
+    on = copied[1:] & copied[:-1] & (np.diff(earlier) == 1)
+    if np.count_nonzero(on) > max(2, 2 * np.count_nonzero(copied[:-1] & ~on)):  # repeats of coarse readings end at once
         text = f"{np.count_nonzero(copied)} of {len(rows)} rows repeat others in the same order, first"
         yield points.ask("rows", text, int(np.argmax(copied)))
     zeros = np.flatnonzero(~rows.any(axis=1))
