@@ -165,6 +165,13 @@ def moved(time, contraction, levels, *, damping=0.0):
     }
 
 
+def written(path, columns):
+    units = {"time": 1.0, "pressure": bar, "contraction": percent, "force": 1.0}
+    table = np.transpose([columns[name] / unit for name, unit in units.items()])
+    np.savetxt(path, table, "%.6g", ",", header="time_s,pressure_bar,contraction_percent,force_N", comments="")
+    return path
+
+
 @pytest.mark.parametrize("damping", [0.0, 50.0])
 @pytest.mark.parametrize("motion", ["cycles", "sine", "as many samples at each speed"])
 def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_path):
@@ -178,17 +185,23 @@ def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_p
         time = np.interp(np.arange(240), np.arange(9) * 30, ends)
         contraction = np.interp(time, ends, [0.01, 0.15] * 4 + [0.01])
     columns = moved(time, contraction, (1.5, 2.5, 3.5, 4.5), damping=damping)
-    np.savetxt(
-        tmp_path / "a.csv",
-        np.transpose([columns["time"], columns["pressure"] / bar, columns["contraction"] / percent, columns["force"]]),
-        "%.6g",
-        ",",
-        header="time_s,pressure_bar,contraction_percent,force_N",
-        comments="",
-    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert len(read_dataset(tmp_path / "a.csv")) > 0
+        assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
+
+
+@pytest.mark.parametrize(("name", "shift"), [("pressure", 1.013 * bar), ("force", 60.0)])
+@pytest.mark.parametrize("begin", [0.3, 0.55])
+def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begin, tmp_path):
+    time = np.arange(0, 30, 0.05)
+    columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
+    first = int(begin * len(columns["time"]))
+    columns[name][first:] += shift
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(written(tmp_path / "a.csv", columns))
+    seconds = float(caught.value.problems[0].message.split()[1])
+    assert seconds == pytest.approx(columns["time"][first], abs=2.0)
+    assert "accept=order" in caught.value.problems[0].remedy
 
 
 @pytest.mark.parametrize("kind", ["strokes", "stairs"])

@@ -65,13 +65,15 @@ def changes_at_once(force: Floats, size: int, most: float) -> bool:
     return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
 
 
-def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
+def offset_from(dataset: IsobaricDataset, *, most: int = 200) -> Iterator[Question]:
     """Question about points in the order of a test, from one of which on a sensor has another zero.
 
-    Least squares of the taut points with ``F = p (a + b eps + c eps^2) + d + e eps`` and friction in either way, from
-    one point on with another plane. It halves the residuals, by a tenth of the largest force on average.
+    Least squares of the taut points, thinned to about `most`, with ``F = p (a + b eps + c eps^2) + d + e eps`` and
+    friction in either way, from one point on with another plane. It halves the residuals, by a tenth of the largest
+    force on average, and is no extrapolation: the residuals without it are a tenth of this step or more.
     """
-    points = dataset.select(dataset.force > _TAUT * dataset.force.max(initial=0.0))
+    taut = np.flatnonzero(dataset.force > _TAUT * dataset.force.max(initial=0.0))
+    points = dataset.select(np.isin(np.arange(len(dataset)), taut[:: max(1, len(taut) // most)]))
     force, pressure, contraction = points.force, points.pressure / bar, points.contraction
     ways = [points.table[name].to_numpy() for name in ("direction", "phase") if name in points.table]
     sides = [sign * np.isin(way, words) for way in ways for sign, words in ((1.0, _OUT), (-1.0, _BACK))]
@@ -85,7 +87,8 @@ def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
         left = force - np.column_stack([basis, after]) @ solution
         fits.append((float(left @ left), at, float(np.mean(after[at:] @ solution[-3:]))))
     least, at, step = min(fits)
-    if 4 * least < fits[0][0] and 0.1 < abs(step) / force.max() < 1:
+    scatter = np.sqrt(fits[0][0] / max(len(force), 1))
+    if 4 * least < fits[0][0] and 0.1 * force.max() < abs(step) < min(force.max(), 10 * scatter):
         text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
         yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
 
