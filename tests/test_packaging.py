@@ -97,7 +97,9 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):
     held = {name for name in zipfile.ZipFile(wheel).namelist() if not re.match(r"mckibben-[^/]*\.dist-info/", name)}
     there = (path for path in (ROOT / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     assert held == {path.relative_to(ROOT / "src").as_posix() for path in there}
-    assert {"py.typed", "__init__.pyi", "report/report.css"} <= {name.partition("/")[2] for name in held}
+    assert {"py.typed", "__init__.pyi", "paper/report.css", "dataset/vocabulary.toml"} <= {
+        name.partition("/")[2] for name in held
+    }
 
 
 @pytest.mark.slow

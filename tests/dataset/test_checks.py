@@ -87,6 +87,26 @@ def test_weights_at_the_same_pressures_raise_no_question(loads):
     assert not topics(pressure, np.array(contraction), load)
 
 
+@pytest.mark.parametrize("unit", [4.4482216, 9.80665])
+@pytest.mark.parametrize("statistics", [(np.mean,), (np.mean, np.std), (np.mean, partial(np.std, ddof=1))])
+def test_averages_of_lengths_and_forces_in_other_units_are_asked_about(statistics, unit):
+    pressure, contraction, force = muscle()
+    written = np.column_stack([pressure / 1e5, 195.85 * contraction, force / unit])
+    rows = np.vstack([written, *(statistic(written, axis=0) for statistic in statistics)]).round(2)
+    arrays = rows[:, 0] * 1e5, rows[:, 1] / 195.85, rows[:, 2] * unit
+    assert "rows" in topics(*arrays) and "rows" not in topics(*(values[: len(written)] for values in arrays))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_repeats_that_a_ruler_reads_alike_are_no_copies(seed):
+    rng, law, eps = np.random.default_rng(seed), ChouLaw(0.41, 0.02), np.linspace(-0.1, 0.37, 4000)
+    once = np.r_[np.linspace(1, 6, 14), np.linspace(5.6, 1, 13)] * bar
+    pressure, load = np.tile(once, 6), np.repeat([50.0, 100.0, 150.0], 54)
+    contraction = np.array([np.interp(-f, -forces(law, eps, p), eps) for f, p in zip(load, pressure, strict=True)])
+    read = (pressure + rng.normal(0, 500, 162)).round(-3), (contraction / 2.5e-3).round() * 2.5e-3
+    assert "rows" not in topics(*read, load)
+
+
 def row(at: int, pressure: float, contraction: float, force: float) -> Callable[[Arrays], Arrays]:
     """A row put among the points, in bar, percent and newtons."""
     return lambda arrays: tuple(  # type: ignore[return-value]

@@ -150,6 +150,60 @@ def test_a_late_signal_is_a_question(name, seconds, tmp_path):
         read_dataset(tmp_path / "a.nc")
 
 
+def moved(time, contraction, levels, *, damping=0.0):
+    """Points of one motion at each pressure, with friction and damping of the contraction."""
+    rng, count = np.random.default_rng(0), len(time)
+    once = np.gradient(contraction, time)
+    pressure, rate = np.repeat(levels, count) * bar, np.tile(once, len(levels))
+    contraction, start = np.tile(contraction, len(levels)), np.arange(len(levels)) * (time[-1] + 1.0)
+    force = law(pressure, contraction) - 6.0 * np.tanh(rate / 1e-4) - damping * rate
+    return {
+        "time": (start[:, None] + time).ravel(),
+        "pressure": pressure + rng.normal(0, 300, len(pressure)),
+        "contraction": contraction + rng.normal(0, 2e-5, len(pressure)),
+        "force": force + rng.normal(0, 0.4, len(pressure)),
+    }
+
+
+def written(path, columns):
+    units = {"time": 1.0, "pressure": bar, "contraction": percent, "force": 1.0}
+    table = np.transpose([columns[name] / unit for name, unit in units.items()])
+    np.savetxt(path, table, "%.6g", ",", header="time_s,pressure_bar,contraction_percent,force_N", comments="")
+    return path
+
+
+@pytest.mark.parametrize("damping", [0.0, 50.0])
+@pytest.mark.parametrize("motion", ["cycles", "sine", "as many samples at each speed"])
+def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_path):
+    time = np.arange(0, 24, 0.02)
+    if motion == "cycles":
+        contraction = np.interp(time % 4, [0, 2, 4], [0.01, 0.15, 0.01])
+    elif motion == "sine":
+        contraction = 0.08 - 0.07 * np.cos(2 * np.pi * time / 4)
+    else:
+        ends = np.cumsum([0, 8, 8, 3, 3, 1, 1, 0.4, 0.4])
+        time = np.interp(np.arange(240), np.arange(9) * 30, ends)
+        contraction = np.interp(time, ends, [0.01, 0.15] * 4 + [0.01])
+    columns = moved(time, contraction, (1.5, 2.5, 3.5, 4.5), damping=damping)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
+
+
+@pytest.mark.parametrize(("name", "shift"), [("pressure", 1.013 * bar), ("force", 60.0)])
+@pytest.mark.parametrize("begin", [0.3, 0.55])
+def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begin, tmp_path):
+    time = np.arange(0, 30, 0.05)
+    columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
+    first = int(begin * len(columns["time"]))
+    columns[name][first:] += shift
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(written(tmp_path / "a.csv", columns))
+    seconds = float(caught.value.problems[0].message.split()[1])
+    assert seconds == pytest.approx(columns["time"][first], abs=2.0)
+    assert "accept=order" in caught.value.problems[0].remedy
+
+
 @pytest.mark.parametrize("kind", ["strokes", "stairs"])
 @pytest.mark.parametrize("begin", [0.3, 0.5, 0.8])
 def test_a_gauge_pressure_that_turns_absolute_is_a_question(kind, begin):

@@ -544,8 +544,8 @@ def test_a_robot_turns_with_its_sliders_and_shows_what_its_joints_attain():
             await user.open("/robot")
             await until(lambda: user._gather_elements(None, ui.table, None, None))
             knee = the(user, ui.slider, "knee")
-            knee.set_value(-30.0)
-            await until(lambda: state(robot.RobotPageState).angles[-1] == -30.0)
+            knee.set_value(-20.0)
+            await until(lambda: state(robot.RobotPageState).angles[-1] == -20.0)
             return {row["0"] for shown in user.find(kind=ui.table).elements for row in shown.rows}
 
     loop = asyncio.new_event_loop()  # `asyncio.run` waits for all tasks, of which Python 3.11 may lose a cancellation

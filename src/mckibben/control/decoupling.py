@@ -74,11 +74,10 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
 
     .. math::
 
-        \tau_c = I\,(\ddot\theta_r(t + T_h) + a(e, \dot e) - \hat d) + c\,\hat\omega - \tau_g(\theta_T) - \tau_f,
-        \quad (\tau_c, K_r) \to p_c \;\text{at}\; \theta_T = \theta + T_h\hat\omega
+        \tau_c = I\,(\ddot\theta_r(t + T) + a(e, \dot e) - \hat d) + c\,\hat\omega - \tau_g(\theta_T) - \tau_f,
+        \quad (\tau_c, K_r) \to p_c \;\text{at}\; \theta_T = \theta + T\hat\omega
 
-    with the lead :math:`T_h = h / (1 - e^{-h/T})` of the control period h (`Feedback.lead`). The commands make the
-    pressures follow with the lag T of the feedback, shorter or longer than that of the valves,
+    The commands make the pressures follow with the lag T of the feedback, shorter or longer than that of the valves,
     for which it places its poles (`Actuator.command_toward` of the model of the valves). For valves of first order with
     the time constant :math:`\tau_v`
 
@@ -195,14 +194,13 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
         estimates, expected = self.update(state.estimates, setpoint, measurement, period)
         setpoint, position, ahead, valves = expected
         motion, reference = ahead.motion, ahead.reference
-        lead = self.feedback.lead(period)
-        angle = motion.angle + lead * motion.velocity
+        angle = motion.angle + lag * motion.velocity
         affine, lower, upper, torque_rate = self._attainable(angle, valves, period)
 
         error, rate = setpoint.angle - position, reference.velocity - motion.velocity
         jerk = self._jerk(torque_rate, reference, estimates.stiffness)
         feedback, correction = self.feedback.step(state.feedback, error, rate, jerk, period)
-        acceleration = reference.acceleration_after(lead, period) + correction - motion.disturbance
+        acceleration = reference.acceleration_after(lag, period) + correction - motion.disturbance
         torque = self.load.required_torque(angle, motion.velocity, acceleration) - ahead.friction
 
         stiffness = setpoint.stiffness - ahead.added_stiffness

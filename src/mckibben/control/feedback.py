@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.control.base import State
-from mckibben.numerics.elementary import exp, floating
+from mckibben.numerics.elementary import floating
 from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, Quantity
 
 PositiveRate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6, open_lower=True)]
@@ -27,14 +27,6 @@ class Feedback(Component, Generic[State]):
 
     default_class = "poles"
     lag: eqx.AbstractVar[ArrayLike]
-
-    def lead(self, period: ArrayLike) -> Scalar:
-        """Return the time [s] by which commands lead, so that pressures of sampled commands follow a ramp exactly.
-
-        It is h / (1 - exp(-h/T)), about T + h/2, with the control period h [s].
-        """
-        period = jnp.asarray(period)
-        return period / (1 - exp(-period / self.lag))
 
     @abc.abstractmethod
     def init(self, error: ArrayLike) -> State:

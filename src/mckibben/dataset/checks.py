@@ -201,7 +201,8 @@ def _copies(points: Points) -> Iterator[Question]:
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     earlier = first[inverse.ravel()]
     copied = (earlier < np.arange(len(rows))) & points.taut
-    if np.count_nonzero(copied[1:] & copied[:-1] & (np.diff(earlier) == 1)) >= 3:
+    on = copied[1:] & copied[:-1] & (np.diff(earlier) == 1)
+    if np.count_nonzero(on) > max(2, 2 * np.count_nonzero(copied[:-1] & ~on)):  # repeats of coarse readings end at once
         text = f"{np.count_nonzero(copied)} of {len(rows)} rows repeat others in the same order, first"
         yield points.ask("rows", text, int(np.argmax(copied)))
     zeros = np.flatnonzero(~rows.any(axis=1))
@@ -238,14 +239,17 @@ def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
 
 
 def _resolution(values: Floats | float) -> float:
-    """Power of ten of the last decimal of numbers.
+    """Power of ten of the last decimal of numbers, or their least difference where another unit was written.
 
-    >>> _resolution(np.array([1.25, 3.0])), _resolution(np.array([120.0, 50.0]))
-    (0.01, 10.0)
+    >>> _resolution(np.array([1.25, 3.0])), _resolution(np.array([120.0, 50.0])), _resolution(0.9765625 * np.arange(4))
+    (0.01, 10.0, 0.9765625)
     """
-    steps, error = 10.0 ** -np.arange(-3, 9), 2e-16 * np.max(np.abs(values), initial=0.0)
+    steps, error = 10.0 ** -np.arange(-3, 6), 2e-16 * np.max(np.abs(values), initial=0.0)
     fits = (step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step + error))
-    return float(next(fits, 1e-9))
+    if (step := next(fits, None)) is not None:
+        return float(step)
+    differences = np.diff(np.unique(values))
+    return float(differences[differences > 1e-9].min(initial=np.inf)) if len(differences) else 1e-9
 
 
 def _saturated(points: Points) -> Iterator[Question]:

@@ -164,7 +164,7 @@ class ComputedTorque(TrackingControl):
         period: ArrayLike,
     ) -> tuple[ComputedTorqueState, tuple[Array, ...]]:
         lag = self.feedback.lag
-        lead = self.feedback.lead(period)
+        lead = period / (1 - exp(-jnp.asarray(period) / lag))  # with which sampled pressures follow a ramp exactly
         now, motions = self._updated(state, measurement, period)
         derivatives = tuple(
             of.update(setpoint.angle, period) for of, setpoint in zip(state.derivatives, setpoints, strict=True)
