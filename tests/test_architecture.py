@@ -89,41 +89,39 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 830,
+    "top": 860,
     "actuator": 1000,
     "calibration": 1620,
     "catalog": 230,
-    "cli": 1480,
+    "cli": 1500,
     "codegen": 2500,
     "component": 1030,
-    "config": 550,
-    "containment": 300,
+    "config": 570,
     "contract": 650,
     "control": 2020,
-    "dataset": 3460,
-    "experiment_design": 710,
-    "export": 1960,
-    "firmware": 150,
-    "identification": 3490,
+    "dataset": 4020,
+    "experiment_design": 720,
+    "export": 2440,
+    "identification": 3710,
     "joint": 1240,
-    "robot": 4610,
-    "muscle": 1560,
+    "robot": 4690,
+    "muscle": 1580,
     "numerics": 810,
-    "paper": 720,
-    "plant": 720,
+    "paper": 1110,
+    "plant": 730,
     "reachability": 850,
-    "report": 2370,
-    "rig": 4440,
-    "scenario": 840,
+    "report": 1970,
+    "rig": 4650,
+    "scenario": 980,
     "serial_protocol": 160,
-    "simulation": 2840,
-    "storage": 570,
-    "study": 2900,
-    "web": 2820,
+    "simulation": 2860,
+    "storage": 590,
+    "study": 2780,
+    "web": 2830,
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 420  # numbers at module level, to come to 500
+MOST_CONSTANTS = 440  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

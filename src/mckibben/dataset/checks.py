@@ -101,6 +101,16 @@ class Points:
         return question(f"{text}{place}", topic, line=line, field=field, remedy=_REMEDIES[remedy or topic])
 
 
+def motion_side(dataset: IsobaricDataset) -> Floats | None:
+    """Return 1 where the muscle shortens, -1 where it is stretched, 0 where that is not known, shape (points,).
+
+    None without directions.
+    """
+    words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
+    signs = [np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words]
+    return np.sum(signs, axis=0) if signs else None
+
+
 def questions_of(
     dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None, scatter: float = 0.0
 ) -> list[Question]:
@@ -117,10 +127,9 @@ def questions_of(
     """
     slack, held = dataset.table.attrs["slack_force"], held_loads(dataset.table) is not None
     columns = dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines)
-    words = [dataset.table[name].to_numpy() for name in ("direction", "phase") if name in dataset.table]
-    signs = [np.isin(word, _SHORTENS) - 1.0 * np.isin(word, _STRETCHED) for word in words]
-    side = np.sum(signs, axis=0) if signs else None
-    points = Points(*columns, slack, held, side, contraction_rate(dataset.table), "time" in dataset.table, scatter)
+    points = Points(
+        *columns, slack, held, motion_side(dataset), contraction_rate(dataset.table), "time" in dataset.table, scatter
+    )
     return [*questions_of_points(points, specimen), *_labels(dataset)]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
-from mckibben.dataset.checks import SLACK, residuals_of
-from mckibben.dataset.isobaric import format_list
+from mckibben.dataset.checks import SLACK, motion_side, residuals_of
+from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.segmentation import alternation, going_on, runs, usual_interval
 from mckibben.dataset.table import Question, question
 from mckibben.errors import McKibbenWarning, RangeError
-from mckibben.units import kPa, percent, show
+from mckibben.units import bar, kPa, percent, show
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -34,6 +34,7 @@ _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
 _EVENTS = 16  # effective number of changes, twice the terms of a fit
+_FEWEST = 4  # points before and after an offset
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
 
@@ -69,12 +70,11 @@ def offset_from(dataset: IsobaricDataset, *, most: int = 200) -> Iterator[Questi
     friction in either way, from one point on with another plane. It halves the residuals, by a tenth of the largest
     force on average, and is no extrapolation: the residuals without it are a tenth of this step or more.
     """
-    taut = np.flatnonzero(dataset.force > _TAUT * dataset.force.max(initial=0.0))
+    taut = np.flatnonzero(dataset.force > SLACK * dataset.force.max(initial=0.0))
     points = dataset.select(np.isin(np.arange(len(dataset)), taut[:: max(1, len(taut) // most)]))
     force, pressure, contraction = points.force, points.pressure / bar, points.contraction
-    ways = [points.table[name].to_numpy() for name in ("direction", "phase") if name in points.table]
-    sides = [sign * np.isin(way, words) for way in ways for sign, words in ((1.0, _OUT), (-1.0, _BACK))]
-    side, ones = np.sum([0 * force, *sides], axis=0), np.ones_like(force)
+    side, ones = motion_side(points), np.ones_like(force)
+    side = 0 * force if side is None else side
     plane = [ones, contraction, pressure]
     basis = np.column_stack([*plane, pressure * contraction, pressure * contraction**2, side, side * pressure])
     fits = [(float(np.sum(residuals_of(force, basis) ** 2)), 0, 0.0)]
