@@ -151,12 +151,11 @@ def read_torques(
 def read_signals(path: Path, needed: Sequence[str], recipe: Recipe | None = None) -> dict[str, np.ndarray]:
     """Columns of a joint over time by quantity, in SI units, with pairs of muscles; errors as of `read_dataset`."""
     (file, *_) = _files(path, recipe, {"joint": "joint"})
-    recipe = file.recipe
     table = _understood(file, needed, None)[0]
     names = {name for pair in OF_MUSCLES if {*pair} & {*table.columns} for name in pair}
     if missing := sorted(names - {*table.columns, *needed}):
         table.questions.append(question(f"no column for {missing[0]}, of two muscles", field=missing[0]))
-    table.ask(recipe.accept)
+    table.ask(file.recipe.accept)
     return {name: column.values for name, column in table.columns.items()}
 
 

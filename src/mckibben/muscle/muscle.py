@@ -137,7 +137,7 @@ class Muscle(Component):
 
     @property
     def violation(self) -> str:
-        """How the law is not that of a muscle within the domain, in words; empty if it is, or has traced numbers."""
+        """First violation of a muscle's slopes by the law within the domain; empty for none, and for traced numbers."""
         if not all(isinstance(leaf, Real) for leaf in jax.tree.leaves((self.law, self.domain))):
             return ""
         wrong = unphysical(self.law, self.domain)

@@ -178,7 +178,7 @@ class Plant(Component, Generic[S]):
     @property
     @abc.abstractmethod
     def mechanism(self) -> Mechanism:
-        """What the muscles move."""
+        """Joints and loads that the muscles move."""
 
     @property
     def muscles(self) -> tuple[Muscle, ...]:

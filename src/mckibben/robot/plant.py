@@ -291,7 +291,8 @@ class RobotPlant(Plant[RobotState]):
                 (joint.friction.steepest / inertia for joint, inertia in bodies if joint.friction), default=0.0
             ),
         }
-        rates = {what: math.sqrt(square) * self.stability_limit / _LONGEST for what, square in stiffnesses.items()}
+        limit = self.stability_limit / _LONGEST
+        rates = {what: math.sqrt(square) * limit for what, square in stiffnesses.items()}
         weight = float(robot.total_mass) * self.gravity
         sideways = max((np.linalg.eigvalsh(mobility[:2, :2])[-1] for mobility in points), default=0.0)
         rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
