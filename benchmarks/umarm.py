@@ -14,9 +14,9 @@ from rows import Candidate, Table
 from timing import Bench, inverted
 
 from mckibben.codegen.native import NativeFunction
+from mckibben.mechanism.dynamics import acceleration, at_rest, posture_of
 from mckibben.numerics.compiled import numeric
 from mckibben.robot import Robot, RobotScenario
-from mckibben.robot.dynamics import acceleration, at_rest, posture_of
 from mckibben.units import deg
 
 STATES, JOINTS, MUSCLES = 512, 12, 24

@@ -13,8 +13,8 @@ from PIL import Image
 
 import mckibben as mk
 from mckibben.report.style import save
-from mckibben.robot.statics import solve_statics
 from mckibben.scenario import run_scenario
+from mckibben.scenario.statics import solve_statics
 from mckibben.units import bar, deg, mm
 
 ROOT = Path(__file__).parents[1]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mckibben.codegen import native
+from mckibben.codegen.engine import BatchFunction
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning
 from mckibben.rig.compiled import compile_flat
-from mckibben.simulation.engine import BatchFunction
 from mckibben.storage import private
 
 REAL = compiler()

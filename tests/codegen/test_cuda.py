@@ -11,9 +11,10 @@ from jax import lax
 
 from mckibben.codegen import cuda
 from mckibben.codegen.cuda import CudaFunction, driver_library
+from mckibben.codegen.engine import check_engine
 from mckibben.codegen.native import Split
 from mckibben.errors import CompilerError, DeviceError, ParameterError
-from mckibben.simulation.engine import check_engine, chunk_size
+from mckibben.simulation.engine import chunk_size
 
 PARTS = {"nvrtc": cuda.nvrtc.__wrapped__, "driver_library": driver_library}
 RUNS = 200  # two blocks of threads

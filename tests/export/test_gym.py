@@ -10,11 +10,11 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import CallError, ExportError, ParameterError
+from mckibben.mechanism.dynamics import joint_load
 from mckibben.plant import PerfectSensors
 from mckibben.robot import RobotScenario
-from mckibben.robot.comparison import RobotSuite
-from mckibben.robot.dynamics import joint_load
 from mckibben.scenario import with_values
+from mckibben.study.compare.robots import RobotSuite
 from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
 

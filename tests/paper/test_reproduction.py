@@ -14,8 +14,8 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.paper.settings import AS_PRINTED, PRE_CONTRACTED, SETTINGS, StiffnessReference, bp_scenario, pid_scenario
 from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun
-from mckibben.robot.scenario import RobotScenario
 from mckibben.scenario import Scenario, run_scenario
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import Metrics, SimulationResult, check_reference
 from tests.paper.test_claims import CHOU_CLAIM, COUPLED_CLAIM, MODERATE, SIMILAR_CLAIM, angle_claim, settling_claim
 

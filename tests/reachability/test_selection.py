@@ -10,9 +10,9 @@ import mckibben as mk
 from mckibben import catalog
 from mckibben.errors import ParameterError, UnreachableError
 from mckibben.identification import fit_law
+from mckibben.mechanism.disturbance import TorquePulses
 from mckibben.muscle import ChouLaw, Muscle
 from mckibben.muscle.air import DENSITY, L_PER_S_BAR
-from mckibben.plant.sensors import TorquePulses
 from mckibben.reachability import Make, Requirement, catalog_makes, read_make, size
 from mckibben.reachability.air_supply import tube_conductance
 from mckibben.units import bar, deg, mm

@@ -13,19 +13,19 @@ from typer.testing import CliRunner
 
 import mckibben as mk
 from mckibben.cli import app
+from mckibben.control.bounded_allocation import BoundedSolution, bounded_least_squares
 from mckibben.errors import ParameterError, RangeError, ScenarioError, UnreachableError
 from mckibben.export import export
 from mckibben.export.mujoco import load_mujoco
+from mckibben.mechanism.dynamics import joint_equations, joint_load
+from mckibben.mechanism.point_stiffness import place_of, point_jacobian, point_of, stiffness_matrix
+from mckibben.mechanism.terms import joint_terms
 from mckibben.plant import PerfectSensors
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
-from mckibben.robot.allocation import BoundedSolution, bounded_least_squares, joint_terms
-from mckibben.robot.comparison import RobotSuite
-from mckibben.robot.dynamics import joint_equations, joint_load
-from mckibben.robot.point_stiffness import place_of, point_jacobian, point_of
-from mckibben.robot.posture import HeldPosture
-from mckibben.robot.statics import stiffness_matrix
 from mckibben.scenario import batched, run_many, with_values
+from mckibben.statics.posture import HeldPosture
 from mckibben.study.compare import compare, draw, evaluate
+from mckibben.study.compare.robots import RobotSuite
 from mckibben.study.compare.runs import started
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import tune

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import approx_fprime, fsolve
 
 import mckibben as mk
+from mckibben.mechanism.dynamics import Posture, Velocity, acceleration, motion
+from mckibben.mechanism.ground import compliant_force
 from mckibben.robot import Ground, RobotPlant, attainable_point_stiffness, point_stiffness
-from mckibben.robot.dynamics import Posture, Velocity, acceleration, motion
-from mckibben.robot.ground import compliant_force
-from mckibben.robot.jumping import standing_torques
+from mckibben.study.jumping import standing_torques
 from tests.robot.conftest import robot_of, with_unit
 
 zero = jnp.zeros(())

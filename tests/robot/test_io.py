@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve, IdealValve
+from mckibben.control.robot_control import RobotController
 from mckibben.plant import JointFriction, SampledSensors, TorquePulses
 from mckibben.robot import PressureSchedule, RobotPlant, RobotScenario, RobotStart, simulate_robot
-from mckibben.robot.control import RobotController
 from mckibben.units import deg, kPa, ms
 from tests.robot.conftest import robot_of
 

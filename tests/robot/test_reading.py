@@ -12,10 +12,10 @@ import mckibben as mk
 from mckibben.component.schema import read_component
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.export.mjcf import assembled
+from mckibben.mechanism.dynamics import acceleration, at_rest, posture_of
 from mckibben.muscle import Muscle
 from mckibben.robot import RobotPlant, RobotScenario, read_robot
-from mckibben.robot.dynamics import acceleration, at_rest, posture_of
-from mckibben.robot.reading import read_mjcf
+from mckibben.scenario.reading import read_mjcf
 
 mujoco = pytest.importorskip("mujoco")
 FOLDER = Path("examples/robot")

@@ -13,6 +13,7 @@ import xarray as xr
 import mckibben as mk
 from mckibben.control import Controller
 from mckibben.errors import CallError, ParameterError, RangeError, SimulationError
+from mckibben.plant.robot_plant import RobotSample
 from mckibben.robot import (
     JointwiseControl,
     PressureSchedule,
@@ -23,7 +24,6 @@ from mckibben.robot import (
     simulate_robot,
     simulate_robots,
 )
-from mckibben.robot.plant import RobotSample
 from mckibben.simulation import Outcome
 from mckibben.units import deg
 from tests.robot.conftest import over_two, with_unit

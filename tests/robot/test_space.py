@@ -10,11 +10,11 @@ from scipy.optimize import approx_fprime
 
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError, SimulationError
+from mckibben.mechanism.dynamics import Posture, acceleration, at_rest, contacts, frames, motion, posture_of
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.spatial import Vector
 from mckibben.robot import Body, Foot, Ground, Joint, Place, Robot, RobotPlant, RobotScenario, RobotStart, read_robot
-from mckibben.robot.dynamics import Posture, acceleration, at_rest, contacts, frames, motion, posture_of
 from mckibben.units import deg
 from tests.robot.conftest import limb, pair_over, robot_of
 

@@ -14,6 +14,7 @@ import mckibben as mk
 from mckibben.cli import app
 from mckibben.component.schema import read_component
 from mckibben.errors import RangeError, ScenarioError, UnreachableError
+from mckibben.mechanism.point_stiffness import point_jacobian
 from mckibben.muscle import Muscle
 from mckibben.robot import (
     BodyPoint,
@@ -30,9 +31,8 @@ from mckibben.robot import (
     read_robot,
     stiffness_matrix,
 )
-from mckibben.robot.point_stiffness import point_jacobian
-from mckibben.robot.posture import map_at
-from mckibben.robot.statics import solve_statics
+from mckibben.scenario.statics import solve_statics
+from mckibben.statics.posture import map_at
 from mckibben.units import bar, deg
 from tests.robot.conftest import over_two, with_unit
 

@@ -12,9 +12,9 @@ from mckibben import robot as robots
 from mckibben.cli import app
 from mckibben.codegen.templates import filled
 from mckibben.errors import FileError, RangeError, ScenarioError
-from mckibben.robot.landing import valve_with
-from mckibben.robot.uncertainty import drawn_plant, quantile_interval, with_mass
 from mckibben.storage.files import file_lock
+from mckibben.study.landing import valve_with
+from mckibben.study.robot_draws import drawn_plant, quantile_interval, with_mass
 from tests.robot.conftest import FILE
 
 HEAD = "name: x\nrobot:\n  from: lei-leg-planar\n"
@@ -108,7 +108,7 @@ def test_stiffness_that_is_not_attainable(scenario):
 
 
 def test_step_that_is_too_long(scenario):
-    for study in (robots.study_landing, robots.jumping.study_jump):
+    for study in (robots.study_landing, robots.study_jump):
         with pytest.raises(ScenarioError) as caught:
             study(scenario.model_copy(update={"control_period": 2e-3, "substeps": 1}))
         assert caught.value.problems[0].field == "control_period" and caught.value.problems[0].remedy

@@ -10,10 +10,10 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
+from mckibben.mechanism.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
+from mckibben.mechanism.tree import MASSLESS, BodyInertia, Frame, TreeHinge, equations, frames_of, path_through
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
 from mckibben.robot import JointwiseControl, RobotScenario, RobotStart, TimedReference, simulate_robot
-from mckibben.robot.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
-from mckibben.robot.tree import MASSLESS, BodyInertia, Frame, TreeHinge, equations, frames_of, path_through
 
 ARM = "examples/robot/umarm.yaml"
 REFERENCE = json.loads(Path(__file__).with_name("umarm.json").read_text())

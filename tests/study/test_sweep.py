@@ -109,7 +109,7 @@ def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "fields", "words"),
     [
-        ({"mckibben.simulation.engine.compiler": lambda: None}, {"software engine", "software compiler"}, "not xla"),
+        ({"mckibben.codegen.engine.compiler": lambda: None}, {"software engine", "software compiler"}, "not xla"),
         ({"mckibben.simulation.software.compiler_version": lambda _: "other 1.0"}, {"software compiler"}, "other 1.0"),
         ({"MCKIBBEN_CFLAGS": "-O1"}, {"software compiler"}, "-O1"),
     ],

@@ -17,6 +17,7 @@ from jaxtyping import Array
 from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import compiled
 from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.errors import IdentificationError
@@ -24,7 +25,6 @@ from mckibben.joint import AntagonisticJoint, Geometry, Load, ScaledArms
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, adjusted_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.simulation.engine import compiled
 from mckibben.units import Quantity, Strength, deg, kPa, mm
 
 Floats = NDArray[np.float64]

@@ -48,13 +48,13 @@ from mckibben.calibration.fitting import (
     probabilities,
     root_mean_square,
 )
+from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
 from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
 from mckibben.result import Column, Listing, Remark, column
-from mckibben.simulation.engine import compiled
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"

@@ -19,6 +19,7 @@ from jaxtyping import Array, PyTree
 from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, sliding_from
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
+from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.schema import independent, replaced, write_text
 from mckibben.control import Multisine, Reference, Sine
@@ -35,7 +36,6 @@ from mckibben.rig import JointRig, JointRunResult, prepare
 from mckibben.rig.simulated.joint import Sensing
 from mckibben.scenario import Scenario, Start, run_scenario
 from mckibben.simulation import SimulationResult
-from mckibben.simulation.engine import compiled
 from mckibben.storage.files import atomic_write, make_folder
 
 _PRESSURES = ("pressure1", "pressure2")

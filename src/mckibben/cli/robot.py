@@ -13,7 +13,7 @@ from mckibben.cli.report import Report
 
 if TYPE_CHECKING:
     from mckibben.result import Result
-    from mckibben.robot.scenario import RobotScenario
+    from mckibben.scenario.robot import RobotScenario
 
 
 @command
@@ -44,9 +44,9 @@ def robot(
     if study == "read":
         return _read(file, muscle, out)
     check_unused(f"robot {study}", muscle=muscle)
-    from mckibben.robot.jumping import JumpStudy, study_jump
-    from mckibben.robot.landing import LandingStudy, study_landing
-    from mckibben.robot.scenario import RobotScenario
+    from mckibben.scenario.robot import RobotScenario
+    from mckibben.study.jumping import JumpStudy, study_jump
+    from mckibben.study.landing import LandingStudy, study_landing
 
     kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, Report)
     if out:
@@ -61,7 +61,7 @@ def robot(
 def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
     from mckibben.component.schema import read_component
     from mckibben.muscle import Muscle
-    from mckibben.robot.reading import read_mjcf
+    from mckibben.scenario.reading import read_mjcf
 
     read = read_mjcf(file, None if muscle is None else read_component(Muscle, muscle))
     if out:
@@ -71,8 +71,8 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
 
 def _stiffness(read: RobotScenario, source: str) -> Report:
     from mckibben.report.robot import point_ellipses, posture
-    from mckibben.robot.attainable import attainable_listing
-    from mckibben.robot.statics import solve_statics
+    from mckibben.scenario.statics import solve_statics
+    from mckibben.statics.attainable import attainable_listing
 
     attainable, solved = solve_statics(read, source=source)
     tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"

@@ -259,9 +259,9 @@ def _suite(file: Path) -> ControllerSuite:
     """Read a suite, or the default one of a scenario."""
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text
-    from mckibben.robot.comparison import RobotSuite
     from mckibben.scenario import read_scenario
     from mckibben.study.compare import Suite
+    from mckibben.study.compare.robots import RobotSuite
 
     keys = read_document(read_text(file)).data or {}
     if "scenario" in keys:

@@ -24,13 +24,13 @@ from mckibben.actuator import Actuator, FirstOrderValve, Valve
 from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal, StageCost, StageEnd
 from mckibben.control.base import DiscreteTimeSystem
+from mckibben.control.robot_control import RobotController, RobotReference
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
+from mckibben.mechanism.base import RobotMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.muscle.creep import CreepState, TensionAt
 from mckibben.numerics.calculus import derivative
 from mckibben.plant import Disturbance, JointFriction, Sensors
-from mckibben.robot.control import RobotController, RobotReference
-from mckibben.robot.plant import RobotMeasurement
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]

@@ -15,8 +15,9 @@ from mckibben.export.controller import parts_of
 from mckibben.export.evaluation import evaluate, find_function
 from mckibben.export.plant import plant_unit
 from mckibben.plant import JointPlant
-from mckibben.robot import RobotPlant, RobotScenario
+from mckibben.plant.robot_plant import RobotPlant
 from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 
 
 class CasadiPlant(NamedTuple):

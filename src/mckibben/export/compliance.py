@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.robot import BodyPoint, Foot, Joint, Place, RobotPlant, RobotState
-from mckibben.robot.dynamics import Posture, mobilities, posture_of
+from mckibben.mechanism.bodies import BodyPoint, Foot, Joint, Place
+from mckibben.mechanism.dynamics import Posture, mobilities, posture_of
+from mckibben.plant.robot_plant import RobotPlant, RobotState
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
 """Speeds [m/s], [rad/s] at which the restitution equals that of the plant."""

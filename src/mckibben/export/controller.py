@@ -17,10 +17,12 @@ from jax import lax
 from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
 from mckibben.control import Setpoint
+from mckibben.control.robot_control import TimedReference, TrackingControl
 from mckibben.errors import ExportError
 from mckibben.export.containment.functions import ControllerFunctions, functions_of
 from mckibben.export.containment.limits import Limits, containment_of
@@ -28,11 +30,10 @@ from mckibben.export.evaluation import find_function
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.compiled import numeric
-from mckibben.robot import RobotScenario, TimedReference, TrackingControl
-from mckibben.robot.simulate import setpoints_over
 from mckibben.scenario import Scenario
-from mckibben.simulation.engine import compiled
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation.problem import sampled, sampling_times
+from mckibben.simulation.robots import setpoints_over
 from mckibben.units import SYMBOLS
 
 _MOST_PERIODS = 10_000  # of a recording

@@ -16,8 +16,8 @@ from mckibben.export.containment.limits import Limits
 from mckibben.export.controller import controller_functions, controller_module, controller_program
 from mckibben.export.evaluation import find_function
 from mckibben.export.targets import Exported, filled
-from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 
 _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 

@@ -14,6 +14,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
 from mckibben.numerics.batching import lanes_of
@@ -22,7 +23,6 @@ from mckibben.plant import Plant
 from mckibben.rig.compiled import FlatTree, compile_flat
 from mckibben.scenario import batched, read_scenario, valid_rows
 from mckibben.scenario.scenario import BatchParts, StudiedScenario
-from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.study.compare.suite import ControllerSuite
 from mckibben.study.parameters import parse_sweeps, sample

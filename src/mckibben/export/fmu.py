@@ -18,8 +18,8 @@ from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
 from mckibben.export.plant import plant_unit
 from mckibben.export.targets import Exported
-from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 
 
 def plant_fmu(scenario: Scenario | RobotScenario, name: str, folder: Path) -> Exported:

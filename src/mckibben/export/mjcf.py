@@ -22,12 +22,14 @@ from mckibben.export.drives import Drive, Transmission, muscle_drive, muscle_fun
 from mckibben.export.muscle_plugin import MuscleFunctions, MuscleModel, plugin_files
 from mckibben.export.targets import Exported, filled
 from mckibben.joint import Load
+from mckibben.mechanism.bodies import Body, Joint
+from mckibben.mechanism.dynamics import SLIDES, TURNS, Posture, Velocity
+from mckibben.mechanism.muscles import TendonParts
 from mckibben.numerics.spatial import Vector, X, Z
 from mckibben.plant import JointPlant
-from mckibben.robot import Body, Joint, RobotPlant, RobotScenario
-from mckibben.robot.dynamics import SLIDES, TURNS, Posture, Velocity
-from mckibben.robot.muscles import TendonParts
+from mckibben.plant.robot_plant import RobotPlant
 from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 
 _GRAVITY = 9.81  # m/s^2
 _LIGHT = 1e-12  # mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass

@@ -15,7 +15,7 @@ from mckibben.export.functional_unit import FunctionalUnit, per_second
 from mckibben.muscle import MuscleState
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import IOState, JointPlant
-from mckibben.robot import RobotPlant
+from mckibben.plant.robot_plant import RobotPlant
 
 _Plant = JointPlant | RobotPlant
 

@@ -21,7 +21,7 @@ from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.units import ms
 
 if TYPE_CHECKING:
-    from mckibben.robot import RobotScenario
+    from mckibben.scenario.robot import RobotScenario
 
 
 class Exported(Result):

@@ -24,7 +24,7 @@ from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.robot import posture, robot_tracking
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
-from mckibben.robot import read_robot
+from mckibben.scenario.robot import read_robot
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.reachability import StaticEnvelope
 from mckibben.result import Column, Listing, Result
-from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.tracking import TrackingResult
-from mckibben.robot.tracking import run_tracking as run_robot
+from mckibben.scenario.robot import RobotScenario
+from mckibben.scenario.tracking import TrackingResult
+from mckibben.scenario.tracking import run_tracking as run_robot
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import json_ready
 from mckibben.study.tune import TuneResult

@@ -1,10 +1,11 @@
 """The plant: a joint with its load, valves and friction, the sensors that observe it and what disturbs it."""
 
+from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.disturbance import Disturbance, NoDisturbance, TorquePulses
+from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.plant.base import IOState, Plant
-from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.joint_plant import Hinge, JointPlant, PlantState
-from mckibben.plant.mechanism import Mechanism
-from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, SampledSensors, Sensors, TorquePulses
+from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
 
 __all__ = [
     "Disturbance",

@@ -21,15 +21,16 @@ from mckibben.component.base import Component
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement
 from mckibben.joint.route import init_states, update_states
+from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
+from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.batching import fusion_barrier
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import difference, total
-from mckibben.plant.joint_friction import JointFriction
-from mckibben.plant.mechanism import Mechanism
-from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
+from mckibben.plant.sensors import PerfectSensors, Sensors
 from mckibben.units import CommandDelay
 
 STABILITY_LIMIT = 2.785

@@ -21,14 +21,15 @@ from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
 from mckibben.joint.geometry import Pressures
 from mckibben.joint.route import Route
+from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
+from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant.base import Angles, IOState, LastStep, Plant
-from mckibben.plant.joint_friction import JointFriction
-from mckibben.plant.mechanism import Mechanism
-from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
+from mckibben.plant.sensors import PerfectSensors
 from mckibben.units import deg
 
 Scalar = Float[Array, ""]

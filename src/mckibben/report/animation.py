@@ -20,20 +20,20 @@ from PIL import Image
 
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.joint.linkage import Linkage, muscle_sizes
+from mckibben.mechanism.outline import BASE, outline
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
 from mckibben.report.palette import MEASURED
 from mckibben.report.robot import BONE, set_space
 from mckibben.report.style import DESIRED, Look, looks_of, pressure_colours, robust_limits, styled
 from mckibben.report.tracking import TIME, draw_angle, draw_pressures, draw_stiffness
-from mckibben.robot.outline import BASE, outline
-from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.simulate import RobotResult
+from mckibben.scenario.robot import RobotScenario
+from mckibben.simulation.robots import RobotResult
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, mm
 
 if TYPE_CHECKING:
     from mckibben.plant import JointPlant
-    from mckibben.robot.plant import RobotPlant
+    from mckibben.plant.robot_plant import RobotPlant
     from mckibben.simulation import SimulationResult
     from mckibben.simulation.result import RunResult
 

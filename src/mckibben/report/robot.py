@@ -12,6 +12,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from mckibben.mechanism.outline import outline, stiffness_ellipsoid
+from mckibben.mechanism.point_stiffness import stiffness_of
 from mckibben.report.palette import BAND, BLACK, BLUE, GREY, MEASURED, ORANGE, VERMILLION
 from mckibben.report.style import (
     DESIRED,
@@ -25,21 +27,19 @@ from mckibben.report.style import (
     pressure_colours,
     styled,
 )
-from mckibben.robot.attainable import attainable_point_stiffness
-from mckibben.robot.landing import EDGES, LandingStudy
-from mckibben.robot.outline import outline, stiffness_ellipsoid
-from mckibben.robot.point_stiffness import stiffness_of
+from mckibben.statics.attainable import attainable_point_stiffness
+from mckibben.study.landing import EDGES, LandingStudy
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
-    from mckibben.robot.bodies import BodyPoint, Foot
-    from mckibben.robot.jumping import JumpStudy
-    from mckibben.robot.mechanism import Robot
-    from mckibben.robot.point_stiffness import PointStiffness
-    from mckibben.robot.statics import StaticPressures
-    from mckibben.robot.tracking import TrackingResult
+    from mckibben.mechanism.bodies import BodyPoint, Foot
+    from mckibben.mechanism.point_stiffness import PointStiffness
+    from mckibben.mechanism.robot import Robot
+    from mckibben.scenario.tracking import TrackingResult
+    from mckibben.statics.pressures import StaticPressures
+    from mckibben.study.jumping import JumpStudy
 
 
 BONE: Look = {"color": "#AAB4BD", "linewidth": 5, "solid_capstyle": "round"}
@@ -56,7 +56,7 @@ def landing_forces(study: LandingStudy) -> Figure:
     Parameters
     ----------
     study
-        Result of `mckibben.robot.landing.study_landing`.
+        Result of `mckibben.study.landing.study_landing`.
     """
     table = study.table
     stiffness, drops = table["stiffness"].to_numpy(), table["drop"].to_numpy()
@@ -270,7 +270,7 @@ def jump_traces(study: JumpStudy) -> Figure:
     Parameters
     ----------
     study
-        Result of `mckibben.robot.jumping.study_jump`.
+        Result of `mckibben.study.jumping.study_jump`.
     """
     jumps = study.jumps
     figure = blank(DOUBLE, 5.6)

@@ -1,9 +1,7 @@
-"""Robots with air muscles: bodies on hinges, muscles, ground contact; landing and jumping."""
+"""Robots with air muscles: names of the packages that have their bodies, statics, control, runs and studies."""
 
-from mckibben.robot.attainable import JointRange, attainable_point_stiffness, attainable_statics
-from mckibben.robot.bodies import Body, BodyPoint, Foot, Joint, Place
-from mckibben.robot.computed_torque import ComputedTorque
-from mckibben.robot.control import (
+from mckibben.control.computed_torque import ComputedTorque
+from mckibben.control.robot_control import (
     JointwiseControl,
     PressureSchedule,
     RobotController,
@@ -11,24 +9,27 @@ from mckibben.robot.control import (
     TimedReference,
     TrackingControl,
 )
-from mckibben.robot.ground import Ground
-from mckibben.robot.jumping import JumpStudy, study_jump
-from mckibben.robot.landing import LandingStudy, study_landing
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.metrics import RobotMetrics
-from mckibben.robot.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
-from mckibben.robot.plant import RobotMeasurement, RobotPlant, RobotStart, RobotState
-from mckibben.robot.point_stiffness import PointStiffness, point_stiffness, stiffness_matrix
-from mckibben.robot.posture import holding_torques
-from mckibben.robot.reading import ReadRobot, read_mjcf
-from mckibben.robot.scenario import RobotScenario, read_robot
-from mckibben.robot.simulate import RobotResult, robot_metrics, simulate_robot, simulate_robots
-from mckibben.robot.statics import (
+from mckibben.mechanism.base import RobotMeasurement
+from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Joint, Place
+from mckibben.mechanism.ground import Ground
+from mckibben.mechanism.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
+from mckibben.mechanism.point_stiffness import PointStiffness, point_stiffness, stiffness_matrix
+from mckibben.mechanism.robot import Robot
+from mckibben.plant.robot_plant import RobotPlant, RobotStart, RobotState
+from mckibben.scenario.reading import ReadRobot, read_mjcf
+from mckibben.scenario.robot import RobotScenario, read_robot
+from mckibben.scenario.tracking import TrackingResult, run_tracking
+from mckibben.simulation.robot_metrics import RobotMetrics
+from mckibben.simulation.robots import RobotResult, robot_metrics, simulate_robot, simulate_robots
+from mckibben.statics.attainable import JointRange, attainable_point_stiffness, attainable_statics
+from mckibben.statics.posture import holding_torques
+from mckibben.statics.pressures import (
     StaticPressures,
     pressures_for_joint_stiffness,
     pressures_for_point_stiffness,
 )
-from mckibben.robot.tracking import TrackingResult, run_tracking
+from mckibben.study.jumping import JumpStudy, study_jump
+from mckibben.study.landing import LandingStudy, study_landing
 
 __all__ = [
     "Body",

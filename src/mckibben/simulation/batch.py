@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import attributes, labels_of
 from mckibben.control.base import Controller, Reference, Setpoint
@@ -35,7 +36,7 @@ from mckibben.simulation.accuracy import (
     refine_blocks,
     spacing,
 )
-from mckibben.simulation.engine import BatchFunction, check_count, chunk_size, compute_groups, dynamic_steps
+from mckibben.simulation.engine import check_count, chunk_size, compute_groups, dynamic_steps
 from mckibben.simulation.loop import of_any_length, positions_over_time, streaming_episode
 from mckibben.simulation.metrics import USUAL_METRICS, Metrics, last_change
 from mckibben.simulation.outcome import OUTCOMES, SWUNG_OVER_AT, Outcome, outcomes

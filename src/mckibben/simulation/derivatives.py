@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction
 from mckibben.component.calls import checked_call
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
@@ -21,7 +22,6 @@ from mckibben.numerics.batching import replace_leaves, select_leaves
 from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import ACCURACY, check_accuracy
-from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, last_change
 from mckibben.simulation.problem import (

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction
 from mckibben.component.calls import checked_call
 from mckibben.control.base import Reference, Setpoint
 from mckibben.joint.attainable import leaves_domain
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.result import Remark, Result, column
-from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import sampled
 from mckibben.units import deg
 

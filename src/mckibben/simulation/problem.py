@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.base import Component
 from mckibben.component.checks import whole_periods
@@ -25,7 +26,6 @@ from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, Mechanism, Plant, PlantState
-from mckibben.simulation.engine import BatchFunction, compiled
 from mckibben.simulation.metrics import last_change
 
 

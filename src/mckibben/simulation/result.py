@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
@@ -27,7 +28,6 @@ from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
-from mckibben.simulation.engine import BatchFunction, compiled
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from mckibben.codegen.engine import check_engine
 from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
@@ -30,7 +31,7 @@ from mckibben.simulation.accuracy import (
     refine,
     resolution_of,
 )
-from mckibben.simulation.engine import check_engine, run_alone
+from mckibben.simulation.engine import run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
 from mckibben.simulation.loop import Record, of_any_length
 from mckibben.simulation.outcome import SWUNG_OVER_AT

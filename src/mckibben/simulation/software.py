@@ -9,8 +9,8 @@ import jax
 
 import mckibben
 from mckibben.codegen.cuda import device
+from mckibben.codegen.engine import check_engine
 from mckibben.codegen.native import compiler, compiler_version, compiler_words, own_flags
-from mckibben.simulation.engine import check_engine
 
 
 def software(engine: str = "auto") -> dict[str, str]:

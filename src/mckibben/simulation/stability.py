@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint, extended
 from mckibben.errors import SimulationError
@@ -24,7 +25,6 @@ from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
-from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (

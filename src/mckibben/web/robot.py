@@ -15,14 +15,14 @@ from mckibben import catalog
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
 from mckibben.errors import McKibbenError, RangeError, printable
+from mckibben.mechanism.outline import Ellipsoid, Outline, outline, stiffness_ellipsoid
 from mckibben.muscle import Muscle
 from mckibben.report.palette import BLUE, GREY
 from mckibben.result import Listing, Remark
-from mckibben.robot.attainable import attainable_listing, attainable_statics
-from mckibben.robot.outline import Ellipsoid, Outline, outline, stiffness_ellipsoid
-from mckibben.robot.posture import holding_torques
-from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.statics import pressures_for_joint_stiffness
+from mckibben.scenario.robot import RobotScenario
+from mckibben.statics.attainable import attainable_listing, attainable_statics
+from mckibben.statics.posture import holding_torques
+from mckibben.statics.pressures import pressures_for_joint_stiffness
 from mckibben.units import deg
 from mckibben.web.charts import pressure_colour
 from mckibben.web.design import muscles
@@ -110,7 +110,7 @@ def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScen
         return parse_model(RobotScenario, path.read_text("utf-8"), source=path.name, folder=folder, confined=True)[
             0
         ], ()
-    from mckibben.robot.reading import read_mjcf
+    from mckibben.scenario.reading import read_mjcf
 
     read = read_mjcf(path, muscle, confined=True)
     return read.scenario(), tuple(read.remarks())

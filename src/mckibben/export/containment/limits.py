@@ -14,16 +14,17 @@ from mckibben.control import Setpoint
 from mckibben.errors import ExportError, SimulationError
 from mckibben.export.containment import Containment, ControlSample
 from mckibben.joint import Measurement
+from mckibben.mechanism.base import RobotMeasurement
 from mckibben.numerics.compiled import jit, numeric
-from mckibben.robot import RobotMeasurement
-from mckibben.robot.tracking import joint_stiffness
 from mckibben.scenario import Scenario
+from mckibben.scenario.tracking import joint_stiffness
 from mckibben.simulation.problem import sampled
 from mckibben.units import Angle, PositiveTime, Pressure, Share, Stiffness, deg, ms
 
 if TYPE_CHECKING:
     from mckibben.plant import Plant
-    from mckibben.robot import RobotPlant, RobotScenario
+    from mckibben.plant.robot_plant import RobotPlant
+    from mckibben.scenario.robot import RobotScenario
 
 _BEYOND = 10 * deg  # of the angles beyond those of the reference, of the start, and of the vented joint
 _ABOVE = 0.05  # of measured pressures outside the rated ones, relative to the highest

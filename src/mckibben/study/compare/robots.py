@@ -12,8 +12,8 @@ from pydantic import Field, SerializationInfo, ValidationError, ValidationInfo, 
 from mckibben.config.fields import Title
 from mckibben.config.model import located_below
 from mckibben.errors import ScenarioError
-from mckibben.robot.scenario import RobotScenario
 from mckibben.scenario import batched, find_parameters, with_values
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.study.compare.checks import NOMINAL_JOINT, check_differs
 from mckibben.study.compare.suite import DEFAULTS, ControllerSuite, EvaluationSettings, TuningSettings

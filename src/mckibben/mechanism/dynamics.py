@@ -1,4 +1,4 @@
-"""Motion of a robot: its bodies as a tree (`mckibben.robot.tree`)."""
+"""Motion of a robot: its bodies as a tree (`mckibben.mechanism.tree`)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.joint import GeneralLoad
+from mckibben.mechanism.bodies import BodyPoint, Foot
+from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.tree import MASSLESS, BodyInertia, Equations, Frame, TreeHinge, ancestors, equations, frames_of
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
-from mckibben.robot.bodies import BodyPoint, Foot
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.tree import MASSLESS, BodyInertia, Equations, Frame, TreeHinge, ancestors, equations, frames_of
 
 Scalar = Float[Array, ""]
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from mckibben.component.base import Component
 from mckibben.joint.route import Route
+from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import Muscle
-from mckibben.plant.joint_friction import JointFriction
+
+Scalar = Float[Array, ""]
 
 
 class Mechanism(abc.ABC):
@@ -70,3 +73,11 @@ class Mechanism(abc.ABC):
 
         It has the form of a velocity. Gravity, damping, stops and ground act as well.
         """
+
+
+class RobotMeasurement(NamedTuple):
+    """Measured angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
+
+    angles: tuple[Scalar, ...]
+    pressures: tuple[Scalar, ...]
+    ground_force: Scalar

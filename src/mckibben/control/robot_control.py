@@ -19,8 +19,8 @@ from mckibben.control import Controller, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.plant import RobotMeasurement
+from mckibben.mechanism.base import RobotMeasurement
+from mckibben.mechanism.robot import Robot
 from mckibben.units import Instant, Pressure
 
 Scalar = Float[Array, ""]

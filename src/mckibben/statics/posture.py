@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import compiled
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import RigidTendon
+from mckibben.mechanism.dynamics import joint_equations
+from mckibben.mechanism.muscles import check_contractions
+from mckibben.mechanism.point_stiffness import movable
+from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.terms import JointTerms, joint_terms
 from mckibben.muscle import PressureAffineLaw
-from mckibben.robot.allocation import JointTerms, joint_terms
-from mckibben.robot.dynamics import joint_equations
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.muscles import check_contractions
-from mckibben.robot.point_stiffness import movable
-from mckibben.simulation.engine import compiled
 from mckibben.units import bar
 
 Floats = NDArray[np.float64]

@@ -32,24 +32,26 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import fail_validation, located_below
 from mckibben.control import Controller, Reference
+from mckibben.control.reaching import PointReference
+from mckibben.control.robot_control import JointwiseControl, TimedReference, TrackingControl, check_pairs
 from mckibben.errors import RangeError, UnreachableError
+from mckibben.mechanism.dynamics import joint_load
+from mckibben.mechanism.ground import Ground
+from mckibben.mechanism.point_stiffness import SINGULAR, movable
+from mckibben.mechanism.robot import Robot
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors
+from mckibben.plant.robot_plant import RobotPlant, RobotStart, RobotState
 from mckibben.result import Remark
-from mckibben.robot.control import JointwiseControl, TimedReference, TrackingControl, check_pairs
-from mckibben.robot.dynamics import joint_load
-from mckibben.robot.ground import Ground
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.metrics import TrackingMetrics
-from mckibben.robot.plant import RobotPlant, RobotStart, RobotState
-from mckibben.robot.point_stiffness import SINGULAR, movable
-from mckibben.robot.posture import holding_torques, is_affine
-from mckibben.robot.reaching import PointReference
-from mckibben.robot.settings import DrawSettings, JumpSettings, LandingSettings, StartSettings, StiffnessSettings
-from mckibben.robot.simulate import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
-from mckibben.robot.statics import pressures_for_joint_stiffness
+from mckibben.scenario.robot_settings import (
+    DrawSettings,
+    JumpSettings,
+    LandingSettings,
+    StartSettings,
+    StiffnessSettings,
+)
 from mckibben.scenario.scenario import (
     BatchParts,
     ControllerPart,
@@ -62,7 +64,11 @@ from mckibben.scenario.scenario import (
 from mckibben.simulation import Batch, Margins
 from mckibben.simulation.accuracy import ACCURACY
 from mckibben.simulation.problem import sampling_times, single_run, split_runs
+from mckibben.simulation.robot_metrics import TrackingMetrics
+from mckibben.simulation.robots import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
 from mckibben.simulation.stability import least_disk_margins, linearisable, margins_along
+from mckibben.statics.posture import holding_torques, is_affine
+from mckibben.statics.pressures import pressures_for_joint_stiffness
 from mckibben.units import (
     Accuracy,
     CommandDelay,
@@ -300,10 +306,10 @@ class RobotScenario(StudiedScenario):
         return 1 if resolution is None else resolution.substeps
 
     def run_once(self, *, source: str = "") -> RobotResult:
-        return importlib.import_module("mckibben.robot.tracking").run_tracking(self, source=source)
+        return importlib.import_module("mckibben.scenario.tracking").run_tracking(self, source=source)
 
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
-        return importlib.import_module("mckibben.robot.comparison").RobotSuite.of(self, controllers, **settings)
+        return importlib.import_module("mckibben.study.compare.robots").RobotSuite.of(self, controllers, **settings)
 
     def batch_parts(self) -> BatchParts:
         return BatchParts(self.plant(), self.references(), self._starts())

@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import AirActuator, IdealValve
 from mckibben.component.columns import attributes
+from mckibben.control.robot_control import PressureSchedule
 from mckibben.dataset.schema import write_netcdf
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
+from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Column, Result
-from mckibben.robot.control import PressureSchedule
-from mckibben.robot.metrics import RobotMetrics
-from mckibben.robot.plant import RobotPlant, RobotStart
-from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.simulate import simulate_robots
-from mckibben.robot.uncertainty import drawn_plant, quantile_interval, take
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch
+from mckibben.simulation.robot_metrics import RobotMetrics
+from mckibben.simulation.robots import simulate_robots
 from mckibben.simulation.software import engine_of_job, software
+from mckibben.study.robot_draws import drawn_plant, quantile_interval, take
 from mckibben.study.study import Study, Table, select
 from mckibben.units import ms
 

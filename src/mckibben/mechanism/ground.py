@@ -10,9 +10,9 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.component.base import Component
 from mckibben.errors import RangeError
+from mckibben.mechanism.bodies import Direction
+from mckibben.mechanism.dynamics import Contact
 from mckibben.numerics.spatial import Vector, Z, total, unit_vector
-from mckibben.robot.bodies import Direction
-from mckibben.robot.dynamics import Contact
 from mckibben.units import Distance, Quantity, Share, Speed, mm
 
 Slope = Annotated[float, Quantity("rad", "deg", -60, 60)]

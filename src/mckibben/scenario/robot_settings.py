@@ -11,12 +11,12 @@ from mckibben.actuator import Actuator
 from mckibben.component.schema import ComponentField
 from mckibben.config.fields import Flag, Title
 from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.control.reaching import PointStiffnessValue
 from mckibben.errors import RangeError
+from mckibben.mechanism.bodies import BodyPoint
+from mckibben.mechanism.point_stiffness import check_point, stiffness_matrix
+from mckibben.mechanism.robot import Robot
 from mckibben.muscle import SpringLaw
-from mckibben.robot.bodies import BodyPoint
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.point_stiffness import check_point, stiffness_matrix
-from mckibben.robot.reaching import PointStiffnessValue
 from mckibben.units import (
     Angle,
     BoundedInt,

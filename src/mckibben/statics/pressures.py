@@ -15,26 +15,23 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from mckibben.component.checks import check_count, check_positive
-from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
-from mckibben.result import Column, Result, column
-from mckibben.robot.attainable import JointRange, attainable_statics
-from mckibben.robot.bodies import BodyPoint, Foot
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.point_stiffness import (
+from mckibben.errors import RangeError
+from mckibben.mechanism.bodies import BodyPoint, Foot
+from mckibben.mechanism.point_stiffness import (
     Floats,
     PointStiffness,
     check_point,
     movable,
-    point_jacobian,
-    stiffness_matrix,
     stiffness_of,
     stiffness_through,
 )
-from mckibben.robot.posture import EXACT, HeldPosture, check_affine, holding_torques
+from mckibben.mechanism.robot import Robot
+from mckibben.result import Column, Result, column
+from mckibben.statics.posture import EXACT, HeldPosture, check_affine
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
-    from mckibben.robot.scenario import RobotScenario
+    pass
 
 _STARTS, _MARGIN = 8, 0.1
 """Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
@@ -245,7 +242,7 @@ def pressures_for_point_stiffness(
     --------
     Muscles over one joint cannot turn the ellipse as wanted, and two of them are at a limit:
 
-    >>> from mckibben.robot import read_robot
+    >>> from mckibben.robot import read_robot, stiffness_matrix
     >>> robot = read_robot("lei-leg-planar")
     >>> found = pressures_for_point_stiffness(robot, (0.0, -0.3), stiffness_matrix((20.0, 900.0), -0.15))
     >>> found.exact, round(found.error, 2), round(found.least, 2), [round(one) for one in found.stiffness.principal]
@@ -328,39 +325,6 @@ def _settled(
         raise RangeError("the posture is not stable at any pressures that were tried", field="force", remedy=remedy)
     inverse = inverse_at(at)
     return inverse, at
-
-
-def solve_statics(scenario: RobotScenario, *, source: str = "") -> tuple[dict[str, JointRange], StaticPressures | None]:
-    """Return what is attainable in the posture of the section `stiffness` of a file, and the pressures for it.
-
-    Without that section the posture is that of all angles as near 0 as they can be.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be solved.
-    """
-    wanted, source, robot = scenario.stiffness, source or scenario.name, scenario.robot
-    supply = scenario.supply
-    angles = robot.posture_angles({} if wanted is None else wanted.posture)
-    held = None if wanted is None or not wanted.gravity else holding_torques(robot, angles)
-    try:
-        if wanted is None or wanted.principal is None:
-            attainable = attainable_statics(robot, angles, torques=held, supply=supply)
-            if wanted is None or not wanted.joints:
-                return attainable, None
-            rows = [wanted.joints.get(joint.name) for joint in robot.joints]
-            return attainable, pressures_for_joint_stiffness(robot, angles, rows, torques=held, supply=supply)
-        matrix = stiffness_matrix(wanted.principal, wanted.direction, wanted.sideways)
-        if wanted.force is not None:
-            pushing = -point_jacobian(robot, angles, wanted.force, wanted.point)[0].T @ np.asarray(wanted.force)
-            held = pushing if held is None else held + pushing
-        found = pressures_for_point_stiffness(
-            robot, angles, matrix, point=wanted.point, force=wanted.force, torques=held, supply=supply
-        )
-        return attainable_statics(robot, angles, torques=held, supply=supply), found
-    except McKibbenError as error:
-        raise ScenarioError(source, [Problem.of(error, field="stiffness")]) from error
 
 
 def _certificate(setting: HeldPosture, at: Floats, gradient: Floats, residual: Floats) -> tuple[float, Floats]:

@@ -10,12 +10,12 @@ from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.joint import Geometry
-from mckibben.robot.bodies import BodyPoint, Foot
-from mckibben.robot.dynamics import at_rest, frames, posture_of
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.muscles import MuscleUnit
-from mckibben.robot.point_stiffness import point_stiffness
-from mckibben.robot.tree import Frame
+from mckibben.mechanism.bodies import BodyPoint, Foot
+from mckibben.mechanism.dynamics import at_rest, frames, posture_of
+from mckibben.mechanism.muscles import MuscleUnit
+from mckibben.mechanism.point_stiffness import point_stiffness
+from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.tree import Frame
 
 Floats = NDArray[np.float64]
 BASE = ("x", "y", "z", "pitch", "yaw", "roll")

@@ -20,12 +20,12 @@ from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
 from mckibben.joint.route import Route
+from mckibben.mechanism.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
+from mckibben.mechanism.muscles import MuscleUnit, Skeleton, check_contractions
+from mckibben.mechanism.tree import Frame, TreeHinge, frames_of
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, difference, total
-from mckibben.robot.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
-from mckibben.robot.muscles import MuscleUnit, Skeleton, check_contractions
-from mckibben.robot.tree import Frame, TreeHinge, frames_of
 from mckibben.units import deg
 
 

@@ -10,19 +10,19 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Array, PyTree
 
+from mckibben.codegen.engine import compiled
 from mckibben.component.checks import check_positive
 from mckibben.errors import McKibbenError
+from mckibben.mechanism.robot import Robot
 from mckibben.result import Column, Remark
-from mckibben.robot.attainable import attainable_statics
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.metrics import TrackingMetrics, TrackingSample, inflow
-from mckibben.robot.posture import EXACT, Floats, holding_torques, is_affine
-from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.simulate import RobotResult, simulate_robot
-from mckibben.robot.statics import pressures_for_joint_stiffness
+from mckibben.scenario.robot import RobotScenario
 from mckibben.scenario.scenario import errors_of
-from mckibben.simulation.engine import compiled
 from mckibben.simulation.problem import check_frequencies, sampled
+from mckibben.simulation.robot_metrics import TrackingMetrics, TrackingSample, inflow
+from mckibben.simulation.robots import RobotResult, simulate_robot
+from mckibben.statics.attainable import attainable_statics
+from mckibben.statics.posture import EXACT, Floats, holding_torques, is_affine
+from mckibben.statics.pressures import pressures_for_joint_stiffness
 from mckibben.units import deg
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_count
 from mckibben.errors import RangeError
+from mckibben.mechanism.bodies import BodyPoint, Foot
+from mckibben.mechanism.dynamics import at_rest, frames, posture_of
+from mckibben.mechanism.robot import Robot
 from mckibben.numerics.compiled import jit
-from mckibben.robot.bodies import BodyPoint, Foot
-from mckibben.robot.dynamics import at_rest, frames, posture_of
-from mckibben.robot.mechanism import Robot
 
 Floats = NDArray[np.float64]
 

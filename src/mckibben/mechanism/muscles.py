@@ -16,11 +16,11 @@ from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Geometry, MusclePath, RigidTendon, Tendon
 from mckibben.joint.route import Bends, Route, pair_routes
+from mckibben.mechanism.bodies import BodyPoint, Joint
+from mckibben.mechanism.tree import Frame, TreeHinge, path_through
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import total
-from mckibben.robot.bodies import BodyPoint, Joint
-from mckibben.robot.tree import Frame, TreeHinge, path_through
 from mckibben.units import Coordinate
 
 Action = Literal["lengthens", "shortens"]

@@ -14,15 +14,15 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import BatchFunction
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import Label, attributes, declare, labels_of
+from mckibben.control.robot_control import RobotController, TimedReference, TrackingControl, check_pairs
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import jit
-from mckibben.robot.control import RobotController, TimedReference, TrackingControl, check_pairs
-from mckibben.robot.metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, inflow, measure
-from mckibben.robot.plant import RobotPlant, RobotSample, RobotStart
+from mckibben.plant.robot_plant import RobotPlant, RobotSample, RobotStart
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -38,12 +38,13 @@ from mckibben.simulation.accuracy import (
     spacing,
 )
 from mckibben.simulation.batch import Batch, batch_table
-from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
+from mckibben.simulation.engine import compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import LoopState, Record, control_period, initial_loop, of_any_length, positions_over_time
 from mckibben.simulation.metrics import Run, Totals, values_of
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampled_reference, sampling_times, single_run, split_runs
 from mckibben.simulation.result import RunResult
+from mckibben.simulation.robot_metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, inflow, measure
 
 
 class RobotProblem(NamedTuple):

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import ParameterError, Problem, ScenarioError, quoted
+from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Freedom, Joint, Place
+from mckibben.mechanism.joint_friction import JointFriction
+from mckibben.mechanism.muscles import PathMuscle
+from mckibben.mechanism.robot import Robot
 from mckibben.muscle import Muscle
-from mckibben.plant.joint_friction import JointFriction
 from mckibben.result import Column, Listing, Remark, Result
-from mckibben.robot.bodies import Body, BodyPoint, Foot, Freedom, Joint, Place
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.muscles import PathMuscle
-from mckibben.robot.scenario import RobotScenario
+from mckibben.scenario.robot import RobotScenario
 
 Floats = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from mckibben.errors import UnreachableError
+from mckibben.mechanism.bodies import BodyPoint, Foot
+from mckibben.mechanism.point_stiffness import PointStiffness, movable, point_jacobian, stiffness_through
+from mckibben.mechanism.robot import Robot
 from mckibben.result import Column, Listing
-from mckibben.robot.bodies import BodyPoint, Foot
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.point_stiffness import PointStiffness, movable, point_jacobian, stiffness_through
-from mckibben.robot.posture import HeldPosture
+from mckibben.statics.posture import HeldPosture
 from mckibben.units import bar
 
 

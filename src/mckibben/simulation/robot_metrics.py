@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.columns import labelled
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
-from mckibben.robot.plant import RobotPlant, RobotSample
+from mckibben.plant.robot_plant import RobotPlant, RobotSample
 from mckibben.simulation.metrics import (
     Duration,
     Largest,

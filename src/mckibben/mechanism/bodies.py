@@ -12,9 +12,9 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, check_within
 from mckibben.config.model import fail_validation
 from mckibben.errors import RangeError
+from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
+from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.numerics.spatial import Tensor, Vector, product, total, unit_vector
-from mckibben.plant.joint_friction import JointFriction
-from mckibben.plant.sensors import Disturbance, NoDisturbance
 from mckibben.units import Angle, Coordinate, Damping, Distance, Inertia, Mass, Quantity, StiffnessScale, deg
 
 Freedom = Literal["fixed", "vertical", "planar", "free", "spatial", "floating"]

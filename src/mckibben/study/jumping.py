@@ -16,22 +16,22 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.control.robot_control import PressureSchedule
 from mckibben.errors import McKibbenError, Problem, ScenarioError
+from mckibben.mechanism.dynamics import at_rest, contacts, frames, motion, posture_of
+from mckibben.mechanism.point_stiffness import movable, point_jacobian
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
+from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Column, Listing, Result
-from mckibben.robot.control import PressureSchedule
-from mckibben.robot.dynamics import at_rest, contacts, frames, motion, posture_of
-from mckibben.robot.landing import EDGES
-from mckibben.robot.plant import RobotPlant, RobotStart
-from mckibben.robot.point_stiffness import movable, point_jacobian
-from mckibben.robot.posture import holding_torques
-from mckibben.robot.scenario import RobotScenario
-from mckibben.robot.simulate import RobotResult, simulate_robot, simulate_robots
-from mckibben.robot.uncertainty import drawn_plant, take
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation.batch import Batch
+from mckibben.simulation.robots import RobotResult, simulate_robot, simulate_robots
 from mckibben.simulation.software import engine_of_job, software
+from mckibben.statics.posture import holding_torques
 from mckibben.storage.store import STUDY, Job, open_store
+from mckibben.study.landing import EDGES
+from mckibben.study.robot_draws import drawn_plant, take
 from mckibben.units import bar, mm, ms
 
 Floats = NDArray[np.float64]

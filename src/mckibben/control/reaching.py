@@ -18,14 +18,14 @@ from mckibben.component.schema import ComponentField
 from mckibben.config.model import ConfigModel
 from mckibben.control import Reference, Samples, Signal
 from mckibben.errors import UnreachableError
+from mckibben.mechanism.bodies import BodyPoint
+from mckibben.mechanism.point_stiffness import Floats, place_of, point_of, stiffness_matrix
+from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.tree import solve_symmetric
 from mckibben.numerics.compiled import jit
 from mckibben.result import Remark
-from mckibben.robot.bodies import BodyPoint
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.point_stiffness import Floats, place_of, point_of, stiffness_matrix
-from mckibben.robot.posture import holding_torques
-from mckibben.robot.statics import pressures_for_point_stiffness
-from mckibben.robot.tree import solve_symmetric
+from mckibben.statics.posture import holding_torques
+from mckibben.statics.pressures import pressures_for_point_stiffness
 from mckibben.units import Angle, Quantity, deg, mm
 
 Length = Annotated[float, Quantity("m", "mm", -1e4, 1e4)]

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.identification import Fit
+from mckibben.mechanism.bodies import Body
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw
-from mckibben.robot.bodies import Body
-from mckibben.robot.plant import RobotPlant
-from mckibben.robot.scenario import RobotScenario
+from mckibben.plant.robot_plant import RobotPlant
+from mckibben.scenario.robot import RobotScenario
 
 
 def drawn_plant(scenario: RobotScenario, *, fresh: bool = False) -> RobotPlant:

@@ -21,17 +21,10 @@ from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.joint.route import Route
-from mckibben.muscle import Muscle, MuscleState, SpringLaw
-from mckibben.muscle.air import ATMOSPHERE, ENERGY
-from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.elementary import floating
-from mckibben.numerics.spatial import Vector, difference, product
-from mckibben.plant.base import IOState, LastStep, Plant
-from mckibben.plant.joint_friction import JointFriction
-from mckibben.plant.mechanism import Mechanism
-from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
-from mckibben.robot.bodies import MOTIONS
-from mckibben.robot.dynamics import (
+from mckibben.mechanism.base import Mechanism, RobotMeasurement
+from mckibben.mechanism.bodies import MOTIONS
+from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
+from mckibben.mechanism.dynamics import (
     Contact,
     Posture,
     Velocity,
@@ -43,8 +36,16 @@ from mckibben.robot.dynamics import (
     motion,
     posture_of,
 )
-from mckibben.robot.ground import Ground, compliant_force
-from mckibben.robot.mechanism import Robot
+from mckibben.mechanism.ground import Ground, compliant_force
+from mckibben.mechanism.joint_friction import JointFriction
+from mckibben.mechanism.robot import Robot
+from mckibben.muscle import Muscle, MuscleState, SpringLaw
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
+from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.elementary import floating
+from mckibben.numerics.spatial import Vector, difference, product
+from mckibben.plant.base import IOState, LastStep, Plant
+from mckibben.plant.sensors import PerfectSensors
 from mckibben.units import Gravity, show
 
 Scalar = Float[Array, ""]
@@ -77,14 +78,6 @@ class RobotStart(NamedTuple):
     pressures: tuple[ArrayLike, ...]
     clearance: ArrayLike = 0.0
     upward_speed: ArrayLike = 0.0
-
-
-class RobotMeasurement(NamedTuple):
-    """Measured angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
-
-    angles: tuple[Scalar, ...]
-    pressures: tuple[Scalar, ...]
-    ground_force: Scalar
 
 
 @labelled

@@ -17,20 +17,21 @@ from mckibben.actuator.base import AirVolume, air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.base import Setpoint, ValveModel
+from mckibben.control.bounded_allocation import BoundedSolution, allocate_pairs, bounded_least_squares
 from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Valves, mean_commands
 from mckibben.control.observer import ExtendedStateObserver, MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
+from mckibben.control.robot_control import TrackingControl
 from mckibben.errors import RangeError
+from mckibben.mechanism.base import RobotMeasurement
+from mckibben.mechanism.dynamics import joint_equations
+from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.terms import joint_terms
 from mckibben.muscle import SpringLaw
 from mckibben.numerics.elementary import exp, floating
 from mckibben.numerics.spatial import total
-from mckibben.robot.allocation import BoundedSolution, allocate_pairs, bounded_least_squares, joint_terms
-from mckibben.robot.control import TrackingControl
-from mckibben.robot.dynamics import joint_equations
-from mckibben.robot.mechanism import Robot
-from mckibben.robot.plant import RobotMeasurement
-from mckibben.robot.posture import check_affine
+from mckibben.statics.posture import check_affine
 from mckibben.units import CommandDelay, Force, Gravity, bar
 
 Scalar = Float[Array, ""]
