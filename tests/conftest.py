@@ -33,8 +33,8 @@ from mckibben.paper.identification import run_identification, run_joint
 from mckibben.paper.reproduction import Reproduction, run_leg
 from mckibben.paper.tracking import run_tracking
 from mckibben.plant import JointPlant
-from mckibben.simulation import robots as robot_runs
 from mckibben.simulation import Batch, Metrics, Outcome, batch
+from mckibben.simulation import robots as robot_runs
 from mckibben.simulation.engine import run_alone
 from mckibben.simulation.outcome import OUTCOMES
 
