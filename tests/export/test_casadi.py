@@ -165,7 +165,7 @@ def test_a_robot(base):
     close(made.functions["differentiate"](*arguments, 0.5), numbers(*rate))
     close(made.functions["advance"](*arguments, 1e-3, 0.5), numbers(*after[:3]))
     stiffness = np.asarray(made.functions["evaluate"](*arguments, 0.5)).ravel()[1]
-    close(stiffness, plant.robot.stiffness(state.posture.angles, state.pressures)[0])
+    close(stiffness, plant.robot.stiffness(state.angle, state.pressures)[0])
     heavier = np.asarray(made.functions["differentiate"](*arguments, 1.0)).ravel()
     assert np.max(np.abs(heavier - numbers(*rate))) > 0.1
 

@@ -30,7 +30,7 @@ def test_standing_torques_are_those_of_virtual_work(plant):
     def potential_above_foot(at):
         posture = Posture(zero, zero, zero, tuple(map(jnp.asarray, at)))
         state = plant.init_state(tuple(map(float, at)), (1e5,) * 4)
-        return float(motion(plant.robot, posture._replace(z=state.posture.z), still, 9.81).potential)
+        return float(motion(plant.robot, posture._replace(z=state.position.z), still, 9.81).potential)
 
     gradient = approx_fprime(np.array(angles), potential_above_foot, 1e-6)
     assert standing_torques(plant, angles) == pytest.approx(gradient, abs=1e-4)

@@ -96,7 +96,7 @@ def test_friction_is_the_only_loss_of_a_free_robot(pair):
     for _ in range(40):
         state = advance(state)
         energies.append(float(rubbing.energy(state)))
-        angles.append(float(state.posture.angles[0]))
+        angles.append(float(state.angle[0]))
     lost, turned = energies[0] - energies[-1], angles[0] - angles[-1]
     assert turned > 0.5 * deg
     assert lost == pytest.approx(0.05 * turned, abs=0.05 * 0.01 * deg)  # less what the presliding springs hold

@@ -116,12 +116,12 @@ def test_gradients_are_those_of_finite_differences():
     """The rate of a robot on the ground, over its posture and pressures."""
     plant = RobotScenario.read(FILE).plant()
     state = plant.begin(RobotStart((1 * deg, 0.0, 0.0), (2e5,) * 6, clearance=0.0, upward_speed=-1.0))
-    angles, pressures = (jnp.stack(list(map(jnp.asarray, one))) for one in (state.posture.angles, state.pressures))
+    angles, pressures = (jnp.stack(list(map(jnp.asarray, one))) for one in (state.position.angles, state.pressures))
 
     @jax.jit
     def accelerations(change):
-        posture = state.posture._replace(z=state.posture.z - 3e-3 + change[0], angles=tuple(angles + change[1:4]))
-        moved = plant.rate(state._replace(posture=posture, pressures=tuple(pressures + 1e6 * change[4:])))
+        posture = state.position._replace(z=state.position.z - 3e-3 + change[0], angles=tuple(angles + change[1:4]))
+        moved = plant.rate(state._replace(position=posture, pressures=tuple(pressures + 1e6 * change[4:])))
         return jnp.stack([moved.velocity.z, *moved.velocity.angles])
 
     found = np.asarray(jax.jit(jax.jacfwd(accelerations))(jnp.zeros(10)))

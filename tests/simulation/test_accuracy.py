@@ -75,7 +75,7 @@ def test_the_estimated_error_is_that_from_scipy():
 
     @jax.jit
     def rate(_, motion):
-        state = start._replace(angle=motion[0], velocity=motion[1])
+        state = start._replace(position=motion[0], velocity=motion[1])
         return jnp.stack(plant.rate(state)[:2])
 
     exact = solve_ivp(

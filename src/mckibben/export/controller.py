@@ -120,7 +120,7 @@ def controller_module(
         assert scenario.duration is not None  # else `controller_functions` raises
         controller = parts_of(scenario)[1]
         rows = setpoints_over(controller, sampling_times(scenario.duration, source.period))
-        substeps = scenario.substeps or source.plant.needed_substeps(source.initial.posture.angles, None, source.period)
+        substeps = scenario.substeps or source.plant.needed_substeps(source.initial.angle, None, source.period)
     rows = jax.tree.map(lambda x: x[:_MOST_PERIODS], rows)
     step = find_function(module.functions, "step")
     structures = step.arguments | step.results

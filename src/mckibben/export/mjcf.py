@@ -333,7 +333,7 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
         start = plant.init_state(robot.posture_angles({}), [0.0] * len(robot.all_muscles))
     softness = compliance(plant, start)
     frames = zip(robot.frame_names[1:], robot.frame_bodies[1:], robot.joints, strict=True)
-    height = float(start.posture.z) if robot.base == "fixed" else 0.0
+    height = float(start.position.z) if robot.base == "fixed" else 0.0
     base = _Body({"name": robot.frame_names[0], "pos": numbers_text((0, 0, height))}, _inertial_of(robot.bodies[0]))
     kinds = {name: ("slide", axis) for name, axis in SLIDES.items()}
     kinds |= {name: ("hinge", axis) for name, axis in TURNS.items()}
@@ -364,7 +364,7 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
     base.bone(Vector(0.0, 0.0, top))
     base.shapes.append({"class": "trunk", "pos": numbers_text((0, 0, top + 0.03))})
     made.gravity = float(plant.gravity)
-    made.position, made.velocity = (coordinates(plant, of) for of in (start.posture, start.velocity))
+    made.position, made.velocity = (coordinates(plant, of) for of in (start.position, start.velocity))
     return made
 
 
@@ -493,7 +493,7 @@ def plant_and_start(scenario: Scenario | RobotScenario) -> tuple[JointPlant | Ro
     plant = scenario.plant()
     if scenario.duration is not None:
         start = plant.begin(scenario.initial())
-        return plant, start, period / (scenario.substeps or plant.needed_substeps(start.posture.angles, None, period))
+        return plant, start, period / (scenario.substeps or plant.needed_substeps(start.position.angles, None, period))
     angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
     if scenario.landing is not None:
         angles = scenario.landing.touchdown

@@ -75,6 +75,11 @@ class Mechanism(abc.ABC):
         """
 
 
+def angles_of(position: PyTree) -> PyTree:
+    """Return the angle [rad] of an unnamed joint, whose position it is, or the angles of a posture, by joint."""
+    return getattr(position, "angles", position)
+
+
 class RobotMeasurement(NamedTuple):
     """Measured angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
 

@@ -2,10 +2,12 @@
 
 from mckibben.mechanism.base import Mechanism
 from mckibben.mechanism.disturbance import Disturbance, NoDisturbance, TorquePulses
+from mckibben.mechanism.hinge import Hinge
 from mckibben.mechanism.joint_friction import JointFriction
-from mckibben.plant.base import IOState, Plant
-from mckibben.plant.joint_plant import Hinge, JointPlant, PlantState
+from mckibben.plant.base import Plant
+from mckibben.plant.joint_plant import JointPlant
 from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
+from mckibben.plant.state import IOState, PlantState
 
 __all__ = [
     "Disturbance",

@@ -8,7 +8,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -31,6 +31,7 @@ from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import difference, total
 from mckibben.plant.sensors import PerfectSensors, Sensors
+from mckibben.plant.state import Forces, IOState, LastStep, Motion, PlantState
 from mckibben.units import CommandDelay
 
 STABILITY_LIMIT = 2.785
@@ -58,90 +59,7 @@ Angles = ArrayLike | Sequence[ArrayLike]
 """Angles [rad] of one joint, as an array, or one of each joint."""
 
 
-class IOState(NamedTuple):
-    """State of sensors and disturbance, constant over a control period."""
-
-    sample: Scalar
-    disturbance: Any
-    sensors: Any
-
-
-class LastStep(NamedTuple):
-    """Explicit part of a Hermite step, with one evaluation per step: the implicit part is evaluated in the next one."""
-
-    positions: tuple[Scalar, ...]  # [rad], the terms of the corrector from the beginning of the step, by joint
-    velocities: tuple[Scalar, ...]  # likewise [rad/s]
-    rates: tuple[Scalar, ...]  # of the pressures at the end of the step [Pa/s]
-
-
-class State(Protocol):
-    """State of a plant: a named tuple of positions, velocities, and these; parts that a plant lacks have no leaves."""
-
-    @property
-    def pressures(self) -> tuple[Scalar, ...]: ...
-    @property
-    def muscles(self) -> tuple[MuscleState, ...]: ...
-    @property
-    def io(self) -> IOState | tuple[()]: ...
-    @property
-    def air(self) -> AirState | tuple[()]: ...
-    @property
-    def friction(self) -> Any: ...
-    @property
-    def sent(self) -> tuple[tuple[Scalar, ...], ...]: ...
-    @property
-    def last(self) -> LastStep | tuple[()]: ...
-
-    _fields: ClassVar[tuple[str, ...]]
-
-    @property
-    def _replace(self) -> Callable[..., Any]: ...
-    def __getitem__(self, index: Any, /) -> Any: ...
-
-
-S = TypeVar("S", bound=State)
-
-
-class Motion(NamedTuple):
-    """Integrated part of a state, or its rate."""
-
-    position: Any
-    velocity: Any
-    creep: tuple[Any, ...] = ((), ())  # of the muscles [N, Pa]
-    pressures: tuple[Scalar, ...] = ()  # with an actuator that `holds_air` [Pa]
-    air: AirState | tuple[()] = ()  # likewise, the state of the valves
-
-    @classmethod
-    def of(cls, state: State) -> Motion:
-        """Return the integrated part of a state."""
-        pressures = state.pressures if isinstance(state.air, AirState) else ()
-        return cls(state[0], state[1], tuple(muscle.creep for muscle in state.muscles), pressures, state.air)
-
-    def applied_to(self, state: S, pressures: tuple[Scalar, ...]) -> S:
-        """Return a state with this motion, and other pressures [Pa] unless they are part of it."""
-        position, velocity = state._fields[:2]
-        held = zip(state.muscles, self.creep, strict=True)
-        return state._replace(
-            **{position: self.position, velocity: self.velocity},
-            pressures=self.pressures or pressures,
-            muscles=tuple(MuscleState(muscle.friction, creep) for muscle, creep in held),
-            air=self.air,
-        )
-
-
-class Forces(NamedTuple):
-    """Tensions [N], contractions and path rates [m/s] of the muscles, and the torque [N*m] on each joint.
-
-    Torques are those of muscles, friction and disturbance.
-    """
-
-    tensions: tuple[Array, ...]
-    contractions: tuple[Array, ...]
-    path_rates: tuple[Array, ...]
-    torques: tuple[Array, ...]
-
-
-class Plant(Component, Generic[S]):
+class Plant(Component):
     """A mechanism moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
 
     Commands are constant over a control period. Within it, the motion is integrated in steps of equal length: those of
@@ -191,13 +109,13 @@ class Plant(Component, Generic[S]):
     def disturbances(self) -> tuple[Disturbance, ...]:
         """Disturbances of all joints."""
 
-    @abc.abstractmethod
-    def true_measurement(self, state: S) -> Measurement:
+    def true_measurement(self, state: PlantState) -> Measurement:
         """Return what perfect sensors measure: angle [rad] and gauge pressures [Pa]."""
+        return Measurement(state.angle, state.pressures)  # type: ignore[arg-type]  # of any number of joints
 
-    @abc.abstractmethod
     def disturbing_torque(self, time: ArrayLike) -> Any:
         """Return the torque [N*m] of the disturbances at a time [s] since the start."""
+        return self.mechanism.like_joints([floating(disturbance.torque(time)) for disturbance in self.disturbances])
 
     @property
     def is_smooth(self) -> bool:
@@ -223,10 +141,10 @@ class Plant(Component, Generic[S]):
         """Largest product of an integration step and the fastest rate."""
         return HERMITE_LIMIT if self.is_smooth else STABILITY_LIMIT
 
-    def forces(self, state: S) -> Forces:
+    def forces(self, state: PlantState) -> Forces:
         """Return the forces of the muscles, and the torques, in a state."""
         mechanism = self.mechanism
-        position, velocity = state[0], state[1]
+        position, velocity = state.position, state.velocity
         rates = mechanism.by_joint(velocity)
         resistance: list[Any] = [0.0] * len(rates)  # minus the torque of the muscles
         tensions, contractions, path_rates = [], [], []
@@ -246,22 +164,22 @@ class Plant(Component, Generic[S]):
                 torques[joint] = difference(torques[joint], friction.resisting_torque(held, at))
         return Forces(tuple(tensions), tuple(contractions), tuple(path_rates), tuple(torques))
 
-    def _joint_frictions(self, state: S) -> Iterator[tuple[JointFriction | None, FrictionState, Scalar]]:
+    def _joint_frictions(self, state: PlantState) -> Iterator[tuple[JointFriction | None, FrictionState, Scalar]]:
         """Friction of each joint with its state and position; none if no joint has friction."""
         if state.friction == ():
             return iter(())
         by_joint = self.mechanism.by_joint
-        return zip(self.mechanism.frictions, by_joint(state.friction), by_joint(state[0]), strict=True)
+        return zip(self.mechanism.frictions, by_joint(state.friction), by_joint(state.position), strict=True)
 
-    def rate(self, state: S) -> Motion:
+    def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6), and of creep, at the pressures of a state."""
-        forces, velocity = self.forces(state), state[1]
-        acceleration = self.mechanism.acceleration(state[0], velocity, forces.torques)
+        forces, velocity = self.forces(state), state.velocity
+        acceleration = self.mechanism.acceleration(state.position, velocity, forces.torques)
         muscles = zip(self.muscles, state.muscles, forces.path_rates, state.pressures, strict=True)
         creep = tuple(muscle.state_rate(held, rate, pressure).creep for muscle, held, rate, pressure in muscles)
         return Motion(velocity, acceleration, creep)
 
-    def project(self, state: S) -> S:
+    def project(self, state: PlantState) -> PlantState:
         """Return the state after an integration step with updated internal states; no force changes by it."""
         if state.friction != ():
             frictions = [
@@ -271,23 +189,25 @@ class Plant(Component, Generic[S]):
             state = state._replace(friction=self.mechanism.like_joints(frictions))
         if not any(held.friction or held.creep for held in state.muscles):
             return state
-        return state._replace(muscles=update_states(self.mechanism.routes(state[0]), state.muscles, state.pressures))
+        return state._replace(
+            muscles=update_states(self.mechanism.routes(state.position), state.muscles, state.pressures)
+        )
 
-    def air_volumes(self, state: S) -> Sequence[AirVolume]:
+    def air_volumes(self, state: PlantState) -> Sequence[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included, at the velocity of a state."""
         dead_volumes = [self._valve.for_muscle(i).attached_volume for i in range(len(state.pressures))]
-        routes, rates = self.mechanism.routes(state[0]), self.mechanism.by_joint(state[1])
+        routes, rates = self.mechanism.routes(state.position), self.mechanism.by_joint(state.velocity)
         return air_volumes(routes, rates, state.pressures, state.muscles, dead_volumes)
 
-    def init_muscles(self, state: S) -> tuple[MuscleState, ...]:
+    def init_muscles(self, state: PlantState) -> tuple[MuscleState, ...]:
         """Return the relaxed states of the muscles at the positions and pressures of a state."""
-        return init_states(self.mechanism.routes(state[0]), state.pressures)
+        return init_states(self.mechanism.routes(state.position), state.pressures)
 
-    def init_friction(self, state: S) -> Any:
+    def init_friction(self, state: PlantState) -> Any:
         """Return the unstressed states of the friction of the joints at the positions of a state."""
         if not self._has_joint_friction:
             return ()
-        joints = zip(self.mechanism.frictions, self.mechanism.by_joint(state[0]), strict=True)
+        joints = zip(self.mechanism.frictions, self.mechanism.by_joint(state.position), strict=True)
         return self.mechanism.like_joints([() if own is None else own.initial(at) for own, at in joints])
 
     @abc.abstractmethod
@@ -322,9 +242,9 @@ class Plant(Component, Generic[S]):
 
     def begin(self, start: Any) -> Any:
         """Return the state of a start; by default a start is a state."""
-        return start
+        return start._replace(last=())
 
-    def with_last_step(self, state: S, step: ArrayLike) -> S:
+    def with_last_step(self, state: PlantState, step: ArrayLike) -> PlantState:
         """Return the state from which steps of a length [s] evaluate the torque once; unchanged unless `is_smooth`.
 
         They are those of the two-point Hermite method of order 4, which is implicit (E. Hairer, S. P. Norsett and G.
@@ -334,7 +254,7 @@ class Plant(Component, Generic[S]):
         """
         if not self.is_smooth:
             return state
-        positions, velocities = map(self.mechanism.by_joint, (state[0], state[1]))
+        positions, velocities = map(self.mechanism.by_joint, (state.position, state.velocity))
         accelerations, slopes = self._derivatives(state)
         changes = _rate_of(slopes, (*velocities, *accelerations))
         third = step**2 / 12
@@ -346,11 +266,11 @@ class Plant(Component, Generic[S]):
             )
         )
 
-    def observe(self, state: S) -> Any:
+    def observe(self, state: PlantState) -> Any:
         """Return what a run records of a state at the start of a control period; by default the state."""
         return state._replace(last=())
 
-    def telemetry(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike) -> dict[str, Any]:
+    def telemetry(self, state: PlantState, commands: Sequence[ArrayLike], period: ArrayLike) -> dict[str, Any]:
         """Return further quantities of a control period [s], at whose start commands [Pa] are sent, by name."""
         return {}
 
@@ -366,7 +286,7 @@ class Plant(Component, Generic[S]):
             return self
         return dataclasses.replace(self, delay_periods=delay_periods(self.command_delay, period))
 
-    def sample(self, state: S, period: ArrayLike) -> tuple[S, Any]:
+    def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Any]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement.
 
         The disturbance [N*m] holds until the next sample.
@@ -384,7 +304,7 @@ class Plant(Component, Generic[S]):
         muscles = enumerate(zip(commands, rated, strict=False))  # `clip_commands` of each plant checks the count
         return tuple(self._valve.for_muscle(i).clip_command(*muscle) for i, muscle in muscles)
 
-    def apply_commands(self, state: S, commands: Sequence[ArrayLike]) -> S:
+    def apply_commands(self, state: PlantState, commands: Sequence[ArrayLike]) -> PlantState:
         """Return the state right after new commands [Pa]."""
         if self._valve.holds_air:
             return state
@@ -393,7 +313,7 @@ class Plant(Component, Generic[S]):
             pressures=tuple(self._valve.for_muscle(i).after_command(*muscle) for i, muscle in muscles)
         )
 
-    def arriving(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[ArrayLike, ...]:
+    def arriving(self, state: PlantState, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[ArrayLike, ...]:
         """Return the mean commands [Pa] at the valves in a control period [s], at whose start new ones are sent."""
         if not state.sent:
             return tuple(commands)
@@ -404,7 +324,7 @@ class Plant(Component, Generic[S]):
             for side in zip(commands, *state.sent, strict=True)
         )
 
-    def follow(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike, substeps: int) -> S:
+    def follow(self, state: PlantState, commands: Sequence[ArrayLike], period: ArrayLike, substeps: int) -> PlantState:
         """Return the state after a control period [s] at whose start commands [Pa] are sent to the valves.
 
         With a `command_delay` the valves receive earlier commands, which the state holds.
@@ -413,31 +333,33 @@ class Plant(Component, Generic[S]):
         after = self.advance(state._replace(sent=()), self.arriving(state, commands, period), period, substeps)
         return after._replace(sent=sent)
 
-    def advance(self, state: S, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> S:
+    def advance(
+        self, state: PlantState, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int
+    ) -> PlantState:
         """Return the state after a duration [s] under constant commands [Pa], by integration steps of equal length."""
         step, valve = duration / substeps, self._valve
         one_step = self._step_with_air if valve.holds_air else self._step
 
-        def integrate(_: Array, state: S) -> S:
+        def integrate(_: Array, state: PlantState) -> PlantState:
             return one_step(valve, state, commands, step)
 
         return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
 
-    def _derivatives(self, state: S) -> tuple[tuple[Scalar, ...], list[tuple[Scalar, ...]]]:
+    def _derivatives(self, state: PlantState) -> tuple[tuple[Scalar, ...], list[tuple[Scalar, ...]]]:
         """Acceleration of each joint [rad/s^2], and its derivatives by all positions, velocities and pressures."""
         mechanism = self.mechanism
-        positions, velocities = map(mechanism.by_joint, (state[0], state[1]))
+        positions, velocities = map(mechanism.by_joint, (state.position, state.velocity))
         count, point = len(positions), (*positions, *velocities, *state.pressures)
-        position, velocity = state._fields[:2]
 
         def along(place: int) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
             def acceleration(x: Scalar) -> tuple[Scalar, ...]:
                 moved = (*point[:place], x, *point[place + 1 :])
-                at = {
-                    position: mechanism.like_joints(moved[:count], state[0]),
-                    velocity: mechanism.like_joints(moved[count : 2 * count], state[1]),
-                }
-                return mechanism.by_joint(self.rate(state._replace(pressures=moved[2 * count :], **at)).velocity)
+                at = state._replace(
+                    position=mechanism.like_joints(moved[:count], state.position),
+                    velocity=mechanism.like_joints(moved[count : 2 * count], state.velocity),
+                    pressures=moved[2 * count :],
+                )
+                return mechanism.by_joint(self.rate(at).velocity)
 
             return value_and_derivative(acceleration, point[place])
 
@@ -445,11 +367,11 @@ class Plant(Component, Generic[S]):
         return accelerations, list(slopes)
 
     def _hermite_step(
-        self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike, last: LastStep
-    ) -> S:
+        self, valve: Actuator, state: PlantState, commands: Sequence[ArrayLike], step: ArrayLike, last: LastStep
+    ) -> PlantState:
         """State after a step [s] with the pressures of a closed form; see `with_last_step`."""
         mechanism = self.mechanism
-        positions, velocities = map(mechanism.by_joint, (state[0], state[1]))
+        positions, velocities = map(mechanism.by_joint, (state.position, state.velocity))
         predicted, slopes = fusion_barrier(self._derivatives, state)
 
         def pressures(elapsed: ArrayLike) -> Any:
@@ -464,19 +386,16 @@ class Plant(Component, Generic[S]):
         rates, bends = value_and_derivative(lambda t: value_and_derivative(pressures, t)[1], jnp.zeros_like(step))
         jerk = _rate_of(slopes, (*v, *a, *rates))
         snap = _rate_of(slopes, (*a, *jerk, *bends))  # without products of rates
-        position, velocity = state._fields[:2]
 
         def end(x: Scalar, v: Scalar, a: Scalar, j: Scalar, s: Scalar) -> Scalar:
             return x + step * (v + step / 2 * (a + step / 3 * (j + step / 4 * s)))
 
-        moved = {
-            position: mechanism.like_joints(_by_joint(end, x, v, a, jerk, snap), state[0]),
-            velocity: mechanism.like_joints(
-                _by_joint(lambda v, a, j, s: v + step * (a + step / 2 * (j + step / 3 * s)), v, a, jerk, snap), state[1]
-            ),
-        }
+        def end_rate(v: Scalar, a: Scalar, j: Scalar, s: Scalar) -> Scalar:
+            return v + step * (a + step / 2 * (j + step / 3 * s))
+
         return state._replace(
-            **moved,
+            position=mechanism.like_joints(_by_joint(end, x, v, a, jerk, snap), state.position),
+            velocity=mechanism.like_joints(_by_joint(end_rate, v, a, jerk, snap), state.velocity),
             pressures=pressures(step),
             air=valve.all_after(state.pressures, state.air, commands, step)[1],
             last=LastStep(
@@ -486,7 +405,7 @@ class Plant(Component, Generic[S]):
             ),
         )
 
-    def _step(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
+    def _step(self, valve: Actuator, state: PlantState, commands: Sequence[ArrayLike], step: ArrayLike) -> PlantState:
         """State after a step [s] with the pressures of a closed form."""
         if isinstance(last := state.last, LastStep):
             return self._hermite_step(valve, state, commands, step, last)
@@ -501,7 +420,9 @@ class Plant(Component, Generic[S]):
         motion = rk4(rate, Motion.of(state), step, (state.pressures, middle, end), rolled=rolled)
         return self.project(motion.applied_to(state, end))._replace(air=held)
 
-    def _step_with_air(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
+    def _step_with_air(
+        self, valve: Actuator, state: PlantState, commands: Sequence[ArrayLike], step: ArrayLike
+    ) -> PlantState:
         """State after a step [s] in which motion and air are integrated together."""
         assert isinstance(state.air, AirState)
         state = state._replace(air=valve.before_steps(state.air, commands, state.pressures, step))
@@ -515,7 +436,7 @@ class Plant(Component, Generic[S]):
         motion = rk4(rate, Motion.of(state), step, rolled=True)
         return self.project(motion.applied_to(state, state.pressures))
 
-    def commands_for(self, state: S, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
+    def commands_for(self, state: PlantState, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite if there are none."""
         muscles = enumerate(zip(state.pressures, rates, strict=True))
         valve = self._valve
@@ -524,10 +445,10 @@ class Plant(Component, Generic[S]):
         volumes = self.air_volumes(state)
         return tuple(valve.for_muscle(i).command_for(*muscle, volumes[i]) for i, muscle in muscles)
 
-    def complete_state(self, state: S) -> S:
+    def complete_state(self, state: PlantState) -> PlantState:
         """Return a state with initial values for the internal states, the io state and the commands that it lacks."""
         pairs = zip(state.muscles, self.init_muscles(state), strict=True)
-        zero = jnp.zeros_like(floating(jax.tree.leaves(state[1])[0]))
+        zero = jnp.zeros_like(floating(jax.tree.leaves(state.velocity)[0]))
         io, air = state.io, state.air
         if io == () and not self.has_ideal_io:
             torque = jax.tree.map(jnp.zeros_like, self.disturbing_torque(zero))
@@ -542,7 +463,7 @@ class Plant(Component, Generic[S]):
             state = state._replace(sent=(self._holding(state, zero),) * self.delay_periods)
         return state
 
-    def _holding(self, state: S, zero: Scalar) -> tuple[Array, ...]:
+    def _holding(self, state: PlantState, zero: Scalar) -> tuple[Array, ...]:
         """Commands [Pa] at which the pressures stay; the opening 0 of valves with `direct` commands."""
         zeros = (zero,) * len(state.pressures)
         return zeros if self._valve.direct else self.clip_commands(self.commands_for(state, zeros))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,80 +13,24 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 from numpy.typing import NDArray
 
-from mckibben.actuator.base import Actuator, AirState
-from mckibben.component.base import Component
+from mckibben.actuator.base import Actuator
 from mckibben.errors import UnreachableError
-from mckibben.joint import AntagonisticJoint, Load, Measurement
-from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint.antagonistic import pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
 from mckibben.joint.geometry import Pressures
-from mckibben.joint.route import Route
-from mckibben.mechanism.base import Mechanism
 from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
+from mckibben.mechanism.hinge import Hinge
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
-from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
-from mckibben.plant.base import Angles, IOState, LastStep, Plant
+from mckibben.plant.base import Angles, Plant
 from mckibben.plant.sensors import PerfectSensors
+from mckibben.plant.state import PlantState
 from mckibben.units import deg
 
 Scalar = Float[Array, ""]
-
-
-class PlantState(NamedTuple):
-    """State of a `JointPlant`; parts that a plant lacks have no leaves."""
-
-    angle: Scalar
-    velocity: Scalar
-    pressures: tuple[Scalar, Scalar]
-    muscles: MuscleStates = NO_STATES
-    io: IOState | tuple[()] = ()  # of sensors and disturbance
-    air: AirState | tuple[()] = ()
-    friction: FrictionState = ()  # of the joint
-    sent: tuple[tuple[Scalar, Scalar], ...] = ()  # commands [Pa] on their way, the latest first
-    last: LastStep | tuple[()] = ()
-
-
-@dataclasses.dataclass(frozen=True)
-class Hinge(Mechanism):
-    """One joint with two muscles and a load in closed form; its motion follows Eq. 6 with the torque of Eq. 7."""
-
-    joint: AntagonisticJoint
-    load: Load
-    friction: JointFriction | None = None
-
-    @property
-    def muscles(self) -> tuple[Muscle, Muscle]:
-        return self.joint.muscles
-
-    def components(self, kind: type) -> tuple[Component, ...]:
-        return (self.joint,) if kind is AntagonisticJoint else ()
-
-    @property
-    def frictions(self) -> tuple[JointFriction | None]:
-        return (self.friction,)
-
-    @property
-    def coordinates(self) -> int:
-        return 1
-
-    def by_joint(self, value: PyTree) -> tuple[PyTree]:
-        return (value,)
-
-    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
-        (value,) = values
-        return value
-
-    def routes(self, position: ArrayLike) -> tuple[Route, Route]:
-        return self.joint.routes(position)
-
-    def stiffness(self, position: Scalar, pressures: Sequence[Array]) -> tuple[Array]:
-        return (self.joint.evaluate(position, (pressures[0], pressures[1]))[1],)
-
-    def acceleration(self, position: Scalar, velocity: Scalar, torques: Sequence[Array]) -> Array:
-        return self.load.acceleration(position, velocity, *torques)
 
 
 def _rated(joint: AntagonisticJoint) -> tuple[Any, ...]:
@@ -98,7 +42,7 @@ def rated_for(joint: AntagonisticJoint, pressures: tuple[ArrayLike, ...]) -> Ant
     return eqx.tree_at(_rated, joint, pressures)
 
 
-class JointPlant(Plant[PlantState]):
+class JointPlant(Plant):
     """The simulated system: joint, load, valves, sensors and disturbance; controllers have no access to it.
 
     Its motion follows Eq. 6 of the paper with the torque of Eq. 7, the disturbance, and friction.
@@ -166,12 +110,6 @@ class JointPlant(Plant[PlantState]):
         sensors, disturbance = PerfectSensors(), NoDisturbance()
         return dataclasses.replace(self, sensors=sensors, disturbance=disturbance, command_delay=None, delay_periods=0)
 
-    def true_measurement(self, state: PlantState) -> Measurement:
-        return Measurement(state.angle, state.pressures)
-
-    def disturbing_torque(self, time: ArrayLike) -> Scalar:
-        return floating(self.disturbance.torque(time))
-
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the total stiffness [N*m/rad], of muscles (Eq. 8) and gravity, at an angle [rad] and pressures."""
         return self.joint.stiffness(angle, pressures) + self.load.gravity_stiffness(angle)
@@ -181,9 +119,6 @@ class JointPlant(Plant[PlantState]):
         if self.friction is not None:
             found["joint_friction_torque"] = -self.friction.resisting_torque(state.friction, state.angle)
         return found
-
-    def begin(self, start: PlantState) -> PlantState:
-        return start._replace(last=())
 
     def init_state(self, angle: ArrayLike, pressures: Pressures) -> PlantState:
         """Return the state without velocity at an angle [rad] and gauge pressures [Pa], its muscles relaxed."""

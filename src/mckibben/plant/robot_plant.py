@@ -12,60 +12,36 @@ from typing import Annotated, Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirState, at_room_temperature
-from mckibben.component.base import Component
+from mckibben.actuator.base import Actuator, at_room_temperature
 from mckibben.component.checks import check_count, check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
-from mckibben.joint import AntagonisticJoint, Measurement
-from mckibben.joint.route import Route
-from mckibben.mechanism.base import Mechanism, RobotMeasurement
-from mckibben.mechanism.bodies import MOTIONS
+from mckibben.mechanism.base import RobotMeasurement
 from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
 from mckibben.mechanism.dynamics import (
-    Contact,
-    Posture,
-    Velocity,
-    acceleration,
     at_rest,
-    contacts,
-    frames,
     mobilities,
     motion,
     posture_of,
 )
-from mckibben.mechanism.ground import Ground, compliant_force
-from mckibben.mechanism.joint_friction import JointFriction
+from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.robot import Robot
-from mckibben.muscle import Muscle, MuscleState, SpringLaw
+from mckibben.mechanism.robot_tree import Tree
+from mckibben.muscle import MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
-from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.elementary import floating
-from mckibben.numerics.spatial import Vector, difference, product
-from mckibben.plant.base import IOState, LastStep, Plant
+from mckibben.numerics.spatial import Vector
+from mckibben.plant.base import Plant
 from mckibben.plant.sensors import PerfectSensors
+from mckibben.plant.state import PlantState
 from mckibben.units import Gravity, show
 
 Scalar = Float[Array, ""]
 
 _MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
-
-
-class RobotState(NamedTuple):
-    """State of a `RobotPlant`; parts that it lacks have no leaves, as in a `PlantState`."""
-
-    posture: Posture
-    velocity: Velocity
-    pressures: tuple[Scalar, ...]
-    muscles: tuple[MuscleState, ...]
-    io: IOState | tuple[()] = ()
-    air: AirState | tuple[()] = ()
-    friction: tuple[FrictionState, ...] = ()
-    sent: tuple[tuple[Scalar, ...], ...] = ()
-    last: LastStep | tuple[()] = ()
 
 
 class RobotStart(NamedTuple):
@@ -109,78 +85,7 @@ class RobotSample(NamedTuple):
     outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
 
 
-@dataclasses.dataclass(frozen=True)
-class Tree(Mechanism):
-    """Bodies of a robot on hinges, with stops, on a base that may move, and the ground."""
-
-    robot: Robot
-    ground: Ground
-    gravity: PyTree
-
-    @property
-    def muscles(self) -> tuple[Muscle, ...]:
-        return self.robot.all_muscles
-
-    def components(self, kind: type) -> tuple[Component, ...]:
-        if kind is AntagonisticJoint:
-            return tuple(map(self.robot.pair, self.robot.pairs))
-        return (self.robot,) if kind is Robot else ()
-
-    @property
-    def frictions(self) -> tuple[JointFriction | None, ...]:
-        return tuple(joint.friction for joint in self.robot.joints)
-
-    @property
-    def coordinates(self) -> int:
-        return len(self.robot.motions) + sum(joint.locked is None for joint in self.robot.joints)
-
-    @property
-    def has_contacts(self) -> bool:
-        return bool(self.robot.spheres)
-
-    def by_joint(self, value: PyTree) -> tuple[PyTree, ...]:
-        return value.angles if isinstance(value, Posture) else value
-
-    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
-        return tuple(values) if template is None else template._replace(angles=tuple(values))
-
-    def moving(self, value: PyTree) -> PyTree:
-        return value._replace(**dict.fromkeys({*MOTIONS["floating"]}.difference(self.robot.motions)))
-
-    def routes(self, position: Posture) -> Sequence[Route]:
-        return self.robot.routed_muscles(position.angles)
-
-    def stiffness(self, position: Posture, pressures: Sequence[Array]) -> tuple[Array, ...]:
-        return self.robot.stiffness(position.angles, pressures)
-
-    def acceleration(self, position: Posture, velocity: Velocity, torques: Sequence[Array]) -> Velocity:
-        robot, stops = self.robot, self.stop_torques(position, velocity)
-        joints = zip(robot.joints, torques, velocity.angles, stops, strict=True)
-        driven = [difference(torque, product(joint.damping, rate)) + stop for joint, torque, rate, stop in joints]
-        forces = self.contact_forces(position, velocity)
-        return acceleration(robot, position, velocity, driven, forces, self.gravity, self.ground.normal)
-
-    def stop_torques(self, position: Posture, velocity: Velocity) -> tuple[Array, ...]:
-        """Return the torques [N*m] of the stops of all joints."""
-        torques = []
-        for joint, angle, rate in zip(self.robot.joints, position.angles, velocity.angles, strict=True):
-            stiffness, damping = joint.stop_stiffness, joint.stop_damping
-            beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
-            torques.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
-        return tuple(torques)
-
-    def contacts(self, position: Posture, velocity: Velocity) -> list[Contact]:
-        """Return the points of the spheres that are nearest to the ground."""
-        if not self.has_contacts:
-            return []
-        return contacts(self.robot, frames(self.robot, position, velocity), self.ground.normal)
-
-    def contact_forces(self, position: Posture, velocity: Velocity) -> tuple[Vector, ...]:
-        """Return the forces [N] of the ground on all spheres."""
-        return tuple(map(self.ground.force, self.contacts(position, velocity)))
-
-
-class RobotPlant(Plant[RobotState]):
+class RobotPlant(Plant):
     """The simulated robot: bodies, muscles, valves, ground and sensors; controllers have no access to it.
 
     Parameters
@@ -217,33 +122,25 @@ class RobotPlant(Plant[RobotState]):
         robot = dataclasses.replace(self.robot, joints=joints)
         return dataclasses.replace(self, robot=robot, sensors=PerfectSensors(), command_delay=None, delay_periods=0)
 
-    def true_measurement(self, state: RobotState) -> Measurement:
-        angles: Any = state.posture.angles
-        pressures: Any = state.pressures
-        return Measurement(angles, pressures)
-
-    def sample(self, state: RobotState, period: ArrayLike) -> tuple[RobotState, RobotMeasurement]:
+    def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, RobotMeasurement]:
         state, (angles, pressures) = super().sample(state, period)
         return state, RobotMeasurement(cast(Any, angles), pressures, self.ground_force(state).dot(self.ground.normal))
 
-    def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
-        return tuple(floating(one.torque(time)) for one in self.disturbances)
-
-    def observe(self, state: RobotState) -> RobotSample:
+    def observe(self, state: PlantState) -> RobotSample:
         forces, volumes = self.forces(state), self.air_volumes(state)
-        stops = self.mechanism.stop_torques(state.posture, state.velocity)
-        moving = motion(self.robot, state.posture, state.velocity, self.gravity)
+        stops = self.mechanism.stop_torques(state.position, state.velocity)
+        moving = motion(self.robot, state.position, state.velocity, self.gravity)
         contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
             for muscle, one in zip(self.robot.all_muscles, forces.contractions, strict=True)
         ]
-        zero, ground = jnp.zeros_like(state.posture.x), self.ground_force(state)
-        base = {name: getattr(state.posture, name) for name in ("x", "y", "z", "pitch", "yaw", "roll")}
+        zero, ground = jnp.zeros_like(state.position.x), self.ground_force(state)
+        base = {name: getattr(state.position, name) for name in ("x", "y", "z", "pitch", "yaw", "roll")}
         return RobotSample(
             **{name: zero if value is None else value for name, value in base.items()},
             speed=state.velocity.z,
-            angle=state.posture.angles,
+            angle=state.position.angles,
             velocity=state.velocity.angles,
             pressure=state.pressures,
             tension=forces.tensions,
@@ -302,7 +199,7 @@ class RobotPlant(Plant[RobotState]):
         *,
         clearance: ArrayLike = 0.0,
         upward_speed: ArrayLike = 0.0,
-    ) -> RobotState:
+    ) -> PlantState:
         """Return the state of a posture at gauge pressures [Pa], all of it moving upwards at a speed [m/s].
 
         Parameters
@@ -353,7 +250,7 @@ class RobotPlant(Plant[RobotState]):
                 remedy = "give other angles, or the plane a greater distance"
                 raise RangeError("the start is inside the plane", field="distance", value=distance, remedy=remedy)
 
-    def begin(self, start: RobotStart) -> RobotState:
+    def begin(self, start: RobotStart) -> PlantState:
         self.check_start(start)
         robot = self.robot
         held = tuple(map(floating, robot.held(start.angles)))
@@ -365,26 +262,26 @@ class RobotPlant(Plant[RobotState]):
             posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
         inside = tuple(map(floating, start.pressures))
         muscles = (MuscleState((), ()),) * len(inside)
-        return self.complete_state(RobotState(posture, velocity, inside, muscles))
+        return self.complete_state(PlantState(posture, velocity, inside, muscles))
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] within rated pressures and supply; `RangeError` unless each muscle has one."""
         check_count("commands", len(commands), len(self.muscles), f"of {', '.join(self.robot.muscle_names)}")
         return super().clip_commands(commands)
 
-    def ground_force(self, state: RobotState) -> Vector:
+    def ground_force(self, state: PlantState) -> Vector:
         """Return the force [N] of the ground on all spheres: forwards, to the left, and up."""
-        return _sum(self.mechanism.contact_forces(state.posture, state.velocity), state)
+        return _sum(self.mechanism.contact_forces(state.position, state.velocity), state)
 
-    def energy(self, state: RobotState) -> Float[Array, ""]:
+    def energy(self, state: PlantState) -> Float[Array, ""]:
         """Return the mechanical energy of the bodies [J]."""
-        found = motion(self.robot, state.posture, state.velocity, self.gravity)
+        found = motion(self.robot, state.position, state.velocity, self.gravity)
         return found.kinetic + found.potential
 
 
-def _sum(forces: Sequence[Vector], state: RobotState) -> Vector:
+def _sum(forces: Sequence[Vector], state: PlantState) -> Vector:
     """Sum of forces [N], of arrays."""
-    zero = jnp.zeros_like(state.posture.x)
+    zero = jnp.zeros_like(state.position.x)
     return functools.reduce(operator.add, forces) if forces else Vector(zero, zero, zero)
 
 

@@ -15,7 +15,7 @@ from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.muscles import MusclePair, MuscleUnit, OverJoint, PathMuscle
 from mckibben.mechanism.point_stiffness import PointStiffness, point_stiffness, stiffness_matrix
 from mckibben.mechanism.robot import Robot
-from mckibben.plant.robot_plant import RobotPlant, RobotStart, RobotState
+from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.scenario.reading import ReadRobot, read_mjcf
 from mckibben.scenario.robot import RobotScenario, read_robot
 from mckibben.scenario.tracking import TrackingResult, run_tracking
@@ -59,7 +59,6 @@ __all__ = [
     "RobotResult",
     "RobotScenario",
     "RobotStart",
-    "RobotState",
     "StaticPressures",
     "TimedReference",
     "TrackingControl",

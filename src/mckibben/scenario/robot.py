@@ -42,8 +42,8 @@ from mckibben.mechanism.robot import Robot
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import PerfectSensors
-from mckibben.plant.robot_plant import RobotPlant, RobotStart, RobotState
+from mckibben.plant import PerfectSensors, PlantState
+from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Remark
 from mckibben.scenario.robot_settings import (
     DrawSettings,
@@ -89,7 +89,7 @@ class RobotStarts(NamedTuple):
     starts: RobotStart
     exist: NDArray[np.bool_]
 
-    def state(self, plant: RobotPlant, angles: Sequence[ArrayLike]) -> tuple[RobotState, NDArray[np.bool_]]:
+    def state(self, plant: RobotPlant, angles: Sequence[ArrayLike]) -> tuple[PlantState, NDArray[np.bool_]]:
         """Return the state of a plant, and whether it exists, as `AtRest.state`."""
         return plant.begin(self.starts), self.exist
 

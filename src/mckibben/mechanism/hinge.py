@@ -1,0 +1,57 @@
+"""A joint with its load in closed form."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from jaxtyping import Array, ArrayLike, Float, PyTree
+
+from mckibben.component.base import Component
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint.route import Route
+from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.joint_friction import JointFriction
+from mckibben.muscle import Muscle
+
+Scalar = Float[Array, ""]
+
+
+@dataclasses.dataclass(frozen=True)
+class Hinge(Mechanism):
+    """One joint with two muscles and a load in closed form; its motion follows Eq. 6 with the torque of Eq. 7."""
+
+    joint: AntagonisticJoint
+    load: Load
+    friction: JointFriction | None = None
+
+    @property
+    def muscles(self) -> tuple[Muscle, Muscle]:
+        return self.joint.muscles
+
+    def components(self, kind: type) -> tuple[Component, ...]:
+        return (self.joint,) if kind is AntagonisticJoint else ()
+
+    @property
+    def frictions(self) -> tuple[JointFriction | None]:
+        return (self.friction,)
+
+    @property
+    def coordinates(self) -> int:
+        return 1
+
+    def by_joint(self, value: PyTree) -> tuple[PyTree]:
+        return (value,)
+
+    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
+        (value,) = values
+        return value
+
+    def routes(self, position: ArrayLike) -> tuple[Route, Route]:
+        return self.joint.routes(position)
+
+    def stiffness(self, position: Scalar, pressures: Sequence[Array]) -> tuple[Array]:
+        return (self.joint.evaluate(position, (pressures[0], pressures[1]))[1],)
+
+    def acceleration(self, position: Scalar, velocity: Scalar, torques: Sequence[Array]) -> Array:
+        return self.load.acceleration(position, velocity, *torques)

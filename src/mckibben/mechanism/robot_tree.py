@@ -1,0 +1,91 @@
+"""A robot as a mechanism: its bodies with stops, on a base that may move, and the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from jaxtyping import Array, PyTree
+
+from mckibben.component.base import Component
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.route import Route
+from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.bodies import MOTIONS
+from mckibben.mechanism.dynamics import Contact, Posture, Velocity, acceleration, contacts, frames
+from mckibben.mechanism.ground import Ground, compliant_force
+from mckibben.mechanism.joint_friction import JointFriction
+from mckibben.mechanism.robot import Robot
+from mckibben.muscle import Muscle
+from mckibben.numerics.spatial import Vector, difference, product
+
+
+@dataclasses.dataclass(frozen=True)
+class Tree(Mechanism):
+    """Bodies of a robot on hinges, with stops, on a base that may move, and the ground."""
+
+    robot: Robot
+    ground: Ground
+    gravity: PyTree
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return self.robot.all_muscles
+
+    def components(self, kind: type) -> tuple[Component, ...]:
+        if kind is AntagonisticJoint:
+            return tuple(map(self.robot.pair, self.robot.pairs))
+        return (self.robot,) if kind is Robot else ()
+
+    @property
+    def frictions(self) -> tuple[JointFriction | None, ...]:
+        return tuple(joint.friction for joint in self.robot.joints)
+
+    @property
+    def coordinates(self) -> int:
+        return len(self.robot.motions) + sum(joint.locked is None for joint in self.robot.joints)
+
+    @property
+    def has_contacts(self) -> bool:
+        return bool(self.robot.spheres)
+
+    def by_joint(self, value: PyTree) -> tuple[PyTree, ...]:
+        return value.angles if isinstance(value, Posture) else value
+
+    def like_joints(self, values: Sequence[PyTree], template: PyTree = None) -> PyTree:
+        return tuple(values) if template is None else template._replace(angles=tuple(values))
+
+    def moving(self, value: PyTree) -> PyTree:
+        return value._replace(**dict.fromkeys({*MOTIONS["floating"]}.difference(self.robot.motions)))
+
+    def routes(self, position: Posture) -> Sequence[Route]:
+        return self.robot.routed_muscles(position.angles)
+
+    def stiffness(self, position: Posture, pressures: Sequence[Array]) -> tuple[Array, ...]:
+        return self.robot.stiffness(position.angles, pressures)
+
+    def acceleration(self, position: Posture, velocity: Velocity, torques: Sequence[Array]) -> Velocity:
+        robot, stops = self.robot, self.stop_torques(position, velocity)
+        joints = zip(robot.joints, torques, velocity.angles, stops, strict=True)
+        driven = [difference(torque, product(joint.damping, rate)) + stop for joint, torque, rate, stop in joints]
+        forces = self.contact_forces(position, velocity)
+        return acceleration(robot, position, velocity, driven, forces, self.gravity, self.ground.normal)
+
+    def stop_torques(self, position: Posture, velocity: Velocity) -> tuple[Array, ...]:
+        """Return the torques [N*m] of the stops of all joints."""
+        torques = []
+        for joint, angle, rate in zip(self.robot.joints, position.angles, velocity.angles, strict=True):
+            stiffness, damping = joint.stop_stiffness, joint.stop_damping
+            beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
+            torques.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
+        return tuple(torques)
+
+    def contacts(self, position: Posture, velocity: Velocity) -> list[Contact]:
+        """Return the points of the spheres that are nearest to the ground."""
+        if not self.has_contacts:
+            return []
+        return contacts(self.robot, frames(self.robot, position, velocity), self.ground.normal)
+
+    def contact_forces(self, position: Posture, velocity: Velocity) -> tuple[Vector, ...]:
+        """Return the forces [N] of the ground on all spheres."""
+        return tuple(map(self.ground.force, self.contacts(position, velocity)))
