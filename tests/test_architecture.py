@@ -116,7 +116,7 @@ BUDGET = {
     "scenario": 1860,
     "serial_protocol": 160,
     "simulation": 3240,
-    "statics": 450,
+    "statics": 600,
     "storage": 590,
     "study": 3450,
     "web": 2830,

@@ -12,18 +12,18 @@ from jaxtyping import Array, PyTree
 
 from mckibben.codegen.engine import compiled
 from mckibben.component.checks import check_positive
-from mckibben.errors import McKibbenError
 from mckibben.mechanism.robot import Robot
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.result import Column, Remark
 from mckibben.scenario.robot import RobotScenario
 from mckibben.scenario.scenario import errors_of
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.simulation.robot_metrics import TrackingMetrics, TrackingSample, inflow
 from mckibben.simulation.robots import RobotResult, simulate_robot
-from mckibben.statics.attainable import attainable_statics
-from mckibben.statics.posture import EXACT, Floats, holding_torques, is_affine
-from mckibben.statics.pressures import pressures_for_joint_stiffness
+from mckibben.statics.reference import check_postures
 from mckibben.units import deg
+
+_POSTURES = 25  # at which the reference is checked
 
 
 class TrackingResult(RobotResult):
@@ -90,7 +90,9 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
         check_positive("reference", "N*m/rad", stiffness=desired["desired_stiffness"])
-        found = _unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"])
+        times, some = parts[0][0], evenly_spaced(parts[0][0].size, _POSTURES)
+        rows = (values[:, some].T for values in desired.values())
+        found = check_postures(scenario.robot, times[some], *rows, supply=scenario.supply)
         notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
@@ -105,36 +107,3 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
 def joint_stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
     """Return the stiffness [N*m/rad] of the joints at angles [rad] and pressures [Pa], many along the last axis."""
     return robot.stiffness(*lane)
-
-
-def _unattainable(
-    scenario: RobotScenario, times: Floats, angles: Floats, stiffness: Floats, postures: int = 25
-) -> Iterator[Remark]:
-    """Remarks on postures that the muscles cannot hold, and on stiffness that they do not attain there, at rest."""
-    robot, supply = scenario.robot, scenario.supply
-    if not is_affine(robot):
-        yield Remark.note("reference", "not checked: a law is not affine in pressure, or a tendon not rigid")
-        return
-    worst: dict[str, tuple[float, Remark]] = {}
-    for index in np.unique(np.linspace(0, times.size - 1, postures).astype(int)):
-        posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {times[index]:.3g} s"
-        try:
-            torques = holding_torques(robot, posture)
-            found = pressures_for_joint_stiffness(robot, posture, wanted, torques=torques, supply=supply)
-            if found.exact:
-                continue
-            ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
-        except McKibbenError as error:
-            yield Remark.warning("reference", f"{at}: {error.message}", error.remedy)
-            return
-        own = {joint.name: value for joint, value in zip(robot.joints, wanted, strict=True) if joint.name in ranges}
-        for name, value in own.items():
-            (low, high), limits = ranges[name].stiffness, ranges[name].limits
-            if (excess := max(low - value, value - high)) > max(EXACT * value, worst.get(name, (0.0,))[0]):
-                text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"
-                by = limits[2 if value < low else 3]
-                worst[name] = excess, Remark.warning("reference", f"{text} ({by})", "choose a stiffness between")
-        if not worst:
-            text = f"{at} the joints do not attain their stiffness together: relative error {found.error:.2g}"
-            worst["all"] = found.error, Remark.warning("reference", text, "the nearest is given")
-    yield from (remark for _, remark in worst.values())
