@@ -29,6 +29,7 @@ from mckibben.identification.loading_path import (
     TURN_TRAVELS,
     DriftBasis,
     LoadingPaths,
+    half_gap_of_lengths,
     loop_half_width,
     with_last_motion,
 )
@@ -263,7 +264,7 @@ def identify_hysteresis(
     model = dataclasses.replace(model, drift=bases[-1])
     comparison: Mapping[FrictionForm, float] = {}
     free = set(FRICTION)
-    if at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
+    if fixed := at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
         form, free = form or FrictionForm.COULOMB, free - {"half_width"}
         start["half_width"] = half_gap
     if form is None:
@@ -277,6 +278,7 @@ def identify_hysteresis(
     if "half_width" not in free:
         result.standard_errors["half_width"] = gap_error
     notes = [*left_out(outliers), *about_creep, *about_presliding, *_doubts(model, solution, result)]
+    notes += _released(means, used & taut) if fixed else []
     return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
 
 
@@ -478,6 +480,18 @@ def _presliding(
     )
     remark = Remark.warning("presliding_length", text, "record a short stroke with a reversal: long ones are averaged")
     return held, {"presliding_length": float(most)}, [remark]
+
+
+def _released(means: IsobaricDataset, taut: Bools) -> list[Remark]:
+    """Remark on fixed lengths at whose end the friction is less than the motion left (95 %)."""
+    (first, error, freedom), (last, other, _) = (half_gap_of_lengths(means, taut, last=end) for end in (False, True))
+    if not first - last > t_quantile(0.95, freedom) * np.hypot(error, other):
+        return []
+    text = f"the friction is {first:.3g} N after a move, and {last:.3g} N at the end of a length"
+    why = "the frame yields as the pressure changes, and the law has part of the friction"
+    return [
+        Remark.warning("friction", f"{text}: {why}", "measure strokes at constant pressures, or in a stiffer frame")
+    ]
 
 
 def _doubts(model: PathDependentModel, solution: PathSolution, result: HysteresisFit) -> Iterable[Remark]:
