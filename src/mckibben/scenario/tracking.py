@@ -90,7 +90,7 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
         check_positive("reference", "N*m/rad", stiffness=desired["desired_stiffness"])
-        found = _unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"])
+        found = unattainable(scenario, parts[0][0], desired["desired_angle"], desired["desired_stiffness"])
         notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
@@ -107,7 +107,7 @@ def joint_stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ..
     return robot.stiffness(*lane)
 
 
-def _unattainable(
+def unattainable(
     scenario: RobotScenario, times: Floats, angles: Floats, stiffness: Floats, postures: int = 25
 ) -> Iterator[Remark]:
     """Remarks on postures that the muscles cannot hold, and on stiffness that they do not attain there, at rest."""
