@@ -298,7 +298,8 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     """Best of the models, and its values: the state at the start of paths, and whether the muscle rested at turns."""
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap}
     start["log_presliding"] = float(np.log(USUAL_PRESLIDING * model.initial_length))
-    form = FrictionForm.CONSTANT if model.rate is None else FrictionForm.VISCOUS
+    few = FrictionForm.CONSTANT if model.missing(FrictionForm.PRESSURE) else FrictionForm.PRESSURE
+    form = few if model.rate is None else FrictionForm.VISCOUS
     start, measured, held = model.start(start, form), model, held_loads(model.means.table) is not None
     if held:
         model = model.with_held_loads(law, start)

@@ -210,13 +210,18 @@ def _check_order(
 
 
 def _turns(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
-    """1 or -1 at a row of another direction than the row before it, at its position or behind it; else 0."""
+    """1 or -1 at a row of another direction than the row before it, at its position or behind it; else 0.
+
+    The muscle moves on from there: where a held load sticks over several rows, its turn was measured.
+    """
     turns = np.zeros(len(length))
     for path in paths:
         move, turn = np.diff(length[path]), np.diff(loading[path].astype(float))
         size = np.abs(move)
-        neighbours = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
-        turns[path[1:]] = np.where((size <= _NEAR * neighbours) | (move * turn < 0), turn, 0.0)
+        following = np.append(size[1:], size[-1:])
+        near = size <= _NEAR * np.minimum(np.append(size[:1], size[:-1]), following)
+        moves_on = following > _NEAR * np.median(size)
+        turns[path[1:]] = np.where((near | (move * turn < 0)) & moves_on, turn, 0.0)
     return turns
 
 
