@@ -249,7 +249,7 @@ def run_parts(
                 ready(name)
             session, records = prepare(part, rig, paced=rig.physical, firmware=firmware), Path(folder) / name
             run: JointRunResult = session.run(records, progress=progress)
-            if run.outcome.error is not None or run.result is None:
+            if run.outcome.error is not None or not isinstance(run.result, SimulationResult):
                 raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")
             results[name] = run.result
         results[name].to_netcdf(records / "result.nc")
