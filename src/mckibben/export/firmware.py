@@ -79,7 +79,7 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
         [(channel, "Pa") for channel in names.valves],
         [*((angle, "rad") for angle in angles), *((one, "N*m/rad") for one in names.by_joint("stiffness"))],
     )
-    most = (LONGEST - len(Sample(*[0] * 6, ()).pack())) // 4
+    most = (LONGEST - len(Sample(0, 0, 0, 0, 0, 0, ()).pack())) // 4
     if (count := len(channels) + len(names.muscles)) > most:
         remedy = "use a board for each of its limbs"
         raise ExportError(
@@ -176,7 +176,7 @@ class BoardParts(NamedTuple):
 
 def _angles(module: SourceModule) -> list[str]:
     """Members of the state of a plant that are the angles of its joints."""
-    return [member.name for member in module.state if re.fullmatch(r"angle|posture\.angles\.\d+", member.path)]
+    return [member.name for member in module.state if re.fullmatch(r"position(\.angles\.\d+)?", member.path)]
 
 
 def _plant(scenario: Scenario | RobotScenario, period: float) -> SourceModule:

@@ -16,7 +16,7 @@ from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
 from mckibben.muscle import MuscleState, NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
-from mckibben.plant.robot_plant import RobotPlant, RobotState
+from mckibben.plant.robot_plant import RobotPlant
 from mckibben.result import Column, Listing, Remark
 from mckibben.rig.channels import Channels
 from mckibben.scenario.tracking import TrackingResult
@@ -108,7 +108,7 @@ class MeasuredRun(NamedTuple):
 def measured_robot(
     columns: Mapping[str, NDArray[np.float64]],
     plant: RobotPlant,
-    start: RobotState,
+    start: PlantState,
     channels: Channels,
     period: float,
     *,
@@ -146,14 +146,14 @@ def measured_robot(
 
 
 @compiled
-def _observed(robot: tuple[RobotPlant, RobotState], lanes: PyTree) -> PyTree:
+def _observed(robot: tuple[RobotPlant, PlantState], lanes: PyTree) -> PyTree:
     """Sample and stiffness [N*m/rad] at angles [rad], velocities [rad/s] and pressures [Pa], over the last axis."""
     plant, start = robot
     angles, velocities, pressures = lanes
     like = plant.mechanism.like_joints
-    posture, velocity = like(angles, start.posture), like(velocities, start.velocity)
+    position, velocity = like(angles, start.position), like(velocities, start.velocity)
     muscles, friction = (MuscleState((), ()),) * len(pressures), ()
-    bare = start._replace(posture=posture, velocity=velocity, pressures=pressures, muscles=muscles, friction=friction)
+    bare = start._replace(position=position, velocity=velocity, pressures=pressures, muscles=muscles, friction=friction)
     return plant.observe(plant.complete_state(bare)), plant.robot.stiffness(angles, pressures)
 
 
