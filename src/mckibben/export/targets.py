@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,9 +105,6 @@ TARGETS = {
 """Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = "c", "js", "fmu", "fmu-controller", "mjcf"
-"""Formats of a robot."""
-
 
 _MEANT = {
     **dict.fromkeys(("arduino", "teensy", "esp32", "stm32", "board", "sketch"), "firmware"),
@@ -115,13 +112,13 @@ _MEANT = {
 }
 
 
-def check_target(target: str, targets: Collection[str] = TARGETS, owner: str = "joint") -> None:
-    """Raise `ParameterError` unless a format is one of these; the remedy names the one that is meant."""
-    if target not in targets:
-        names = {**_MEANT, **{name: name for name in targets}}
-        meant = names.get(closest(target, [*names]), "")
-        remedy = f"did you mean {meant}?" if meant in targets else f"give {' or '.join(targets)}"
-        raise ParameterError(f"{quoted(target)} is not a format of a {owner}", field="to", value=target, remedy=remedy)
+def check_target(target: str) -> None:
+    """Raise `ParameterError` unless it is a format; the remedy names the one that is meant."""
+    if target not in TARGETS:
+        names = {**_MEANT, **{name: name for name in TARGETS}}
+        meant = names.get(closest(target, [*names]))
+        remedy = f"did you mean {meant}?" if meant else f"give {' or '.join(TARGETS)}"
+        raise ParameterError(f"{quoted(target)} is not a format", field="to", value=target, remedy=remedy)
 
 
 @checked_call
@@ -142,17 +139,16 @@ def export(
     Parameters
     ----------
     target
-        One of `TARGETS`, or of `ROBOT_TARGETS` for a robot.
+        One of `TARGETS`.
     name
         Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``joint`` or ``robot``,
         according to the format.
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
     """
-    targets, owner = (tuple(TARGETS), "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
-    check_target(target, targets, owner)
+    check_target(target)
     place, default = TARGETS[target]
-    name = check_name(name or (owner if default == "joint" else default))
+    name = check_name(name or ("robot" if default == "joint" and scenario.joint_names else default))
     module, function = place.split(":")
     options = _options(hardware, target)
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)

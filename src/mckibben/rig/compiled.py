@@ -22,7 +22,7 @@ from mckibben.mechanism.base import RobotMeasurement
 from mckibben.muscle import MuscleState
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.program_cache import ARRAYS
-from mckibben.plant import JointPlant, Plant
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
 from mckibben.rig.channels import Channels
 from mckibben.scenario import Scenario
@@ -63,23 +63,21 @@ def vented_state(plant: Plant, start: PyTree = None) -> PyTree:
 
 def angles_of(plant: Plant, state: PyTree) -> tuple[float, ...]:
     """Angles [rad] of the joints in a state."""
-    return tuple(map(float, plant.mechanism.by_joint(state[0])))
+    return tuple(map(float, plant.mechanism.by_joint(state.position)))
 
 
 def _relaxed(plant: Plant, state: PyTree) -> PyTree:
     """A state without pressures, velocities and internal states."""
     zero = np.zeros(())
-    still = {state._fields[1]: jax.tree.map(lambda _: zero, state[1]), "pressures": (zero,) * len(plant.muscles)}
-    return state._replace(
-        **still, muscles=(MuscleState((), ()),) * len(plant.muscles), io=(), air=(), friction=(), sent=(), last=()
-    )
+    velocity, count = jax.tree.map(lambda _: zero, state.velocity), len(plant.muscles)
+    return PlantState(state.position, velocity, (zero,) * count, (MuscleState((), ()),) * count)
 
 
 @jit
 def _at_angles(plant: Plant, relaxed: PyTree, angles: tuple[ArrayLike, ...]) -> tuple[PyTree, tuple[Array, ...]]:
     """A state at other angles [rad], and the accelerations [rad/s^2] of the joints in it."""
-    position = plant.mechanism.like_joints(tuple(map(jnp.asarray, angles)), relaxed[0])
-    state = plant.complete_state(relaxed._replace(**{relaxed._fields[0]: position}))
+    position = plant.mechanism.like_joints(tuple(map(jnp.asarray, angles)), relaxed.position)
+    state = plant.complete_state(relaxed._replace(position=position))
     return state, plant.mechanism.by_joint(plant.rate(state).velocity)
 
 

@@ -20,7 +20,6 @@ from mckibben.scenario.scenario import errors_of
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.simulation.robot_metrics import TrackingMetrics, TrackingSample, inflow
 from mckibben.simulation.robots import RobotResult, simulate_robot
-from mckibben.statics.posture import Floats
 from mckibben.statics.reference import check_postures
 from mckibben.units import deg
 
@@ -91,7 +90,9 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
         check_positive("reference", "N*m/rad", stiffness=desired["desired_stiffness"])
-        found = unattainable(scenario, parts[0][0], *desired.values())
+        times, some = parts[0][0], evenly_spaced(parts[0][0].size, _POSTURES)
+        rows = (values[:, some].T for values in desired.values())
+        found = check_postures(scenario.robot, times[some], *rows, supply=scenario.supply)
         notes = (*scenario.reference_notes, *found)
         start, plant = scenario.initial(), scenario.plant()
         run = simulate_robot(plant, scenario.control(), start, **scenario.timing)
@@ -106,13 +107,3 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
 def joint_stiffness(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
     """Return the stiffness [N*m/rad] of the joints at angles [rad] and pressures [Pa], many along the last axis."""
     return robot.stiffness(*lane)
-
-
-def unattainable(scenario: RobotScenario, times: Floats, angles: Floats, stiffness: Floats) -> Iterator[Remark]:
-    """Yield remarks on postures of a reference that the muscles do not hold, at 25 of its times.
-
-    Angles [rad] and stiffness [N*m/rad] have the shape (joints, times).
-    """
-    some = evenly_spaced(times.size, _POSTURES)
-    rows = angles[:, some].T, stiffness[:, some].T
-    yield from check_postures(scenario.robot, times[some], *rows, supply=scenario.supply)
