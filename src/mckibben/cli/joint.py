@@ -49,12 +49,12 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
 
 @command
-def envelope(scenario: ScenarioFile) -> Envelope:
-    """Show the attainable set, whether the reference is feasible, and what would be."""
+def envelope(scenario: ScenarioFile, *, progress: Progress = None) -> Envelope:
+    """Show the attainable set of each joint, whether its reference is feasible, and what would be."""
     from mckibben import reachability
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import read_scenario
 
-    return reachability.envelope(Scenario.read(scenario))
+    return reachability.envelope(read_scenario(scenario), progress=progress)
 
 
 @command

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from mckibben.reachability import Envelope, Selection, StaticEnvelope, static_envelope
+from mckibben.reachability import Envelope, JointReach, Selection, StaticEnvelope, static_envelope
 from mckibben.reachability.static import Values
 from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _RANGE = "range of stiffness [N·m/rad]"
+_BALANCE = "torque that balances gravity"
 _SAMPLES_APART = 100
 _SHOWN_RANGE = 1.3  # of the required angles
 _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of valves
@@ -137,22 +138,26 @@ _STATIC = "#DCE9F2"
 
 @styled
 def envelope(envelope: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, and its reference.
+    """Attainable set of the joints of a scenario, and their reference.
 
-    Panels: torque that balances gravity over the angle, with the width of the stiffness range [N*m/rad] as contours;
-    stiffness over the angle; stiffness and angle over time, each with its static range.
+    Panels of a scenario of one joint: torque that balances gravity over the angle, with the width of the stiffness
+    range [N*m/rad] as contours; stiffness over the angle; stiffness and angle over time, each with its static range. A
+    robot has a row for each joint: torque and stiffness over its angle, the others held, and stiffness over time.
 
     Parameters
     ----------
     envelope
         Result of `mckibben.reachability.envelope`.
     """
+    if "" not in envelope.joints:
+        return _of_joints(envelope.joints)
+    reach = envelope.only
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
-    _torque(figure, torque, envelope)
-    _over_angle(stiffness, envelope)
-    _over_time(over_time, envelope)
-    _angle(angle, envelope)
+    _torque(figure, torque, reach)
+    _over_angle(stiffness, reach)
+    _over_time(over_time, reach)
+    _angle(angle, reach)
     titles = ("torque and stiffness range", "static stiffness", "stiffness along the reference", "angle")
     for i, (axes, title) in enumerate(zip(figure.axes, titles, strict=False)):
         letter(axes, i, title)
@@ -160,28 +165,57 @@ def envelope(envelope: Envelope) -> Figure:
     return figure
 
 
-def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
+def _of_joints(joints: Mapping[str, JointReach]) -> Figure:
+    """Draw torque and stiffness over the angle, and the stiffness over time, one row per joint."""
+    timed = any(reach.reference for reach in joints.values())
+    figure = blank(DOUBLE, 1.5 * len(joints) + 0.9)
+    rows = figure.subplots(len(joints), 2 + timed, squeeze=False, sharex="col" if len(joints) == 1 else False)
+    for row, (name, reach) in zip(rows, joints.items(), strict=True):
+        static, inside = reach.static, reach.static.inside
+        angles, limits = static.angles[inside] / deg, [edge[inside] for edge in static.torque_range]
+        draw_band(row[0], angles, *limits, color=_STATIC, label="attainable, static")
+        row[0].plot(
+            angles, static.torque[inside], color=VERMILLION, linewidth=1.1, label="torque that balances gravity"
+        )
+        row[0].set_ylabel(name)
+        _over_angle(row[1], reach)
+        if reach.reference is not None:
+            _over_time(row[2], reach)
+        for axes in row:
+            axes.set_xlabel("")
+        row[1].set_ylabel("")
+        row[-1].set_ylabel("")
+    titles = ("torque [N·m]", _STIFFNESS, _STIFFNESS)
+    for axes, title, label in zip(rows[0], titles, (_ANGLE, _ANGLE, "time [s]"), strict=False):
+        axes.set_title(title)
+        rows[-1, list(rows[0]).index(axes)].set_xlabel(label)
+    legend_above(figure, *rows[0], columns=4)
+    return figure
+
+
+def _torque(figure: Figure, axes: Axes, reach: JointReach) -> None:
     """Draw the torque [N*m] that balances gravity over the width of the stiffness range."""
-    static = envelope.static
+    static = reach.static
     angles, torque = static.angles[static.inside] / deg, static.torque[static.inside]
     if static.map_angles.size:
         drawn = _contours(axes, static, np.nan_to_num(static.map_stiffness.width), 10, "cividis")
         figure.colorbar(drawn, ax=axes, label=_RANGE, pad=0.02)
     axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
-    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque that balances gravity")
+    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label=_BALANCE)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
 
 
-def _over_angle(axes: Axes, envelope: Envelope) -> None:
+def _over_angle(axes: Axes, reach: JointReach) -> None:
     """Draw the static stiffness range over the angle; with friction on a logarithmic axis."""
-    static, reference = envelope.static, envelope.reference
+    static, reference = reach.static, reach.reference
     inside = static.inside
     if inside.any():
         _band(axes, static, color=_STATIC, label="attainable, static")
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
-    desired = reference.desired_stiffness
-    axes.plot(reference.desired_angle / deg, desired, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
+    desired = np.empty(0) if reference is None else reference.desired_stiffness
+    if reference is not None:  # back and forth: no dashes
+        axes.plot(reference.desired_angle / deg, desired, color=BLACK, linewidth=0.9, zorder=3)
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     if static.small_motion is None:
         _limits(axes, *(edge[inside] for edge in static.stiffness), desired)
@@ -201,9 +235,10 @@ def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None
         axes.plot(angles, edge[inside], color=BLUE, linewidth=0.9, linestyle=(0, (1, 1.2)), label=label)
 
 
-def _over_time(axes: Axes, envelope: Envelope) -> None:
+def _over_time(axes: Axes, reach: JointReach) -> None:
     """Draw stiffness range and reference [N*m/rad] over time [s]."""
-    reference = envelope.reference
+    reference = reach.reference
+    assert reference is not None
     times, desired = reference.times, reference.desired_stiffness
     draw_band(axes, times, reference.lowest, reference.highest, color=_STATIC, label="attainable, static")
     axes.plot(times, desired, label="reference", **DESIRED)
@@ -211,13 +246,14 @@ def _over_time(axes: Axes, envelope: Envelope) -> None:
     _limits(axes, reference.lowest, reference.highest, desired)
 
 
-def _angle(axes: Axes, envelope: Envelope) -> None:
+def _angle(axes: Axes, reach: JointReach) -> None:
     """Draw the reference of the angle [deg] over time, and the range in which the load can be held."""
-    static, times = envelope.static, envelope.reference.times
+    static, reference = reach.static, reach.reference
+    assert reference is not None
     if static.angle_min <= static.angle_max:
         axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
-    axes.plot(times, envelope.reference.desired_angle / deg, label="reference", **DESIRED)
-    axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(times[0], times[-1]))
+    axes.plot(reference.times, reference.desired_angle / deg, label="reference", **DESIRED)
+    axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(reference.times[0], reference.times[-1]))
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:

@@ -203,6 +203,11 @@ class StudiedScenario(RunSettings):
     def run_once(self, *, source: str = "") -> RunResult:
         """Simulate the scenario; `source` is its file, for errors. Raises `ScenarioError` if its parts do not fit."""
 
+    @checked_call
+    def envelope(self) -> Any:
+        """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
+        return _above("reachability").envelope(self)
+
     @abc.abstractmethod
     def batch_parts(self) -> BatchParts:
         """Return what is simulated apart from the controller, with arrays where runs of a batch differ."""
@@ -410,11 +415,6 @@ class Scenario(StudiedScenario):
         """
         changes |= {} if controller is None else {"controller": controller}
         return run_scenario(self.replace(**changes) if changes else self, warn_infeasible=True)
-
-    @checked_call
-    def envelope(self) -> Any:
-        """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
-        return _above("reachability").envelope(self)
 
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
         return _above("study.compare").Suite.of(self, controllers, **settings)

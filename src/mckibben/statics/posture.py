@@ -293,7 +293,7 @@ class HeldPosture(NamedTuple):
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(away > 0, self.high[muscles] - held[muscles], self.low[muscles] - held[muscles]) / away
         room[away == 0] = np.inf
-        first, multipliers = int(np.argmin(room)), np.zeros(goal.size)
+        first, multipliers = int(np.argmax(room <= room.min() + EXACT)), np.zeros(goal.size)
         if slope == 0:
             return float(goal @ held), multipliers
         multipliers[np.flatnonzero(muscles)[first]] = -slope / direction[first]
