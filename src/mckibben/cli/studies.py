@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -180,9 +179,7 @@ def tune(
         progress=progress,
     )
     own = zip(tuned.scenarios, texts, scenarios, strict=True)
-    return replace(
-        tuned, writers={name: partial(_write_tuned, tuned, *of) for name, of in zip(names, own, strict=True)}
-    )
+    return tuned.with_files({name: partial(_write_tuned, tuned, *of) for name, of in zip(names, own, strict=True)})
 
 
 @command

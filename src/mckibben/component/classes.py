@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from mckibben.binding import call
 from mckibben.component.extensions import module_origin
 from mckibben.errors import RangeError, quoted
 
@@ -38,13 +38,11 @@ class Catalog:
 
 
 _CATALOGS: dict[type, Catalog] = {}
-_BUILT_IN = "mckibben.catalog.entries"
-"""Module that registers the published entries: above this one, and loaded when a file names one."""
 
 
 def catalog_of(base: type) -> Catalog | None:
     """Return the catalog of a base, or of a class that it derives from."""
-    importlib.import_module(_BUILT_IN)
+    call("register_catalog")  # when a file names an entry
     return next((_CATALOGS[kind] for kind in base.__mro__ if kind in _CATALOGS), None)
 
 

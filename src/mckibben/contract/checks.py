@@ -44,7 +44,7 @@ from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
 from mckibben.errors import CompilerError, ExportError, McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Listing, Remark, Result
+from mckibben.result import Remark, Result, TableColumns, column, number, row_columns
 from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
 UNITS = Units(
@@ -76,11 +76,23 @@ class Finding:
         What was found, with the arguments at which, and what to do.
     """
 
-    kind: str
-    check: str
+    kind: str = column(title="class")
+    check: str = column(title="check")
     passed: bool | None
     found: str = ""
     remedy: str = ""
+
+    @property
+    @number(title="result")
+    def result(self) -> str:
+        """The result in words."""
+        return {True: "passed", False: "failed", None: "not checked"}[self.passed]
+
+    @property
+    @number(title="reason")
+    def reason(self) -> str:
+        """What was found."""
+        return self.found
 
 
 class ContractReport(Result):
@@ -93,6 +105,8 @@ class ContractReport(Result):
     findings
         Findings in the order of the classes and checks; a failed one is a severe remark.
     """
+
+    heading = "Contract"
 
     module: str
     findings: tuple[Finding, ...]
@@ -108,10 +122,9 @@ class ContractReport(Result):
                 text = f"{finding.kind}, {finding.check}: {finding.found}"
                 yield Remark.severe(finding.check, text, finding.remedy)
 
-    def listings(self) -> Iterator[Listing]:
-        words = {True: "passed", False: "failed", None: "not checked"}
-        rows = [(finding.kind, finding.check, words[finding.passed], finding.found) for finding in self.findings]
-        yield Listing.of("Contract", ("class", "check", "result", "reason"), rows)
+    def declared(self) -> TableColumns:
+        """Return the findings."""
+        return super().declared() | row_columns(Finding, self.findings)
 
 
 def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | None = None) -> list[Finding]:

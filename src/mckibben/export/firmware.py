@@ -10,7 +10,6 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.source_module import SourceModule
@@ -23,6 +22,7 @@ from mckibben.rig.compiled import vented_angle
 from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario
 from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, Hello, MessageKind
+from mckibben.version import __version__
 
 _ENUMS = {"KIND": MessageKind, "STATE": FirmwareState, "CODE": FaultCode, "SOURCE": CommandSource}
 """Enumerations of the protocol by their prefixes in C."""
@@ -50,11 +50,11 @@ def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Har
             raise ExportError(message, field=field, remedy=remedy)
     source, text = controller_functions(scenario, hardware.limits), scenario.dumps(folder=folder)
     module = stepping_module("controller", source)
-    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}."
+    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}."
     program = write_c(module, comment, single=hardware.single, wide=("setpoint",), units=units_of(module, "Pa, gauge"))
     channels = [("angle", "rad"), ("pressure1", "Pa"), ("pressure2", "Pa"), *[("force", "N")] * bool(hardware.force)]
     hello = Hello(
-        f"mckibben {mckibben.__version__} {hardware.board}",
+        f"mckibben {__version__} {hardware.board}",
         round(source.period * 1e6),
         scenario.digest,
         channels,
@@ -119,5 +119,5 @@ def _plant(scenario: Scenario, period: float) -> SourceModule:
 
 def _filled(names: tuple[str, ...], values: dict[str, object]) -> dict[str, str]:
     """Templates of this package with values."""
-    values = {"version": mckibben.__version__, **values}
+    values = {"version": __version__, **values}
     return {name: templates.filled(name, values, "mckibben.export") for name in names}

@@ -25,6 +25,7 @@ from mckibben.paper.identification import (
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import BP, DOUBLED_PID, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Tracking
 from mckibben.reachability import StaticEnvelope
+from mckibben.result import column
 from mckibben.simulation import SETTLING_PART
 from mckibben.units import bar, deg, quantity
 
@@ -64,8 +65,8 @@ class Claim:
         fitted to it, and with a friction from the literature, so that the evidence shows consistency and no more.
     """
 
-    claim: str
-    source: str
+    claim: str = column(title="statement")
+    source: str = column(title="source")
     words: str | None
     holds: bool
     evidence: str

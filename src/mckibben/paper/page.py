@@ -116,7 +116,7 @@ def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> Em
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
     """HTML text of the report of the paper; `drawn` has the figures by section, a key of `SECTIONS`."""
-    results = reproduction.to_dict()
+    results = reproduction.numbers()
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return _template().render(
         style=markupsafe.Markup(_resource("report.css")),

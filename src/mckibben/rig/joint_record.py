@@ -16,7 +16,7 @@ from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Column, Listing
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
-from mckibben.simulation.loop import Record
+from mckibben.simulation.trajectories import Record
 from mckibben.storage import mcap
 
 

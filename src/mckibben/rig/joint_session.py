@@ -13,7 +13,7 @@ import numpy as np
 
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, TableColumns
 from mckibben.rig.backend import Backend, ChannelStatus
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
@@ -69,7 +69,7 @@ class JointRunResult(Result):
             yield Remark.severe("run", self.outcome.text)
         yield from self.result.remarks() if self.result else ()
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """Outcome of the run and of its venting, and the metrics of the motion."""
         own: dict[str, tuple[Column, object]] = {
             "ended": (Column(title="end of the run"), self.outcome.kind),

@@ -23,7 +23,8 @@ from mckibben.scenario.scenario import BatchParts
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
-from mckibben.study.compare.suite import NOMINAL_JOINT, ControllerSuite, Suite
+from mckibben.study.compare.settings import NOMINAL_JOINT
+from mckibben.study.compare.suite import ControllerSuite, Suite
 from mckibben.study.parameters import sample
 from mckibben.study.study import Table
 
