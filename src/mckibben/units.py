@@ -70,6 +70,9 @@ kg, g = _SIZES["mass"].values()
 s, ms = (_SIZES["time"][name] for name in ("s", "ms"))
 N, Hz, litre, percent = (_VOCABULARY[name][0] for name in ("N", "Hz", "L", "percent"))
 
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s^2], as in the paper."""
+
 _NAME = r"(?:[A-Za-z]+(?:\^-?(?:[1-9](?:\.[0-9]+)?|0\.[0-9]+))?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"

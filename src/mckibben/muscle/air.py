@@ -14,11 +14,11 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.numerics.calculus import derivative
-from mckibben.units import Quantity, bar, factor, mm
+from mckibben.units import Quantity, atm, bar, factor, mm
 
 CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
 
-ATMOSPHERE = 1.01325e5
+ATMOSPHERE = atm
 """Atmospheric pressure [Pa, absolute]."""
 
 TEMPERATURE = 293.15

@@ -46,7 +46,7 @@ from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector, difference, product
 from mckibben.plant.base import IOState, LastStep, Plant
 from mckibben.plant.sensors import PerfectSensors
-from mckibben.units import Gravity, show
+from mckibben.units import GRAVITY, Gravity, show
 
 Scalar = Float[Array, ""]
 
@@ -198,7 +198,7 @@ class RobotPlant(Plant[RobotState]):
     robot: Robot
     valve: Actuator
     ground: Ground = Ground()
-    gravity: Gravity = 9.81
+    gravity: Gravity = GRAVITY
 
     def __repr__(self) -> str:
         return f"RobotPlant({self.robot!r}, {type(self.valve).__name__})"

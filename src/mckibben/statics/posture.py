@@ -19,7 +19,7 @@ from mckibben.mechanism.point_stiffness import movable
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.terms import JointTerms, joint_terms
 from mckibben.muscle import PressureAffineLaw
-from mckibben.units import bar
+from mckibben.units import GRAVITY, bar
 
 Floats = NDArray[np.float64]
 
@@ -197,7 +197,7 @@ class HeldPosture(NamedTuple):
         return lsq_linear(rows, right, bounds, method="bvls", tol=1e-15, max_iter=100).x
 
 
-def holding_torques(robot: Robot, angles: Sequence[float], gravity: float = 9.81) -> Floats:
+def holding_torques(robot: Robot, angles: Sequence[float], gravity: float = GRAVITY) -> Floats:
     """Return the torques [N*m] with which the muscles hold a posture, the base held; 0 of locked joints."""
     torques, free = np.zeros(len(robot.joints)), movable(robot)
     torques[free] = _torques_at_rest((robot, tuple(np.asarray(angle, float) for angle in angles), gravity))
