@@ -91,7 +91,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 990,
+    "top": 992,
     "actuator": 1000,
     "calibration": 1620,
     "catalog": 230,
@@ -105,10 +105,10 @@ BUDGET = {
     "experiment_design": 720,
     "export": 2440,
     "identification": 3725,
-    "joint": 1250,
+    "joint": 1260,
     "robot": 80,
     "mechanism": 1490,
-    "muscle": 1580,
+    "muscle": 1581,
     "numerics": 810,
     "paper": 1175,
     "plant": 940,
@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3240,
     "statics": 450,
     "storage": 590,
-    "study": 3500,
+    "study": 3505,
     "web": 2830,
 }
 

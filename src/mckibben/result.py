@@ -311,8 +311,8 @@ class Listing:
             return "\n".join(lines + _pairs(self.header(), [cell for row in rows for cell in row], width))
         samples = bool(rows) and _NUMBER.fullmatch(rows[0][0])
         omitted = max(len(rows) - _MOST_ROWS, 0) if samples else 0  # a list of names is shown whole
-        shown = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
-        cells = list(zip(*shown, strict=True)) if shown else [()] * len(self.columns)
+        displayed = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
+        cells = list(zip(*displayed, strict=True)) if displayed else [()] * len(self.columns)
         columns = [_TextColumn(*title, column, width) for title, column in zip(self.header(), cells, strict=True)]
         for block in _blocks(columns, width):
             lines += _lines(block, width)
@@ -362,8 +362,8 @@ def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
     """Lines of columns side by side; what is left of the width goes to headings and sentences that need it."""
     needs = {c: max(map(len, (c.title, *c.cells))) - c.width for c in block}
     spare = width - sum(c.width + 2 for c in block) + 2
-    for rest, (column, need) in enumerate(sorted(needs.items(), key=lambda item: item[1]), start=-len(block)):
-        share = max(min(need, spare // -rest), 0)
+    for remaining, (column, need) in enumerate(sorted(needs.items(), key=lambda item: item[1]), start=-len(block)):
+        share = max(min(need, spare // -remaining), 0)
         column.width, spare = column.width + share, spare - share
     headings = [column.wrapped(column.title) for column in block]
     deepest = max(map(len, headings))
@@ -376,8 +376,8 @@ def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
     ]
     lines = []
     for row in rows:
-        parts = itertools.zip_longest(*row, fillvalue="")
-        lines += ["  ".join(map(_TextColumn.aligned, block, part)).rstrip() for part in parts]
+        cells = itertools.zip_longest(*row, fillvalue="")
+        lines += ["  ".join(map(_TextColumn.aligned, block, line)).rstrip() for line in cells]
     return lines
 
 
@@ -390,8 +390,10 @@ def _pairs(header: Sequence[tuple[str, str]], values: Sequence[str], width: int)
     widest = min(max((len(title) for title, _ in header), default=0), room)
     lines = []
     for (title, _), text in zip(header, texts, strict=True):
-        parts = textwrap.wrap(title, widest), textwrap.wrap(text, width - widest - 3)
-        lines += [f"{left:{widest}}   {right}".rstrip() for left, right in itertools.zip_longest(*parts, fillvalue="")]
+        columns = textwrap.wrap(title, widest), textwrap.wrap(text, width - widest - 3)
+        lines += [
+            f"{left:{widest}}   {right}".rstrip() for left, right in itertools.zip_longest(*columns, fillvalue="")
+        ]
     return lines
 
 
@@ -429,9 +431,9 @@ def figure_files(*figures: str) -> list[str]:
     return [f"{name}.{end}" for name in figures for end in ("png", "svg")]
 
 
-def draw(figure: str, *shown: object) -> Figure:
+def draw(figure: str, *results: object) -> Figure:
     """Return a figure of `mckibben.report`."""
-    return call("draw", figure, *shown)
+    return call("draw", figure, *results)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column, field))
@@ -638,5 +640,5 @@ class Result(Suggesting):
     def _sorted_remarks(self, *, details: bool) -> list[Remark]:
         """Remarks by severity, without notes unless details are shown."""
         order = list(Severity)
-        shown = [r for r in self.remarks() if details or r.severity is not Severity.NOTE]
-        return sorted(shown, key=lambda remark: order.index(remark.severity))
+        remarks = [r for r in self.remarks() if details or r.severity is not Severity.NOTE]
+        return sorted(remarks, key=lambda remark: order.index(remark.severity))

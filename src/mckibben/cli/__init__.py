@@ -64,7 +64,7 @@ def reproduce(out: Path = Path("mckibben-report"), quick: bool = False) -> None:
         assert report is not None
         from mckibben.paper import reproduce as run
 
-        done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
+        done = run(quick=quick, progress=lambda what, fraction: report(what, 0.8 * fraction))
         report("writing results", 0.8)
         done.save(out, force=True)  # before the figures
         from mckibben.paper.page import write_report

@@ -94,8 +94,8 @@ def full_name(kind: type) -> str:
 
 def name_in_files(base: type, kind: type) -> str:
     """Return the name by which files find a class of a base: in full where another has the same name."""
-    own = class_name(kind)
-    return own if len(_named(base, own)) < 2 else full_name(kind)
+    short = class_name(kind)
+    return short if len(_named(base, short)) < 2 else full_name(kind)
 
 
 def find_class(base: type, name: str) -> type | None:
@@ -117,8 +117,8 @@ def find_class(base: type, name: str) -> type | None:
 
 def _named(base: type, name: str) -> list[type]:
     """Classes of a base with a name in files, which may follow that of a package, module or file."""
-    origin, _, own = name.rpartition(":")
-    named = [kind for kind in classes_of(base).values() if own in (kind.__name__, kind.__dict__.get("short_name"))]
+    origin, _, plain = name.rpartition(":")
+    named = [kind for kind in classes_of(base).values() if plain in (kind.__name__, kind.__dict__.get("short_name"))]
     return [kind for kind in named if not origin or _is_from(kind, origin)]
 
 

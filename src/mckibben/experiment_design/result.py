@@ -151,8 +151,8 @@ class ExperimentPlan(Result):
             f"{p.pressure / bar:.9g},{p.contraction / percent:.9g},{p.direction or 'unknown'},{p.repeat}"
             for p in sorted(self.points, key=_rig_order)
         ]
-        with atomic_write(folder / "plan.csv", overwrite=True) as part:
-            part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        with atomic_write(folder / "plan.csv", overwrite=True) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def _rig_order(point: PlannedPoint) -> tuple[Any, ...]:

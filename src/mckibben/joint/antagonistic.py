@@ -144,7 +144,7 @@ class AntagonisticJoint(Component):
                 if isinstance(muscle.friction, MaxwellSlip):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
                     rates = (muscle.friction.viscous_growth, muscle.friction.viscous_length_growth)
-                    if any(part is not None for part in (*rates, muscle.friction.rate_growth)):
+                    if any(coefficient is not None for coefficient in (*rates, muscle.friction.rate_growth)):
                         message = f"{owner}: friction needs the rate of the muscle's length, which is unknown there"
                         remedy = "leave out viscous_growth, viscous_length_growth and rate_growth, or the spring"
                         raise RangeError(message, field="friction", remedy=remedy)

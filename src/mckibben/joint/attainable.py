@@ -122,8 +122,8 @@ def _solve_many(joint: Antagonistic, angle: ArrayLike, torque: ArrayLike, stiffn
 def pressures_for(joint: Antagonistic, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
     """See `AntagonisticJoint.pressures_for`."""
     check_finite(angle=angle, torque=torque, stiffness=0.0 if stiffness is None else stiffness)
-    wanted = math.nan if stiffness is None else stiffness
-    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, torque, wanted)))
+    target = math.nan if stiffness is None else stiffness
+    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, torque, target)))
     shape = numbers[0].shape
     solution = _solve_many(joint, *map(np.ravel, numbers)) if shape else solve_static(joint, *numbers)
     missing = np.flatnonzero(~np.asarray(solution.exists))
@@ -249,14 +249,14 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
         return profile(fraction)[1]
 
     unspecified = jnp.isnan(stiffness)
-    wanted = jnp.where(unspecified, 0.0, stiffness)
+    target = jnp.where(unspecified, 0.0, stiffness)
 
     # Bracket by neighbours. A spring that reaches its stop makes the stiffness jump: take the smallest step.
     def scan(scanned: _Scan, fraction: Array) -> tuple[_Scan, None]:
         value = stiffness_at(fraction)
         held = lax.stop_gradient(value)
         step = jnp.abs(held - scanned.value)
-        nearer = ((held - wanted) * (scanned.value - wanted) <= 0) & (step < scanned.step)
+        nearer = ((held - target) * (scanned.value - target) <= 0) & (step < scanned.step)
         bracket = scanned.fraction, fraction, held > scanned.value
         bracketed = (jnp.where(nearer, new, old) for new, old in zip((step, *bracket), scanned[4:], strict=True))
         return _Scan(
@@ -270,17 +270,17 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     def bisect(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        beyond = (stiffness_at(middle) >= wanted) == scanned.increasing
+        beyond = (stiffness_at(middle) >= target) == scanned.increasing
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
     low, high = lax.fori_loop(0, 60, bisect, (scanned.low, scanned.high))
     root = lax.stop_gradient((low + high) / 2)
     # One Newton step makes the root differentiable with respect to the joint's parameters.
     value, slope = value_and_derivative(stiffness_at, root)
-    newton = (value - wanted) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
+    newton = (value - target) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
     fraction = jnp.where(unspecified, 0.5, root - (newton - lax.stop_gradient(newton)))
     pressures, reached = profile(fraction)
-    met = jnp.abs(reached - wanted) <= _TOLERANCE * jnp.abs(wanted)
+    met = jnp.abs(reached - target) <= _TOLERANCE * jnp.abs(target)
     return StaticSolution(
         pressures,
         feasible & (unspecified | (jnp.isfinite(scanned.step) & met)),
@@ -352,8 +352,8 @@ class Segment(NamedTuple):
         ends = lax.map(self.at, _fractions(self.joint))
 
         def interpolate(fraction: ArrayLike) -> tuple[Pair, Array]:
-            part = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
-            return jax.tree.map(lambda end: end[0] + (end[1] - end[0]) * part, ends)
+            share = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
+            return jax.tree.map(lambda end: end[0] + (end[1] - end[0]) * share, ends)
 
         return interpolate
 

@@ -100,8 +100,8 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
         drawn[figure.section].append(embedded(figure, folder, preview=reproduction.quick))
-    with atomic_write(folder / _PAGE, overwrite=True) as part:
-        part.write_text(render(reproduction, drawn), encoding="utf-8")
+    with atomic_write(folder / _PAGE, overwrite=True) as temporary:
+        temporary.write_text(render(reproduction, drawn), encoding="utf-8")
     return folder / _PAGE
 
 

@@ -166,9 +166,9 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     progress = progress or notebook_progress()
     start = time.perf_counter()
 
-    def report(what: str, part: float) -> None:
+    def report(what: str, fraction: float) -> None:
         if progress:
-            progress(what, part)
+            progress(what, fraction)
 
     with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
         muscle = pool.submit(run_identification, repeats=2 if quick else 5)
@@ -177,8 +177,8 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         what = "isobaric test and identification; control of position and stiffness"
         report(what, 0.0)
 
-        def tracked(part: float) -> None:
-            report(what, 0.95 * part)
+        def tracked(fraction: float) -> None:
+            report(what, 0.95 * fraction)
             for other in (muscle, knee, leg):
                 if other.done():
                     other.result()  # raises its error

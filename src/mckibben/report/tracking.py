@@ -251,8 +251,8 @@ def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[n
     settled = {name: result.metrics["stiffness_settling"] for name, result in runs.items()}
     length = float(np.clip(2.5 * np.nanmax([*settled.values(), 0.04]), 0.1, 1.0))  # s
     axes.set_xlim(start - length / 8, start + length)
-    shown = (times >= start) & (times <= start + length)
-    low, high = robust_limits([_stiffness_error(r)[shown] for r in runs.values()], part=1.0, margin=0.08)
+    window = (times >= start) & (times <= start + length)
+    low, high = robust_limits([_stiffness_error(r)[window] for r in runs.values()], part=1.0, margin=0.08)
     axes.set_ylim(low, high)
     looks = looks_of(runs)
     for name, value in settled.items():
@@ -299,9 +299,9 @@ def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Fig
             for gain, look in _GAINS.items():
                 values = result[f"{loop}_{gain}"]
                 if values[0] != 0:  # a loop without this part
-                    parts = np.array_split(values / values[0], min(200, len(values)))
-                    times = [float(part.mean()) for part in np.array_split(result.times, len(parts))]
-                    low, mean, high = np.transpose([(part.min(), part.mean(), part.max()) for part in parts])
+                    spans = np.array_split(values / values[0], min(200, len(values)))
+                    times = [float(span.mean()) for span in np.array_split(result.times, len(spans))]
+                    low, mean, high = np.transpose([(span.min(), span.mean(), span.max()) for span in spans])
                     axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
                     axes.plot(times, mean, label=gain, **look)
             for bound in (ratio, 1 / ratio):

@@ -85,8 +85,8 @@ class CompareResult(Result):
         """Median air [m^3] of a tuned controller in the training runs; NaN if unknown."""
         trials = self.trials.get(controller, ())
         best = min(self.finalists.get(controller) or trials, key=lambda trial: trial.order, default=None)
-        known = (trial.metrics for trial in trials if best and trial.point == best.point)
-        return (next(known, None) or {}).get("air", np.nan)
+        metrics = (trial.metrics for trial in trials if best and trial.point == best.point)
+        return (next(metrics, None) or {}).get("air", np.nan)
 
     def scenario(self, controller: str, run: int) -> StudiedScenario:
         """Scenario of one run with the tuned controller."""

@@ -99,9 +99,9 @@ class ControllerSuite(SuiteSettings):
     def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
         suite, document = parse_model(cls, text, source=source, folder=folder)
-        for name, own in suite.each.items():
-            if problems := problems_of_suite(own, document):
-                raise ScenarioError(f"{source}, {own.name}" if name else source, problems)
+        for name, setup in suite.each.items():
+            if problems := problems_of_suite(setup, document):
+                raise ScenarioError(f"{source}, {setup.name}" if name else source, problems)
         return suite
 
 
@@ -161,14 +161,14 @@ class Suite(ControllerSuite):
         """
         others: Mapping[str, Any] | None = controllers
         if others is None:
-            own = type(scenario.controller)
-            others = {name: section for name, (kind, section) in DEFAULTS.items() if kind is not own}
+            controller_class = type(scenario.controller)
+            others = {name: section for name, (kind, section) in DEFAULTS.items() if kind is not controller_class}
         if "conditions" not in settings:
             settings["conditions"] = scenario.uncertainty or sum(usual_variation(scenario), ())
-        parts = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
+        sections = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **others}
-        suite = cls(**parts, **_steps(scenario), references=references, controllers=together, **settings)
+        suite = cls(**sections, **_steps(scenario), references=references, controllers=together, **settings)
         check_differs(suite)
         return suite
 
@@ -186,12 +186,14 @@ class Suite(ControllerSuite):
     @property
     def plants(self) -> dict[str, PlantCase]:
         """Joint and valves of all plants by name, each with its share; the nominal plant comes first."""
-        own = {"joint": self.joint, "valve": self.valve}
+        nominal = {"joint": self.joint, "valve": self.valve}
         others = {
-            name: other.model_copy(update={key: part for key, part in own.items() if getattr(other, key) is None})
+            name: other.model_copy(
+                update={key: section for key, section in nominal.items() if getattr(other, key) is None}
+            )
             for name, other in self.other_joints.items()
         }
-        return {NOMINAL_JOINT: PlantCase.model_construct(share=self.joint_share, **own), **others}
+        return {NOMINAL_JOINT: PlantCase.model_construct(share=self.joint_share, **nominal), **others}
 
     def has(self, joint: str, condition: str) -> bool:
         """Whether a condition applies to a plant: other valves are used as given."""

@@ -100,27 +100,27 @@ class TuneResult(Result):
         """Yield the effect on each scenario."""
         for scenario, (old, new) in zip(self.before, self.effects, strict=True):
             title = f"{scenario.name}{', nominal plant' if self.conditions or self.limit else ''}"
-            units = {name: unit for name, (*_, unit) in _shown(scenario).items()} | _MARGINS
+            units = {name: unit for name, (*_, unit) in _metric_rows(scenario).items()} | _MARGINS
             rows = [(name, old[name], new[name], unit) for name, unit in units.items()]
             yield Listing.of(title, ("metric", "before", "tuned", "unit"), rows)
 
 
 def _metrics_and_margins(scenario: StudiedScenario) -> dict[str, float]:
     """Metrics of a run and its least stability margins, by title and in shown units; NaN if it cannot be run."""
-    shown = _shown(scenario)
+    rows = _metric_rows(scenario)
     try:
         metrics, margins = scenario.run_once().metrics, scenario.margins().least()
     except McKibbenError:
-        return dict.fromkeys((*shown, *_MARGINS), np.nan)
-    values = {title: float(np.atleast_1d(metrics[name])[i]) / size for title, (name, i, size, _) in shown.items()}
+        return dict.fromkeys((*rows, *_MARGINS), np.nan)
+    values = {title: float(np.atleast_1d(metrics[name])[i]) / size for title, (name, i, size, _) in rows.items()}
     return values | dict(zip(_MARGINS, margins.values(), strict=True))
 
 
-def _shown(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, str]]:
+def _metric_rows(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, str]]:
     """Metrics of a scenario by title: name, number of the joint, shown unit as a number and as text."""
-    shown = {}
+    rows = {}
     for name, label in metrics_of(scenario.metrics).items():
         title, joints = name.replace("_", " "), scenario.joint_names if label.along else ()
         for number, joint in enumerate(joints or ("",)):
-            shown[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
-    return shown
+            rows[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
+    return rows
