@@ -1,4 +1,5 @@
 import ast
+import dataclasses
 import functools
 import importlib
 import inspect
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import pytest
 
 import mckibben
+import mckibben.result
 
 ROOT = Path(__file__).parents[1]
 MODULES = [m.name for m in pkgutil.walk_packages(mckibben.__path__, "mckibben.") if not m.name.endswith("__main__")]
@@ -89,11 +91,11 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 860,
+    "top": 992,
     "actuator": 1000,
     "calibration": 1620,
     "catalog": 230,
-    "cli": 1510,
+    "cli": 1460,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
@@ -102,23 +104,23 @@ BUDGET = {
     "dataset": 4020,
     "experiment_design": 720,
     "export": 2530,
-    "identification": 3730,
-    "joint": 1240,
+    "identification": 3740,
+    "joint": 1260,
     "robot": 80,
     "mechanism": 1590,
     "muscle": 1590,
     "numerics": 810,
-    "paper": 1110,
+    "paper": 1180,
     "plant": 820,
     "reachability": 1140,
-    "report": 2010,
+    "report": 1960,
     "rig": 4950,
     "scenario": 1840,
     "serial_protocol": 170,
     "simulation": 3240,
     "statics": 570,
     "storage": 590,
-    "study": 3450,
+    "study": 3510,
     "web": 2810,
 }
 
@@ -205,25 +207,71 @@ def test_no_function_is_of_grade_d():
     assert not found
 
 
+@functools.cache
 def imported(module: str) -> set[str]:
-    """Modules of its package that a module imports, also within functions, but not for types alone."""
+    """Modules that a module imports, also within functions and for types alone."""
     names: set[str] = set()
-
-    def visit(node: ast.AST) -> None:
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            return
+    for node in ast.walk(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom):
-            names.update({node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)})
-        for child in ast.iter_child_nodes(node):
-            visit(child)
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= whole & SOURCES.keys() or {node.module or ""}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return (names & SOURCES.keys()) - {module}
 
-    visit(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8")))
-    return {name for name in names & SOURCES.keys() if package_of(name) == package_of(module)} - {module}
+
+def test_no_circle_of_imports():
+    """Of modules, packages with their facades included; `mckibben.methods` has the calls of what is above a class."""
+    TopologicalSorter({module: imported(module) for module in SOURCES}).prepare()
 
 
-def test_no_circle_of_imports_within_a_package():
-    packages = {module for module in SOURCES if Path(SOURCES[module]).name == "__init__.py"}  # they re-export
-    TopologicalSorter({module: imported(module) - packages for module in SOURCES.keys() - packages}).prepare()
+TEXT_IMPORTS = {"mckibben.export.targets", "mckibben.export.gym"}
+"""A table of its own package, so that a target loads alone; and entry points of Gymnasium."""
+
+
+def test_no_import_by_text():
+    """A module named in a text is an arrow that no linter sees."""
+    reference = re.compile(r"mckibben(\.\w+)+(:\w+)?")
+    homes = set()
+    for name, path in SOURCES.items():
+        for node in ast.walk(ast.parse(Path(path).read_text(encoding="utf-8"))):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+            texts = [arg.value for arg in node.args if isinstance(arg, ast.Constant)] if called else []
+            by_name = called.endswith("import_module") and any(reference.fullmatch(str(text)) for text in texts)
+            entry = isinstance(node, ast.Constant) and re.fullmatch(r"mckibben(\.\w+)+:\w+", str(node.value))
+            if by_name or entry:
+                homes.add(name)
+    assert homes <= TEXT_IMPORTS
+
+
+WRITING = {"Batch", "Calibration", "Envelope", "Exported", "JointCalibration", "JointRunResult"}
+WRITING |= {"JumpStudy", "ReadRobot", "Selection", "StiffnessTests"}
+"""Results that still write themselves: to be emptied."""
+
+
+def test_a_result_declares_and_does_not_write_itself():
+    for name in MODULES:
+        importlib.import_module(name)
+
+    def below(kind: type) -> list[type]:
+        return [kind, *(further for child in kind.__subclasses__() for further in below(child))]
+
+    results = {kind for kind in below(mckibben.result.Result)[1:] if kind.__module__.startswith("mckibben.")}
+    own = {kind.__name__ for kind in results if {"listings", "to_dict", "describe"} & vars(kind).keys()}
+    assert own <= WRITING
+    assert {kind.__name__ for kind in results if not (kind.__subclasses__() or declares(kind))} <= WRITING
+
+
+def declares(kind: type) -> bool:
+    """Whether a result has a number or a table: a declared field or property, marked method, or own `declared`."""
+    columns = any("column" in item.metadata for item in dataclasses.fields(kind))
+    marks = {"_number", "_table"}
+    members = [getattr(member, "fget", None) or member for base in kind.__mro__ for member in vars(base).values()]
+    return (
+        columns
+        or kind.declared is not mckibben.result.Result.declared
+        or any(marks & set(vars(member)) for member in members if inspect.isfunction(member))
+    )
 
 
 @pytest.mark.slow

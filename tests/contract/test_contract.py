@@ -169,7 +169,7 @@ def emitted_functions():
     """Functions of the built-in classes and their components that together have all operations, each with samples."""
     seen: set[str] = set()
     for name, kind in EMITTED.items():
-        component = INSTANCES.get(name) or checks._made(kind, {})
+        component = INSTANCES.get(name) or checks._built(kind, {})
         probes = probes_of(component)
         if isinstance(component, DiscreteTimeSystem):
             component = component.with_period(PERIOD)

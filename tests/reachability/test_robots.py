@@ -120,7 +120,9 @@ def test_a_stiffness_out_of_range_has_a_remark_with_what_would_be_feasible():
 
 def test_coupled_muscles_need_laws_that_are_affine_in_pressure():
     scenario = neck("30 N*m/rad")
-    unit = dataclasses.replace(scenario.robot.muscles[0], tendon=mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018))
+    unit = dataclasses.replace(
+        scenario.robot.muscles[0], tendon=mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
+    )
     robot = dataclasses.replace(scenario.robot, muscles=(unit, *scenario.robot.muscles[1:]))
     with pytest.raises(RangeError) as caught:
         envelope(scenario.model_copy(update={"robot": robot}))

@@ -334,7 +334,7 @@ def calibrate_scenario(
     model = joint if keeps else calibrated_model(scenario, fit)
     margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))
     writers = {"model.yaml": partial(write_section, model, _HEAD), "scenario.yaml": after.to_yaml}
-    return replace(fit, writers=writers, disk_margins=margins)
+    return replace(fit, disk_margins=margins).with_files(writers)
 
 
 def calibrated_model(scenario: Scenario, fit: JointCalibration) -> AntagonisticJoint:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
-from mckibben.result import Column, Listing, Remark, WritingResult
+from mckibben.result import Column, Listing, Remark, Result
 from mckibben.units import factor, show
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class JointEstimate:
         return f"{show(self.value, unit, 4)} with a standard deviation of {show(self.deviation, unit, 2)}"
 
 
-class Calibration(WritingResult):
+class Calibration(Result):
     """Base of calibrations: estimates by name, with their prior deviations."""
 
     quantities: dict[str, JointEstimate]

@@ -170,7 +170,8 @@ def calibrate_scenario_valves(
     write_valve = partial(write_section, fit.valve, _HEAD, base=Actuator)
     after = scenario_with_valves(scenario, fit)
     writers = {"valve.yaml": write_valve, "scenario.yaml": after.to_yaml}
-    return dataclasses.replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
+    margins = loop_margins(after, **fit.drawn(PLANTS))
+    return dataclasses.replace(fit, disk_margins=margins).with_files(writers)
 
 
 def scenario_with_valves(scenario: Scenario, fit: ValveCalibration) -> Scenario:

@@ -132,11 +132,11 @@ def _measured(
         if device is not None and device.physical:
             typer.confirm(f"{instructions[name]}, and nobody is within reach of the joint?", abort=True, err=True)
 
-    parts = experiment.scenarios(scenario)
+    scenarios = experiment.scenarios(scenario)
     try:
         with keeping(out), run_line(quiet=quiet) as line:
-            runs = run_parts(parts, out, rig=device, firmware=scenario, ready=ready, progress=line)
-            echo(f"wrote {', '.join(f'{name}/result.nc' for name in parts)} to {out}", err=True)
+            runs = run_parts(scenarios, out, rig=device, firmware=scenario, ready=ready, progress=line)
+            echo(f"wrote {', '.join(f'{name}/result.nc' for name in scenarios)} to {out}", err=True)
             return experiment.recordings(runs)
     except StoppedError as stopped:
         echo(str(stopped), err=True)

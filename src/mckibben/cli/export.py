@@ -52,11 +52,11 @@ def export(
     folder = required_folder(out, "export")
     with keeping(folder):
         read = read_scenario(scenario)
-        parts = None if hardware is None else Hardware.read(hardware)
+        board = None if hardware is None else Hardware.read(hardware)
         if to != "mjcf" and not isinstance(read, Scenario):
             count = len(read.robot.all_muscles)
             echo(f"the export of {count} muscles takes about {count**2 / 15:.0f} s of processor time", err=True)
-        exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
+        exported = write(read, to, folder, name=name, hardware=board, overwrite=force)
     if to in CONTROLLERS and isinstance(read, Scenario):
         exported = replace(exported, margins=read.margins())
     present(exported, json=json)

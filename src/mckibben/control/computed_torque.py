@@ -32,7 +32,7 @@ from mckibben.muscle import SpringLaw
 from mckibben.numerics.elementary import exp, floating
 from mckibben.numerics.spatial import total
 from mckibben.statics.posture import check_affine
-from mckibben.units import CommandDelay, Force, Gravity, bar
+from mckibben.units import GRAVITY, CommandDelay, Force, Gravity, bar
 
 Scalar = Float[Array, ""]
 
@@ -117,7 +117,7 @@ class ComputedTorque(TrackingControl):
     command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
         kw_only=True, default=None
     )
-    gravity: Gravity = eqx.field(kw_only=True, default=9.81)
+    gravity: Gravity = eqx.field(kw_only=True, default=GRAVITY)
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     impedance: bool = eqx.field(kw_only=True, default=False, static=True)
     periods: int = eqx.field(kw_only=True, default=0, static=True)

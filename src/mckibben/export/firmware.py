@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.source_module import SourceModule, element_names
@@ -38,6 +37,7 @@ from mckibben.serial_protocol import (
     MessageKind,
     Sample,
 )
+from mckibben.version import __version__
 
 _ENUMS = {"KIND": MessageKind, "STATE": FirmwareState, "CODE": FaultCode, "SOURCE": CommandSource}
 """Enumerations of the protocol by their prefixes in C."""
@@ -66,13 +66,13 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
     parts = BoardParts.of(hardware, names, air)
     source, text = controller_functions(scenario, hardware.limits), scenario.dumps(folder=folder)
     module = stepping_module("controller", source)
-    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}."
+    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}."
     program = write_c(module, comment, single=hardware.single, wide=("setpoint",), units=units_of(module, "Pa, gauge"))
     angles, pressures = names.by_joint("angle"), names.by_muscle("pressure")
     channels = [(channel, "rad") for channel in angles] + [(channel, "Pa") for channel in pressures]
     channels += [("force", "N")] * bool(hardware.force)
     hello = Hello(
-        f"mckibben {mckibben.__version__} {hardware.board}",
+        f"mckibben {__version__} {hardware.board}",
         round(source.period * 1e6),
         scenario.digest,
         channels,
@@ -210,5 +210,5 @@ def _plant(scenario: Scenario | RobotScenario, period: float) -> SourceModule:
 
 def _filled(names: tuple[str, ...], values: dict[str, object]) -> dict[str, str]:
     """Templates of this package with values."""
-    values = {"version": mckibben.__version__, **values}
+    values = {"version": __version__, **values}
     return {name: templates.filled(name, values, "mckibben.export") for name in names}

@@ -8,7 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
@@ -19,6 +18,7 @@ from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
 from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.units import ms
+from mckibben.version import __version__
 
 if TYPE_CHECKING:
     from mckibben.scenario.robot import RobotScenario
@@ -191,4 +191,4 @@ def filled(template: str, values: Mapping[str, object]) -> str:
 
     Raises `jinja2.UndefinedError` for a value that is missing.
     """
-    return templates.filled(template, {**values, "version": mckibben.__version__}, "mckibben.export")
+    return templates.filled(template, {**values, "version": __version__}, "mckibben.export")

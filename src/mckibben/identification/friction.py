@@ -36,11 +36,11 @@ from mckibben.identification.loading_path import (
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.summary import DatasetSummary, Outlier, left_out
 from mckibben.muscle import ExponentialLaw, ForceLaw, MaxwellSlip
-from mckibben.result import Column, Listing, Remark, Result, column, draw
+from mckibben.result import Column, Listing, Remark, Result, column, draw, table
 from mckibben.units import factor, show
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mckibben.result import Figure
 
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
@@ -132,9 +132,9 @@ class HysteresisFit(Result):
         """Return the notes."""
         return self.notes
 
-    def listings(self) -> Iterable[Listing]:
+    @table()
+    def friction_and_drift(self) -> Iterable[Listing]:
         """Return the parameters of the friction and the drift, and the comparison of forms."""
-        yield from super().listings()
         rows = []
         for name, (unit, at) in _SHOWN.items():
             if value := getattr(self.friction, name):

@@ -30,7 +30,6 @@ from .style import house_style as house_style
 from .style import png_of as png_of
 from .style import save as save
 from .tracking import control_results as control_results
-from .tracking import controller_comparison as controller_comparison
 from .tracking import error_curves as error_curves
 from .tracking import gain_histories as gain_histories
 from .tracking import margins as margins

@@ -66,8 +66,8 @@ def attainable_stiffness(
     grid = figure.subplots(1, len(joints), squeeze=False)[0]
     for i, (axes, (name, static)) in enumerate(zip(grid, joints.items(), strict=True)):
         _band(axes, static, color="#BFD9EA", label="attainable in static equilibrium")
-        own = (references or {}).get(name, {})
-        for (reference, result), color in zip(own.items(), (BLACK, ORANGE, VERMILLION), strict=False):
+        curves = (references or {}).get(name, {})
+        for (reference, result), color in zip(curves.items(), (BLACK, ORANGE, VERMILLION), strict=False):
             desired = result["desired_angle"] / deg, result["desired_stiffness"]
             axes.plot(*desired, color=color, linewidth=1.4, label=f"desired stiffness, {reference}", zorder=4)
         first, last = static.angle_min / deg, static.angle_max / deg
@@ -405,13 +405,13 @@ def valve_calibration(calibration: ValveCalibration) -> Figure:
     for number, ((over_time, over_error), recording) in enumerate(zip(rows, recordings, strict=True)):
         assert recording.commands is not None
         simulated, time = calibration.simulate(recording), recording.time - recording.time[0]
-        shown = (time >= _FROM) & (time <= _FROM + _LENGTH)
+        window = (time >= _FROM) & (time <= _FROM + _LENGTH)
         for place, muscle in enumerate(calibration.muscles):
             color, measured = MUSCLES[muscle], recording.pressures[:, muscle]
-            over_time.plot(time[shown], recording.commands[shown, muscle] / bar, color=BLACK, linewidth=0.7)
-            over_time.plot(time[shown], measured[shown] / bar, color=color, linewidth=2.4, alpha=0.35)
+            over_time.plot(time[window], recording.commands[window, muscle] / bar, color=BLACK, linewidth=0.7)
+            over_time.plot(time[window], measured[window] / bar, color=color, linewidth=2.4, alpha=0.35)
             label = f"muscle {muscle + 1}"
-            over_time.plot(time[shown], simulated[shown, place] / bar, color=color, linewidth=0.9, label=label)
+            over_time.plot(time[window], simulated[window, place] / bar, color=color, linewidth=0.9, label=label)
             error = (measured - simulated[:, place]) / kPa
             over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=color, linewidth=0.5)
         letter(over_time, 2 * number, "commands (black), measured (pale) and simulated")

@@ -21,7 +21,7 @@ from mckibben.result import Column, Listing, Remark
 from mckibben.rig.channels import Channels
 from mckibben.scenario.tracking import TrackingResult
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
-from mckibben.simulation.loop import Record
+from mckibben.simulation.trajectories import Record
 from mckibben.storage import mcap
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, TableColumns
 from mckibben.rig.backend import Backend, ChannelStatus
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.channels import Channels
@@ -86,7 +86,7 @@ class JointRunResult(Result):
             yield Remark.severe("run", self.outcome.text)
         yield from self.result.remarks() if self.result else ()
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """Outcome of the run and of its venting, and the metrics of the motion."""
         own: dict[str, tuple[Column, object]] = {
             "ended": (Column(title="end of the run"), self.outcome.kind),

@@ -1,3 +1,4 @@
+from .files import read_scenario as read_scenario
 from .muscle import air_volume as air_volume
 from .muscle import read_specimen as read_specimen
 from .muscle import write_identified as write_identified
@@ -11,7 +12,6 @@ from .scenario import Scenario as Scenario
 from .scenario import Start as Start
 from .scenario import StudiedScenario as StudiedScenario
 from .scenario import initial_state as initial_state
-from .scenario import read_scenario as read_scenario
 from .scenario import run_scenario as run_scenario
 from .start import UNKNOWN as UNKNOWN
 from .start import starting_scenario as starting_scenario

@@ -21,6 +21,7 @@ from mckibben.mechanism.robot import Robot
 from mckibben.muscle import Muscle
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario.robot import RobotScenario
+from mckibben.units import GRAVITY
 
 Floats = NDArray[np.float64]
 
@@ -385,5 +386,5 @@ class _Reader:
                 named = self._named("tendon", number) + self._line(spec.tendons, number)
                 self.left_out.append(f"{what} of tendon {named}")
         x, y, z = model.opt.gravity.tolist()
-        if abs(x) + abs(y) > 1e-9 or abs(z + 9.81) > 1e-3:
-            self.left_out.append(f"gravity {x:g} {y:g} {z:g}: ours is 9.81 m/s^2 downwards")
+        if abs(x) + abs(y) > 1e-9 or abs(z + GRAVITY) > 1e-3:
+            self.left_out.append(f"gravity {x:g} {y:g} {z:g}: ours is {GRAVITY} m/s^2 downwards")

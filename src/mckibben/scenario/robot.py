@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from types import SimpleNamespace
@@ -27,6 +26,7 @@ from pydantic import (
 )
 
 from mckibben.actuator import IdealValve
+from mckibben.binding import call
 from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
@@ -306,10 +306,10 @@ class RobotScenario(StudiedScenario):
         return 1 if resolution is None else resolution.substeps
 
     def run_once(self, *, source: str = "") -> RobotResult:
-        return importlib.import_module("mckibben.scenario.tracking").run_tracking(self, source=source)
+        return call("run_tracking", self, source)
 
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
-        return importlib.import_module("mckibben.study.compare.robots").RobotSuite.of(self, controllers, **settings)
+        return call("robot_suite", self, controllers, **settings)
 
     def batch_parts(self) -> BatchParts:
         return BatchParts(self.plant(), self.references(), self._starts())

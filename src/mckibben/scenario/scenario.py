@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 import contextlib
 import hashlib
-import importlib
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -19,12 +18,12 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import Actuator, IdealValve
+from mckibben.binding import call
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import whole_periods
 from mckibben.component.schema import ComponentField, independent, inherit, write
-from mckibben.config.document import read_document
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, DocumentModel, fail_validation, read_text
+from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
@@ -206,7 +205,7 @@ class StudiedScenario(RunSettings):
     @checked_call
     def envelope(self) -> Any:
         """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
-        return _above("reachability").envelope(self)
+        return call("envelope", self)
 
     @abc.abstractmethod
     def batch_parts(self) -> BatchParts:
@@ -223,7 +222,7 @@ class StudiedScenario(RunSettings):
     @checked_call
     def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
         """Tune gains or other parameters, see `mckibben.tune`. Default: all gains, with the cost of `mckibben tune`."""
-        return _above("study.tune").tune(self, over, cost, **options)
+        return call("tune", self, over, cost, **options)
 
     @checked_call
     def compare(self, controllers: Mapping[str, Any] | None = None, *, out: Path | None = None, **settings: Any) -> Any:
@@ -232,7 +231,7 @@ class StudiedScenario(RunSettings):
         Defaults: as for `mckibben.study.compare.Suite.of`; controllers of a robot are sections as in a file. `settings`
         are attributes of a `Suite`; see `mckibben.study.compare.compare`.
         """
-        return _above("study.compare").compare(self.suite(controllers, **settings), out=out)
+        return call("compare", self.suite(controllers, **settings), out)
 
     @abc.abstractmethod
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
@@ -241,7 +240,7 @@ class StudiedScenario(RunSettings):
     @checked_call
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""
-        return _above("export").export(self, target, out, **options)
+        return call("export", self, target, out, **options)
 
     @property
     def digest(self) -> bytes:
@@ -333,7 +332,7 @@ class Scenario(StudiedScenario):
     def _uncertainty_fits(self) -> Self:
         if self.uncertainty:
             try:
-                _above("study.parameters").parse_sweeps(self.uncertainty, self)
+                call("check_uncertainty", self)
             except ParameterError as error:
                 fail_validation(error.message, error.remedy, field="uncertainty")
         return self
@@ -417,7 +416,7 @@ class Scenario(StudiedScenario):
         return run_scenario(self.replace(**changes) if changes else self, warn_infeasible=True)
 
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
-        return _above("study.compare").Suite.of(self, controllers, **settings)
+        return call("joint_suite", self, controllers, **settings)
 
     @checked_call
     def margins(self, points: int = 20) -> Margins:
@@ -452,21 +451,6 @@ def _start_of(scenario: Scenario, plant: JointPlant) -> PlantState:
     problem = numeric(SimulationProblem(plant, unused, unused, initial_state(scenario)))
     state, exists = starts_of(None, problem, Setpoint(first, first))
     return state if exists else scenario.initial(plant)  # which raises
-
-
-def _above(name: str) -> Any:
-    """A package above this one, for methods that forward to it; imported when one is called."""
-    return importlib.import_module(f"mckibben.{name}")
-
-
-def read_scenario(path: str | os.PathLike[str]) -> Any:
-    """Read a scenario of a joint, or of a robot, which has a section `robot`; raises `ScenarioError`."""
-    return scenario_class(read_document(read_text(path, "a scenario", "examples/")).data).read(path)
-
-
-def scenario_class(document: object) -> type[StudiedScenario]:
-    """Return the class of a document: that of a scenario of a robot if it has a section `robot`."""
-    return _above("robot").RobotScenario if isinstance(document, dict) and "robot" in document else Scenario
 
 
 def initial_state(scenario: Scenario) -> AtRest:

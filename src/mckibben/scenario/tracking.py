@@ -14,7 +14,7 @@ from mckibben.codegen.engine import compiled
 from mckibben.component.checks import check_positive
 from mckibben.mechanism.robot import Robot
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.result import Column, Remark
+from mckibben.result import Column, Remark, TableColumns
 from mckibben.scenario.robot import RobotScenario
 from mckibben.scenario.scenario import errors_of
 from mckibben.simulation.problem import check_frequencies, sampled
@@ -56,7 +56,7 @@ class TrackingResult(RobotResult):
             f"{stiffness.max():.3g} N*m/rad ({self.joints[stiffness.argmax()]})"
         )
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """Return the joints, and the metrics."""
         return {"joint": (Column(), list(self.joints))} | super().declared()
 

@@ -17,8 +17,9 @@ from mckibben.component.schema import inherit, replaced
 from mckibben.config.document import Document, edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
+from mckibben.scenario.files import scenario_class
 from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
-from mckibben.scenario.scenario import StudiedScenario, scenario_class
+from mckibben.scenario.scenario import StudiedScenario
 from mckibben.simulation import Batch
 
 P = TypeVar("P")

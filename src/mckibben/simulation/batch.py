@@ -22,7 +22,7 @@ from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.plant import JointPlant, PlantState
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Listing, Result, TableColumns
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -158,7 +158,7 @@ class Batch(RunTable):
         chaotic = int(self.chaotic.sum())
         return f"{self.count} runs: {', '.join(counted + [f'{chaotic} chaotic'] * bool(chaotic))}"
 
-    def declared(self) -> dict[str, tuple[Column, Any]]:
+    def declared(self) -> TableColumns:
         """The metrics of all runs, with their units."""
         return metric_columns(self.kind, self.metrics)
 

@@ -20,17 +20,7 @@ from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint, with
 from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, last_change, values_of
-from mckibben.simulation.trajectories import trajectory
-
-
-class Record(NamedTuple):
-    """The record of every control period; each leaf has the shape of the time axis."""
-
-    state: PyTree  # what the plant observes of its state
-    commands: tuple[Array, ...]  # within the limits of the plant
-    limited: Array  # whether the plant limited a command
-    telemetry: dict[str, Array]
-
+from mckibben.simulation.trajectories import Record, trajectory
 
 LoopState = tuple[PyTree, PyTree]
 """States of plant and controller at the start of a control period."""

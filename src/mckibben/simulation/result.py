@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import functools
-import importlib
 import importlib.util
 import io
 import os
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.binding import call
 from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.columns import Label, attributes, declare, labels_of
@@ -26,7 +26,7 @@ from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Column, Remark, Result
+from mckibben.result import Column, Remark, Result, TableColumns
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from mckibben.control.base import Setpoint
     from mckibben.plant import JointPlant, PlantState
-    from mckibben.simulation.loop import Record
+    from mckibben.simulation.trajectories import Record
 
 _CHATTER = "stiffness_oscillation", "command_oscillation", "command_reversals", "command_travel"
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
@@ -135,7 +135,7 @@ class RunResult(Result, abc.ABC):
         """Duration [s]."""
         return self.times.size * self.control_period
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """The metrics, with their units."""
         return metric_columns(self.kind, self.metrics)
 
@@ -367,9 +367,8 @@ class SimulationResult(RunResult):
                 if dims == ("time",)
             }
             write_samples(folder / "result.mcap", columns, {"scenario.yaml": self.scenario.encode()})
-        if self.scenario:  # its class is above this package
-            scenario = importlib.import_module("mckibben.scenario").Scenario
-            scenario.parse(self.scenario).to_yaml(folder / "scenario.yaml")
+        if self.scenario:
+            call("write_scenario", folder / "scenario.yaml", self.scenario)
 
     def _attributes(self) -> dict[str, Any]:
         own = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}

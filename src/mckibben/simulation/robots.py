@@ -39,12 +39,13 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import compute_groups, dynamic_steps, run_alone
-from mckibben.simulation.loop import LoopState, Record, control_period, initial_loop, of_any_length, positions_over_time
+from mckibben.simulation.loop import LoopState, control_period, initial_loop, of_any_length, positions_over_time
 from mckibben.simulation.metrics import Run, Totals, values_of
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampled_reference, sampling_times, single_run, split_runs
 from mckibben.simulation.result import RunResult
 from mckibben.simulation.robot_metrics import MetricSums, RobotMetrics, TrackingMetrics, TrackingSample, inflow, measure
+from mckibben.simulation.trajectories import Record
 
 
 class RobotProblem(NamedTuple):

@@ -33,7 +33,7 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.engine import run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
-from mckibben.simulation.loop import Record, of_any_length
+from mckibben.simulation.loop import of_any_length
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import (
     AtRest,
@@ -46,7 +46,7 @@ from mckibben.simulation.problem import (
     without_last_change,
 )
 from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_trajectory, path_columns
-from mckibben.simulation.trajectories import Trajectory
+from mckibben.simulation.trajectories import Record, Trajectory
 from mckibben.units import deg
 
 _BYTES = 456  # of a control period, as measured with all columns

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.actuator.base import at_room_temperature
 from mckibben.component.columns import Label, labelled
@@ -15,8 +15,14 @@ from mckibben.numerics.batching import fusion_barrier
 from mckibben.plant import JointPlant
 from mckibben.units import atm
 
-if TYPE_CHECKING:
-    from mckibben.simulation.loop import Record
+
+class Record(NamedTuple):
+    """The record of every control period; each leaf has the shape of the time axis."""
+
+    state: PyTree  # what the plant observes of its state
+    commands: tuple[Array, ...]  # within the limits of the plant
+    limited: Array  # whether the plant limited a command
+    telemetry: dict[str, Array]
 
 
 @labelled

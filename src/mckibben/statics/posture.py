@@ -19,7 +19,7 @@ from mckibben.mechanism.point_stiffness import movable
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.terms import JointTerms, joint_terms
 from mckibben.muscle import PressureAffineLaw
-from mckibben.units import bar
+from mckibben.units import GRAVITY, bar
 
 Floats = NDArray[np.float64]
 
@@ -319,7 +319,7 @@ class HeldPosture(NamedTuple):
         return lsq_linear(rows, right, bounds, method="bvls", tol=1e-15, max_iter=100).x
 
 
-def holding_torques(robot: Robot, angles: ArrayLike | Sequence[float], gravity: float = 9.81) -> Floats:
+def holding_torques(robot: Robot, angles: ArrayLike | Sequence[float], gravity: float = GRAVITY) -> Floats:
     """Return the torques [N*m] with which the muscles hold postures, the base held; 0 of locked joints.
 
     Angles [rad] have shape (joints,), or (postures, joints), which is that of the torques.

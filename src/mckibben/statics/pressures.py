@@ -26,7 +26,7 @@ from mckibben.mechanism.point_stiffness import (
     stiffness_through,
 )
 from mckibben.mechanism.robot import Robot
-from mckibben.result import Column, Result, column
+from mckibben.result import Column, Result, TableColumns, column
 from mckibben.statics.posture import EXACT, HeldPosture, check_affine
 from mckibben.units import bar, deg
 
@@ -83,7 +83,7 @@ class StaticPressures(Result):
         """Whether the stiffness is that wanted."""
         return self.error <= EXACT
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """Columns and values of the fields, the limit of each muscle, and the stiffness of the point."""
         columns, limits, point = super().declared(), dict(self.limits), self.stiffness
         columns["limited_by"] = Column(), [limits.get(name, "") for name in self.muscles]

@@ -245,8 +245,8 @@ def to_json(value: object) -> str:
 def write_json(path: Path, value: object) -> None:
     """Write a file of JSON, complete or not at all; values as for `to_json`."""
     text = to_json(value)
-    with atomic_write(path, overwrite=True) as part:
-        part.write_text(text + "\n", encoding="utf-8")
+    with atomic_write(path, overwrite=True) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def remove_results(folder: Path) -> None:

@@ -23,7 +23,7 @@ from mckibben.mechanism.point_stiffness import movable, point_jacobian
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Listing, Result, TableColumns
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.robots import RobotResult, simulate_robot, simulate_robots
@@ -202,7 +202,7 @@ class JumpStudy(Result):
         added = {name: after.heights - before.heights for name, (before, after) in pairs}
         return {name: (float(heights[0]), interval(heights)) for name, heights in added.items()}
 
-    def declared(self) -> dict[str, tuple[Column, Any]]:
+    def declared(self) -> TableColumns:
         """Return columns with a row for each jump, nominal, and with 5 and 95 % of the draws."""
         jumps = list(self.jumps.values())
 
