@@ -232,13 +232,14 @@ def _copies(points: Points) -> Iterator[Question]:
 def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
     """First of up to four rows at the end of others that are their averages, deviations and ends.
 
-    Several may have fewer decimals than the others.
+    They may have fewer decimals than the others.
     """
     rows, averages = points.table[order], (np.mean, np.median, np.std, partial(np.std, ddof=1))
     usual = [_resolution(column) for column in rows.T]
     for count in range(1, min(5, len(rows) - 2)):
         others, last = rows[:-count], rows[-count:]
-        fewer = [[min(1.0, _resolution(value)) for value in row] for row in last] if count > 1 else 0.0
+        coarsest = 1.0 if count == 1 else 10.0  # bar, % and N: a lone row may agree by chance
+        fewer = [[min(coarsest, _resolution(value)) for value in row] for row in last]
         tolerance = 0.6 * np.maximum(usual, fewer)
         values = [of(others, axis=0) for of in (*averages, np.min, np.max)]
         values.insert(0, values[3] / np.sqrt(len(others)))  # standard error
