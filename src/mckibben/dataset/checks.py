@@ -239,8 +239,7 @@ def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
     for count in range(1, min(5, len(rows) - 2)):
         others, last = rows[:-count], rows[-count:]
         coarsest = 1.0 if count == 1 else 10.0  # bar, % and N: a lone row may agree by chance
-        fewer = [[min(coarsest, _resolution(value)) for value in row] for row in last]
-        tolerance = 0.6 * np.maximum(usual, fewer)
+        tolerance = 0.6 * np.maximum(usual, np.minimum(_last_decimal(last[None]), coarsest))
         values = [of(others, axis=0) for of in (*averages, np.min, np.max)]
         values.insert(0, values[3] / np.sqrt(len(others)))  # standard error
         equal = [np.all(np.abs(value - last) <= tolerance, axis=1) for value in values]
@@ -249,18 +248,23 @@ def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
             yield int(order[-count])
 
 
-def _resolution(values: Floats | float) -> float:
+def _resolution(values: Floats) -> float:
     """Power of ten of the last decimal of numbers, or their least difference where another unit was written.
 
     >>> _resolution(np.array([1.25, 3.0])), _resolution(np.array([120.0, 50.0])), _resolution(0.9765625 * np.arange(4))
     (0.01, 10.0, 0.9765625)
     """
-    steps, error = 10.0 ** -np.arange(-3, 6), 2e-16 * np.max(np.abs(values), initial=0.0)
-    fits = (step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step + error))
-    if (step := next(fits, None)) is not None:
-        return float(step)
+    if step := float(_last_decimal(values)):
+        return step
     differences = np.diff(np.unique(values))
-    return float(differences[differences > 1e-9].min(initial=np.inf)) if len(differences) else 1e-9
+    return float(differences[differences > 1e-9].min(initial=np.inf))
+
+
+def _last_decimal(values: Floats) -> Floats:
+    """Power of ten, from 1e3 to 1e-5, of the last decimal of all numbers along the first axis; 0 if they have more."""
+    steps = 10.0 ** -np.arange(-3, 6).reshape(-1, *np.ones(values.ndim, int))
+    rounded = np.abs(values - steps * np.round(values / steps)) <= 1e-6 * steps + 2e-16 * np.abs(values).max(initial=0.0)
+    return np.max(steps[:, 0] * rounded.all(axis=1), axis=0)
 
 
 def _saturated(points: Points) -> Iterator[Question]:
