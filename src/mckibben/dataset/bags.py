@@ -74,9 +74,12 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
                 fields = json.loads(record.data or b"{}").get("properties", {})
                 schemas[record.id] = {name: str(about.get("unit", "")) for name, about in fields.items()}
             elif isinstance(record, Attachment) and b'"mckibben record"' in record.data[:99]:
-                bench = json.loads(record.data)["header"].get("bench", {})
+                header = json.loads(record.data)["header"]
+                bench = header.get("bench", {})
                 if not bench:
-                    remedy = f"`mckibben calibrate` reads the result.nc of a run of `rig control` in {path.parent}"
+                    remedy = f"`mckibben rig data {path.parent}` reads its points, with --recording all samples"
+                    if "scenario" in header:
+                        remedy = f"`mckibben calibrate` reads {path.parent / 'result.nc'}"
                     raise refusal(path, "is a record of a joint, or of an earlier version", remedy)
                 table.comments |= {name: str(value) for name, value in bench["origin"].items()}
             elif isinstance(record, Channel):
