@@ -76,7 +76,7 @@ def test_the_record_itself_is_read_as_a_recording(tmp_path):
         assert read.table.attrs[name] == known.table.attrs[name]
     for name in ("time", "pressure", "force", "contraction"):
         np.testing.assert_allclose(getattr(read, name), getattr(known, name), rtol=1e-6, atol=1e-6)
-    with Recorder(tmp_path / "joint", {"what": "joint rig"}, [Column("time", "s"), Column("angle", "rad")]) as recorder:
+    with Recorder(tmp_path / "joint", {"scenario": "knee"}, [Column("time", "s"), Column("angle", "rad")]) as recorder:
         recorder.append([[0.0, 0.1]])
     with pytest.raises(DatasetError) as refused:
         read_recording(tmp_path / "joint" / "record-0001.mcap")
