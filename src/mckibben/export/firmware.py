@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Sequence
+from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,36 +143,32 @@ class BoardParts(NamedTuple):
     @classmethod
     def of(cls, hardware: Hardware, names: Channels, air: Sequence[bool]) -> BoardParts:
         """Parts in a file; `ExportError` for one that is missing, left over, or not told from others by its address."""
-        sections: dict[str, tuple[Sequence[str], Sequence[bool]]] = {
-            "angle": (names.joints, [True] * len(names.joints)),
-            "pressure": (names.muscles, air),
-            "valve": (names.muscles, air),
-        }
-        simulated = hardware.board == "host"
-        parts = {
-            kind: {f"{kind}{end}": getattr(hardware, f"{kind}{end}") for end in ends}
-            if not names.is_named
-            else {f"{kind}s{end}": getattr(hardware, f"{kind}s").get(end[1:]) for end in ends}
-            for kind, (ends, _) in sections.items()
-        }
-        given = {name for name in _OF_A_JOINT if getattr(hardware, name) is not None}
-        given |= {f"{kind}s.{name}" for kind in sections for name in getattr(hardware, f"{kind}s")}
-        for name in sorted(given - {name for own in parts.values() for name in own}):
-            remedy = f"choose from {', '.join(name for own in parts.values() for name in own)}"
-            raise ExportError(f"{name} belongs to no joint or muscle of the scenario", field=name, remedy=remedy)
-        needed = {"board": hardware.board}
-        for kind, (_, takes) in sections.items() if not simulated else ():
-            needed |= {name: part for (name, part), used in zip(parts[kind].items(), takes, strict=True) if used}
-        for field, part in (needed | ({} if simulated else {"vent": hardware.vent})).items():
-            if part is None:
-                raise ExportError(
-                    f"the firmware needs {field}", field=field, remedy=f"give {field} in the hardware file"
-                )
-        places = [angle.channel for angle in parts["angle"].values() if angle and angle.sensor == "as5600"]
+        ends = {"angle": names.joints, "pressure": names.muscles, "valve": names.muscles}
+        named = {kind: [f"{kind}{'s' * names.is_named}{end}" for end in own] for kind, own in ends.items()}
+        given = {name: getattr(hardware, name) for name in _OF_A_JOINT if getattr(hardware, name) is not None}
+        for kind in ends:
+            given |= {f"{kind}s.{name}": part for name, part in getattr(hardware, f"{kind}s").items()}
+        known = [name for own in named.values() for name in own]
+        for name in sorted(given.keys() - {*known}):
+            message, remedy = f"{name} belongs to no joint or muscle", f"choose from {', '.join(known)}"
+            raise ExportError(message, field=name, remedy=remedy)
+        filled = [name for kind in ("pressure", "valve") for name in compress(named[kind], air)]
+        given |= {name: getattr(hardware, name) for name in ("board", "vent")}
+        needed = ["board"] if hardware.board == "host" else ["board", *named["angle"], *filled, "vent"]
+        for name in needed:
+            if given.get(name) is None:
+                remedy = f"give {name} in the hardware file"
+                raise ExportError(f"the firmware needs {name}", field=name, remedy=remedy)
+        parts = cls(*([given.get(name) for name in own] for own in named.values()))
+        parts.check_addresses()
+        return parts
+
+    def check_addresses(self) -> None:
+        """Raise `ExportError` for angle sensors that their addresses do not tell apart."""
+        places = [angle.channel for angle in self.angles if angle and angle.sensor == "as5600"]
         if len(places) > 1 and (None in places or len({*places}) < len(places)):
             remedy = "give each the channel of a TCA9548A, or use quadrature encoders"
             raise ExportError("all AS5600 have one address on their bus", field="channel", remedy=remedy)
-        return cls(*([*own.values()] for own in parts.values()))
 
 
 def _angles(module: SourceModule) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import ClassVar
@@ -348,35 +348,43 @@ def _limits(
         Angles [rad] that each joint takes, shape (angles, joints).
     """
     given = {name: value for name, value in rig.limits if value is not None}
-    lowest, highest = extremes.min(axis=0) - _BEYOND, extremes.max(axis=0) + _BEYOND
+    lowest, highest = (extremes.min(axis=0) - _BEYOND).tolist(), (extremes.max(axis=0) + _BEYOND).tolist()
     pressures = [_ABOVE * high for _, high in rated_commands(plant)]
-    widest = {"lowest_angle": lowest.min(), "highest_angle": highest.max(), "pressure": max(pressures)}
-    limits = JointLimits(**{name: float(value) for name, value in widest.items()} | given)
-    joints = zip(channels.joints, lowest.tolist(), highest.tolist(), strict=True)
-    defaults: dict[str, dict[str, float]] = {
-        f"angle{end}": {"lowest_angle": low, "highest_angle": high} for end, low, high in joints
-    }
-    defaults |= {f"pressure{end}": {"pressure": most} for end, most in zip(channels.muscles, pressures, strict=True)}
-    own = {
-        name: {key: value for key, value in settings if value is not None} for name, settings in rig.limits_of.items()
-    }
-    parts = {name.partition(".")[2]: limits for name, limits in defaults.items()} if channels.is_named else {}
+    widest = {"lowest_angle": min(lowest), "highest_angle": max(highest), "pressure": max(pressures)}
+    limits = JointLimits(**widest | given)
+    if not channels.is_named:
+        if rig.limits_of:
+            raise _no_limit(rig, next(iter(rig.limits_of)), "give `limits`: the joint has no name")
+        return limits, {}
+    ends = zip(lowest, highest, strict=True)
+    defaults = [{"lowest_angle": low, "highest_angle": high} for low, high in ends]
+    defaults += [{"pressure": pressure} for pressure in pressures]
+    return limits, _own_limits(rig, channels, given, defaults)
+
+
+def _own_limits(
+    rig: JointRig, channels: Channels, given: Mapping[str, float], defaults: Sequence[Mapping[str, float]]
+) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value by input: its own limits, those of all, or the defaults of its joint or muscle."""
+    names = [end[1:] for end in (*channels.joints, *channels.muscles)]
+    own = {name: {key: value for key, value in limits if value is not None} for name, limits in rig.limits_of.items()}
+    known = dict(zip(names, defaults, strict=True))
     for name, settings in own.items():
-        if not settings.keys() <= parts.get(name, {}).keys():
-            limited = "; ".join(f"{part}: {', '.join(limits)}" for part, limits in parts.items())
-            remedy = f"choose from {limited}" if parts else "give `limits`: the joint has no name"
-            raise ScenarioError(rig.name, [Problem("is no such limit", field=f"limits_of.{name}", remedy=remedy)])
+        if not settings.keys() <= known.get(name, {}).keys():
+            choice = "; ".join(f"{part}: {', '.join(values)}" for part, values in known.items())
+            raise _no_limit(rig, name, f"choose from {choice}")
     ranges = {}
-    for name, values in defaults.items() if parts else ():
-        common = {key: given[key] for key in values if key in given}
-        ends = tuple((values | common | own.get(name.partition(".")[2], {})).values())
-        ranges[name] = (ends[0], ends[1]) if len(ends) > 1 else (-math.inf, ends[0])
-        if not ranges[name][0] < ranges[name][1]:
-            field = f"limits_of.{name.partition('.')[2]}"
-            remedy = "give both ends, the lower one first"
-            problem = Problem("has a lowest angle that is not below the highest", field=field, remedy=remedy)
-            raise ScenarioError(rig.name, [problem])
-    return limits, ranges
+    for reading, name in zip(channels.readings, names, strict=True):
+        values = {key: given.get(key, default) for key, default in known[name].items()} | own.get(name, {})
+        ranges[reading] = values.get("lowest_angle", -math.inf), [*values.values()][-1]
+        if not ranges[reading][0] < ranges[reading][1]:
+            raise _no_limit(rig, name, "give both ends, the lower one first")
+    return ranges
+
+
+def _no_limit(rig: JointRig, name: str, remedy: str) -> ScenarioError:
+    """Error of a limit that no joint or muscle has."""
+    return ScenarioError(rig.name, [Problem("is no such limit", field=f"limits_of.{name}", remedy=remedy)])
 
 
 @contextmanager
