@@ -95,7 +95,7 @@ BUDGET = {
     "actuator": 1000,
     "calibration": 1620,
     "catalog": 230,
-    "cli": 1460,
+    "cli": 1475,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
@@ -113,19 +113,19 @@ BUDGET = {
     "paper": 1180,
     "plant": 820,
     "reachability": 1140,
-    "report": 1960,
+    "report": 2020,
     "rig": 4950,
     "scenario": 1840,
     "serial_protocol": 170,
     "simulation": 3240,
     "statics": 570,
     "storage": 590,
-    "study": 3510,
+    "study": 3760,
     "web": 2810,
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 440  # numbers at module level, to come to 500
+MOST_CONSTANTS = 453  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
@@ -244,8 +244,7 @@ def test_no_import_by_text():
     assert homes <= TEXT_IMPORTS
 
 
-WRITING = {"Batch", "Calibration", "Envelope", "Exported", "JointCalibration", "JointRunResult"}
-WRITING |= {"JumpStudy", "ReadRobot", "Selection", "StiffnessTests"}
+WRITING = {"Batch", "Calibration", "Exported", "JointCalibration", "JointRunResult", "JumpStudy", "ReadRobot"}
 """Results that still write themselves: to be emptied."""
 
 

@@ -299,7 +299,7 @@ stiffness:
 def test_the_command_prints_and_keeps_the_pressures(tmp_path):
     file, out = tmp_path / "robot.yaml", tmp_path / "out"
     file.write_text(TEXT)
-    result = CliRunner().invoke(app, ["robot", "stiffness", str(file), "--json", "--out", str(out)])
+    result = CliRunner().invoke(app, ["robot", "pressures", str(file), "--json", "--out", str(out)])
     assert result.exit_code == 0, result.output
     numbers = json.loads(result.stdout)
     found = pressures_for_point_stiffness(
@@ -316,7 +316,7 @@ def test_the_command_prints_and_keeps_the_pressures(tmp_path):
     assert numbers["tables"][0]["columns"]["joint"]["values"] == ["hip", "knee"]
     assert json.loads((out / "results.json").read_text()) == numbers
     assert (out / "point_stiffness.svg").stat().st_size > 1000
-    shown = CliRunner().invoke(app, ["robot", "stiffness", str(file)])
+    shown = CliRunner().invoke(app, ["robot", "pressures", str(file)])
     assert shown.exit_code == 0 and "knee2" in shown.output
 
 

@@ -10,6 +10,7 @@ from typer import Argument
 
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_results, check_unused, required_folder
+from mckibben.errors import ParameterError
 from mckibben.result import Listing, Remark, Result, TableColumns, table
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 @command
 def robot(
-    study: Literal["land", "jump", "stiffness", "read"],
+    study: Literal["land", "jump", "pressures", "stiffness", "read"],
     file: Path,
     muscle: Annotated[Path | None, Argument(metavar="MUSCLE.yaml", help="Muscle of all tendons that are read.")] = None,
     *,
@@ -30,16 +31,20 @@ def robot(
     progress: Progress = None,
 ) -> Result:
     """Study a robot: drop landings over stiffness, height and valve; the highest jumps; pressures for a stiffness of
-    its foot. Landings and jumps are kept in DIR, and can be resumed. Or read MJCF or URDF, and write DIR/robot.yaml.
+    its foot or joints. Landings and jumps are kept in DIR, and can be resumed. Or read MJCF or URDF, and write
+    DIR/robot.yaml.
 
     Parameters
     ----------
-    study : land|jump|stiffness|read
+    study : land|jump|pressures|read
         Study, of which the file has the settings; or read.
     file : ROBOT.yaml
         Robot, see examples/robot/; or a file of MJCF or URDF to read.
     """
-    if study in ("stiffness", "read"):
+    if study == "stiffness":
+        remedy = f"mckibben robot pressures {file}; `mckibben stiffness` measures what a push feels"
+        raise ParameterError("the pressures for a stiffness are called pressures", field="robot", remedy=remedy)
+    if study in ("pressures", "read"):
         check_unused(f"robot {study}", resume=resume)
     elif resume:
         required_folder(out, "study to be continued")
@@ -50,12 +55,12 @@ def robot(
     from mckibben.study.jumping import JumpStudy, study_jump
     from mckibben.study.landing import LandingStudy, study_landing
 
-    kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, RobotStiffness)
+    kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, RobotPressures)
     if out:
         check_results(out, kind.file_names(), resume=resume, force=force)
     scenario = RobotScenario.read(file)
-    if study == "stiffness":
-        return _stiffness(scenario, str(file))
+    if study == "pressures":
+        return _pressures(scenario, str(file))
     run = study_landing if study == "land" else study_jump
     return run(scenario, source=str(file), out=out, resume=resume, progress=progress)
 
@@ -71,7 +76,7 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
     return read
 
 
-class RobotStiffness(Result):
+class RobotPressures(Result):
     """Pressures for a stiffness that the file of a robot asks for, and what is attainable in its posture."""
 
     attainable: dict[str, JointRange]
@@ -100,7 +105,7 @@ class RobotStiffness(Result):
         return [attainable_listing(self.attainable)]
 
 
-def _stiffness(read: RobotScenario, source: str) -> Result:
+def _pressures(read: RobotScenario, source: str) -> Result:
     from mckibben.report.robot import point_ellipses, posture
     from mckibben.scenario.statics import solve_statics
 
@@ -111,5 +116,5 @@ def _stiffness(read: RobotScenario, source: str) -> Result:
     drawings = {"posture": lambda: posture(read.robot, angles, pressures, stiffness=stiffness, point=point)}
     if solved is not None and solved.stiffness is not None:
         drawings["point_stiffness"] = lambda: point_ellipses(read.robot, angles, found=solved, point=point)
-    result = RobotStiffness(attainable, solved, read.stiffness is not None)
+    result = RobotPressures(attainable, solved, read.stiffness is not None)
     return result.with_files({"robot.yaml": read.to_yaml}, drawings)

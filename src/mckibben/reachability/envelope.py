@@ -7,7 +7,7 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from mckibben.reachability.static import (
     pair_envelope,
     static_envelope,
 )
-from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, column, table
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import Feasibility, check_reference
@@ -37,12 +37,11 @@ from mckibben.simulation.problem import sampled
 from mckibben.statics.attainable import held_statics
 from mckibben.statics.posture import HeldPostures, check_affine, holding_torques
 from mckibben.statics.pressures import held_joint_stiffness
+from mckibben.statics.reference import POSTURES
 from mckibben.units import bar
 
 _ENDS = "lowest", "highest"
 _NONE = "no smaller motion about the same centre, and no constant stiffness along it, is feasible either"
-_POSTURES = 25  # along a reference that linear programs check
-_ANGLES = 160  # steps of the range of a joint with a pair of muscles
 
 
 class JointReach(NamedTuple):
@@ -86,7 +85,7 @@ class JointReach(NamedTuple):
         bands = {"torque": (torque, static.torque_range), "stiffness": (stiffness, static.stiffness)}
         if static.small_motion is not None:
             bands["small-motion stiffness"] = (stiffness, static.small_motion)
-        columns: dict[str, tuple[Column, Any]] = {
+        columns: TableColumns = {
             "angle": (Column("rad", shown="deg"), static.angles[at]),
             "gravity torque": (torque, static.torque[at] + 0.0),
         }
@@ -180,7 +179,7 @@ class Envelope(Result):
         ]
         yield from (Remark.note("stiffness", text) for text in dict.fromkeys(texts))
 
-    def declared(self) -> dict[str, tuple[Column, Any]]:
+    def declared(self) -> TableColumns:
         """Feasible factor, and of a robot what each joint attains in the posture of its static envelope."""
         declared = super().declared()
         if "" in self.joints:
@@ -188,7 +187,7 @@ class Envelope(Result):
         reaches = list(self.joints.values())
         angle, torque, stiffness = Column("rad", "", "deg"), Column("N*m", digits=3), Column("N*m/rad")
         at = [reach.static.place_of(reach.angle) for reach in reaches]
-        columns: dict[str, tuple[Column, Any]] = {
+        columns: TableColumns = {
             "joint": (Column(), list(self.joints)),
             "angle": (angle, np.array([reach.angle for reach in reaches])),
             "least_angle": (angle, np.array([reach.static.angle_min for reach in reaches])),
@@ -209,13 +208,13 @@ class Envelope(Result):
             columns["feasible"] = Column(), [reach.feasible for reach in reaches]
         return declared | columns
 
-    def listings(self) -> list[Listing]:
-        """Feasible factor, and the static envelope of each joint."""
-        own = [
+    @table()
+    def statics(self) -> list[Listing]:
+        """The static envelope of each joint."""
+        return [
             reach.listing(f"static envelope{' of ' * bool(name)}{name}", detail=bool(name))
             for name, reach in self.joints.items()
         ]
-        return [*super().listings(), *own]
 
 
 _MEASURED = "measured pressure"
@@ -351,7 +350,7 @@ class _Joints(NamedTuple):
             static = coupled_envelope(robot, index, self.posture, self.scenario.supply)
             return static, static.limit_texts
         joint, pair = robot.joints[index], self.pairs[index]
-        angles = angles_within(float(joint.lower), float(joint.upper), _ANGLES)
+        angles = angles_within(float(joint.lower), float(joint.upper))
         torque_at = functools.partial(self.torque_at, index)
         static = pair_envelope(pair, torque_at, about=self.posture[index], angles=angles)
         return static, _limits_of_pair(pair, robot.pair(index).muscles, static)
@@ -415,7 +414,7 @@ def _desired(scenario: RobotScenario) -> _Desired | None:
     duration, period = scenario.run_duration, scenario.control_period
     parts = [sampled(references[name], duration, period) for name in scenario.joint_names]
     times = parts[0][0]
-    some = np.arange(times.size) if scenario.robot.has_disjoint_pairs else evenly_spaced(times.size, _POSTURES)
+    some = np.arange(times.size) if scenario.robot.has_disjoint_pairs else evenly_spaced(times.size, POSTURES)
     angles, stiffness = (
         np.stack([np.asarray(getattr(setpoints, field))[some] for _, setpoints in parts])
         for field in ("angle", "stiffness")

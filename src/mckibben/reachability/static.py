@@ -31,7 +31,6 @@ from mckibben.units import deg
 
 Values = NDArray[np.float64]
 
-_WIDEST = 80 * deg  # range of angles that is scanned
 _STEPS = 24  # of a range that is scanned by linear programs
 
 SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its end a muscle is slack
@@ -157,7 +156,7 @@ def pair_envelope(
     `about` and `angles` are those of `static_envelope`; the domains of the muscles end at the supply.
     """
     affine = is_affine(joint)
-    angles = np.linspace(-_WIDEST, _WIDEST, 641 if affine else 161) if angles is None else angles
+    angles = np.linspace(-80 * deg, 80 * deg, 641 if affine else 161) if angles is None else angles
     points = scan_points(affine)
 
     def stiffness_at(angles: Values) -> tuple[Array, ...]:
@@ -238,7 +237,7 @@ def coupled_envelope(robot: Robot, index: int, posture: Sequence[float], supply:
     )
 
 
-def angles_within(low: float, high: float, steps: int) -> Values:
+def angles_within(low: float, high: float, steps: int = 160) -> Values:
     """Multiples of a quarter, a half or of whole degrees between two angles [rad] in about that many steps, and both.
 
     >>> (angles_within(-3 * deg, 4.5 * deg, 8) / deg).round(3).tolist()

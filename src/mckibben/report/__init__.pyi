@@ -8,6 +8,7 @@ from .identification import ranking as ranking
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
 from .joint import envelope as envelope
+from .joint import felt_stiffness as felt_stiffness
 from .joint import selection as selection
 from .joint import stiffness as stiffness
 from .joint import torque_stiffness_map as torque_stiffness_map

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessTests
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, StiffnessTests
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
@@ -260,6 +261,42 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
     """Limit an axis to the curves, with at least 5 % of the largest value as its range."""
     largest = max(float(np.abs(curve[np.isfinite(curve)]).max(initial=0.0)) for curve in curves)
     axes.set_ylim(*robust_limits(curves, part=0.98, floor=0.05 * largest))
+
+
+@styled
+def felt_stiffness(result: FeltStiffness) -> Figure:
+    """Stiffness [N*m/rad] that a push feels over its frequency, one panel per joint, on logarithmic axes.
+
+    Dashed: isobaric stiffness, which is controlled; dotted: that of small motion at constant pressures, with friction.
+
+    Parameters
+    ----------
+    result
+        Result of `mckibben.study.stiffness.stiffness_tests`, or of a robot.
+    """
+    columns = min(len(result.felt), 3)
+    rows = math.ceil(len(result.felt) / columns)
+    figure = blank(DOUBLE if columns > 1 else 0.6 * DOUBLE, 2.3 * rows + 0.7)
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in grid[len(result.felt) :]:
+        axes.set_visible(False)
+    for i, (axes, (name, felt)) in enumerate(zip(grid, result.felt.items(), strict=False)):
+        push = f"felt by a push{f' of {felt.torque:g} N·m' * (columns == 1)}"
+        axes.plot(felt.frequency, felt.magnitude, "o-", color=VERMILLION, label=push)
+        axes.axhline(felt.isobaric, color=BLUE, linestyle=(0, (4, 2)), label="isobaric: what is controlled")
+        if felt.small_motion > 0:
+            look: Look = {"color": BLACK, "linestyle": (0, (1, 1.5))}
+            axes.axhline(felt.small_motion, label="motion by 0.1° at constant pressures", **look)
+        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]")
+        axes.set_ylim(bottom=0.5 * min(felt.isobaric, felt.magnitude.min()))
+        plain_numbers(axes.xaxis)
+        plain_numbers(axes.yaxis)
+        if name:
+            letter(axes, i, f"{name}, {felt.torque:g} N·m")
+    for axes in grid[::columns]:
+        axes.set_ylabel(_STIFFNESS)
+    legend_above(figure, grid[0], columns=1 if columns == 1 else 3)
+    return figure
 
 
 @styled

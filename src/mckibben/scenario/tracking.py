@@ -20,10 +20,8 @@ from mckibben.scenario.scenario import errors_of
 from mckibben.simulation.problem import check_frequencies, sampled
 from mckibben.simulation.robot_metrics import TrackingMetrics, TrackingSample, inflow
 from mckibben.simulation.robots import RobotResult, simulate_robot
-from mckibben.statics.reference import check_postures
+from mckibben.statics.reference import POSTURES, check_postures
 from mckibben.units import deg
-
-_POSTURES = 25  # at which the reference is checked
 
 
 class TrackingResult(RobotResult):
@@ -90,7 +88,7 @@ def run_tracking(scenario: RobotScenario, *, source: str = "") -> TrackingResult
             "desired_stiffness": np.stack([np.asarray(setpoints.stiffness) for _, setpoints in parts]),
         }
         check_positive("reference", "N*m/rad", stiffness=desired["desired_stiffness"])
-        times, some = parts[0][0], evenly_spaced(parts[0][0].size, _POSTURES)
+        times, some = parts[0][0], evenly_spaced(parts[0][0].size, POSTURES)
         rows = (values[:, some].T for values in desired.values())
         found = check_postures(scenario.robot, times[some], *rows, supply=scenario.supply)
         notes = (*scenario.reference_notes, *found)

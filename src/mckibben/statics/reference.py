@@ -13,6 +13,9 @@ from mckibben.statics.attainable import held_statics
 from mckibben.statics.posture import EXACT, Floats, HeldPostures, holding_torques, is_affine
 from mckibben.statics.pressures import held_joint_stiffness
 
+POSTURES = 25
+"""Postures along a reference at which linear programs check it."""
+
 
 def check_postures(
     robot: Robot, times: Floats, angles: Floats, stiffness: Floats, *, supply: float = np.inf
