@@ -98,7 +98,7 @@ BUDGET = {
     "component": 1030,
     "config": 570,
     "contract": 650,
-    "control": 2590,
+    "control": 2670,
     "dataset": 4020,
     "experiment_design": 720,
     "export": 2440,
