@@ -129,7 +129,6 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     np.testing.assert_array_less(error, [0.1, 0.2, 0.6])
     steady = late & (run["time"] % 1 > 0.2)  # a joint has a step at 1, 2 and 3 s
     assert np.abs(run["stiffness"] - run["desired_stiffness"])[:, steady].max() < 0.1
-    assert run["allocation_gap"].max() < 1e-8
     assert list(run.notes) == []
     late_commands = RobotScenario.parse(scenario.dumps().replace("reference:", "command_delay: 8 ms\nreference:"))
     aware = run_tracking(late_commands)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import abc
 import dataclasses
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
@@ -19,6 +20,7 @@ from mckibben.component.columns import Labelled
 from mckibben.control.reference import ReferenceDerivatives, Signal, as_signal
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
+from mckibben.muscle import Muscle
 from mckibben.units import Angle, Stiffness
 
 Scalar = Float[Array, ""]
@@ -65,10 +67,10 @@ ValveModel = Annotated[Actuator, Inherited(_valve_model)]
 """A controller's model of the valves; in a file, by default, the valve of the plant."""
 
 
-def check_valve_model(owner: str, valve: Actuator, joint: AntagonisticJoint) -> None:
-    """Raise `RangeError` if the response of a model of the valves in a joint is unknown."""
+def check_valve_model(owner: str, valve: Actuator, muscles: Sequence[Muscle]) -> None:
+    """Raise `RangeError` if the response of a model of the valves at muscles is unknown."""
     if valve.holds_air:
-        for muscle in (joint.muscle1, joint.muscle2):
+        for muscle in muscles:
             muscle.specimen.check_volume(f"a {type(valve).__name__} as the model of the valves")
     elif valve.lag is None:
         message = f"{owner}: the time constant of a {type(valve).__name__} is unknown"
@@ -172,8 +174,10 @@ class Controller(DiscreteTimeSystem[State]):
         """
 
 
-def extended(setpoints: Setpoint, count: int, period: ArrayLike) -> Setpoint:
-    """Setpoints [rad, N*m/rad], shape (periods, ...), and a number of further ones, extrapolated."""
+def extended(setpoints: Setpoint | tuple[Setpoint, ...], count: int, period: ArrayLike) -> Any:
+    """Setpoints [rad, N*m/rad], shape (periods, ...), or those of each joint, and further ones, extrapolated."""
+    if not isinstance(setpoints, Setpoint):
+        return tuple(extended(joint, count, period) for joint in setpoints)
     angle, stiffness = map(jnp.asarray, setpoints)
     last = ReferenceDerivatives.init(angle[0])
     for sample in angle[-4:]:
@@ -188,9 +192,9 @@ def with_preview(controller: Any, state: PyTree, setpoints: Any, period: ArrayLi
     if not (count := getattr(controller, "samples_ahead", 0)):
         return state, setpoints
     known = extended(setpoints, count, period)
-    first = Setpoint(known.angle[:count], known.stiffness[:count])
+    first = jax.tree.map(lambda samples: samples[:count], known)
     state = lax.scan(lambda held, setpoint: (controller.foresee(held, setpoint, period), None), state, first)[0]
-    return state, Setpoint(known.angle[count:], known.stiffness[count:])
+    return state, jax.tree.map(lambda samples: samples[count:], known)
 
 
 class Loop(Component, Generic[State]):
