@@ -117,15 +117,15 @@ BUDGET = {
     "rig": 4950,
     "scenario": 1840,
     "serial_protocol": 170,
-    "simulation": 3240,
+    "simulation": 3245,
     "statics": 570,
     "storage": 590,
     "study": 3510,
     "web": 2810,
 }
 
-MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 440  # numbers at module level, to come to 500
+MOST_ANY = 680  # uses of `Any`
+MOST_CONSTANTS = 438  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
@@ -244,11 +244,6 @@ def test_no_import_by_text():
     assert homes <= TEXT_IMPORTS
 
 
-WRITING = {"Batch", "Calibration", "Envelope", "Exported", "JointCalibration", "JointRunResult"}
-WRITING |= {"JumpStudy", "ReadRobot", "Selection", "StiffnessTests"}
-"""Results that still write themselves: to be emptied."""
-
-
 def test_a_result_declares_and_does_not_write_itself():
     for name in MODULES:
         importlib.import_module(name)
@@ -257,9 +252,8 @@ def test_a_result_declares_and_does_not_write_itself():
         return [kind, *(further for child in kind.__subclasses__() for further in below(child))]
 
     results = {kind for kind in below(mckibben.result.Result)[1:] if kind.__module__.startswith("mckibben.")}
-    own = {kind.__name__ for kind in results if {"listings", "to_dict", "describe"} & vars(kind).keys()}
-    assert own <= WRITING
-    assert {kind.__name__ for kind in results if not (kind.__subclasses__() or declares(kind))} <= WRITING
+    assert [kind for kind in results if {"listings", "to_dict", "describe"} & vars(kind).keys()] == []
+    assert [kind for kind in results if not (kind.__subclasses__() or declares(kind))] == []
 
 
 def declares(kind: type) -> bool:

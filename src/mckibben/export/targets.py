@@ -13,7 +13,7 @@ from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, closest, quoted
 from mckibben.export.hardware import Hardware
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
 from mckibben.storage.files import atomic_write, check_free, make_folder
@@ -68,7 +68,8 @@ class Exported(Result):
         for part in self.left_out:
             yield Remark.warning("left_out", f"left out: {part}")
 
-    def listings(self) -> Iterator[Listing]:
+    @table()
+    def sizes_and_operations(self) -> Iterator[Listing]:
         """Files and their sizes, and the worst case of a step."""
         sizes = [len(content.encode() if isinstance(content, str) else content) for content in self.contents.values()]
         columns = {"file": (Column(), list(self.contents)), "bytes": (Column(), sizes)}

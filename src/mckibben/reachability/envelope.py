@@ -28,7 +28,7 @@ from mckibben.reachability.static import (
     pair_envelope,
     static_envelope,
 )
-from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.result import Column, Listing, Remark, Result, column, table
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import Feasibility, check_reference
@@ -209,13 +209,13 @@ class Envelope(Result):
             columns["feasible"] = Column(), [reach.feasible for reach in reaches]
         return declared | columns
 
-    def listings(self) -> list[Listing]:
-        """Feasible factor, and the static envelope of each joint."""
-        own = [
+    @table()
+    def static_envelopes(self) -> list[Listing]:
+        """Return the static envelope of each joint."""
+        return [
             reach.listing(f"static envelope{' of ' * bool(name)}{name}", detail=bool(name))
             for name, reach in self.joints.items()
         ]
-        return [*super().listings(), *own]
 
 
 _MEASURED = "measured pressure"

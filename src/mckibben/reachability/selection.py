@@ -28,7 +28,7 @@ from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
 from mckibben.reachability.requirement import SHORTEST, Make, Requirement, catalog_makes, read_make
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.problem import sampled_reference
@@ -108,7 +108,8 @@ class Selection(Result):
             *self.best.plant.joint.remarks,
         ]
 
-    def listings(self) -> list[Listing]:
+    @table()
+    def candidates_and_parts(self) -> list[Listing]:
         """Candidates with the intervals of their forces, parts of the best one, and the checks of its run."""
         torque, stiffness = Column("N*m", digits=3), Column("N*m/rad", digits=3)
         rows = self.candidates

@@ -18,7 +18,7 @@ from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
-from mckibben.result import Column, Listing, Result, column
+from mckibben.result import Column, Listing, Result, column, table
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.units import bar, deg
@@ -63,9 +63,9 @@ class StiffnessTests(Result):
         held = f"{self.scenario.name}, held at {round(self.angle / deg, 3) + 0.0:g} deg by {pressures} bar"
         return f"{held}: {low:.4g} to {high:.4g} N*m/rad at constant pressures"
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield setpoint and closed forms, then each simulated test over the rates; the magnitude for a controller."""
-        yield from super().listings()
+    @table()
+    def simulated(self) -> Iterator[Listing]:
+        """Yield each simulated test over the rates; the magnitude for a controller."""
         for name, test in self.tests.items():
             stiffness = test.magnitude if name == CONTROLLED else test.stiffness
             columns: dict[str, tuple[Column, Any]] = {"amplitude": (Column("rad", "amplitude", "deg"), self.amplitude)}
