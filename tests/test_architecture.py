@@ -101,7 +101,7 @@ BUDGET = {
     "config": 570,
     "contract": 650,
     "control": 2670,
-    "dataset": 4020,
+    "dataset": 4030,
     "experiment_design": 720,
     "export": 2550,
     "identification": 3740,
@@ -117,15 +117,15 @@ BUDGET = {
     "rig": 4970,
     "scenario": 1840,
     "serial_protocol": 170,
-    "simulation": 3240,
+    "simulation": 3250,
     "statics": 570,
     "storage": 600,
     "study": 3750,
     "web": 2810,
 }
 
-MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 453  # numbers at module level, to come to 500
+MOST_ANY = 680  # uses of `Any`
+MOST_CONSTANTS = 446  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
@@ -244,10 +244,6 @@ def test_no_import_by_text():
     assert homes <= TEXT_IMPORTS
 
 
-WRITING = {"Batch", "Calibration", "Exported", "JointCalibration", "JointRunResult", "JumpStudy", "ReadRobot"}
-"""Results that still write themselves: to be emptied."""
-
-
 def test_a_result_declares_and_does_not_write_itself():
     for name in MODULES:
         importlib.import_module(name)
@@ -256,9 +252,8 @@ def test_a_result_declares_and_does_not_write_itself():
         return [kind, *(further for child in kind.__subclasses__() for further in below(child))]
 
     results = {kind for kind in below(mckibben.result.Result)[1:] if kind.__module__.startswith("mckibben.")}
-    own = {kind.__name__ for kind in results if {"listings", "to_dict", "describe"} & vars(kind).keys()}
-    assert own <= WRITING
-    assert {kind.__name__ for kind in results if not (kind.__subclasses__() or declares(kind))} <= WRITING
+    assert [kind for kind in results if {"listings", "to_dict", "describe"} & vars(kind).keys()] == []
+    assert [kind for kind in results if not (kind.__subclasses__() or declares(kind))] == []
 
 
 def declares(kind: type) -> bool:

@@ -61,7 +61,7 @@ def described(value: object, *, of_file: bool = False) -> str:
     return with_article("array" if name == "ndarray" else name)
 
 
-def closest(name: str, names_in_use: Sequence[str]) -> str:
+def closest(name: str, candidates: Sequence[str]) -> str:
     """Closest known name to an unknown one, or one of which it is the beginning or end; empty if none is close.
 
     >>> closest("MAS10", ["DMSP-10-250", "MAS-10-180N-AA-MC-O"])
@@ -69,7 +69,7 @@ def closest(name: str, names_in_use: Sequence[str]) -> str:
     >>> closest("encoder_resolution", ["encoder", "encoder_offset"])
     'encoder'
     """
-    word, names = plain_name(name)[:LONGEST_VALUE], {plain_name(other): other for other in reversed(names_in_use)}
+    word, names = plain_name(name)[:LONGEST_VALUE], {plain_name(other): other for other in reversed(candidates)}
     short = len(word) < 3
     nearest = [
         *sorted((other for other in names if other.startswith(word) and not short), key=len),
@@ -281,9 +281,9 @@ def _lines(lines: Sequence[int]) -> str:
             spans[-1][1] = line
         else:
             spans.append([line, line])
-    spans_as_text = [str(first) if first == last else f"{first}-{last}" for first, last in spans[:_MOST_SPANS]]
+    texts = [str(first) if first == last else f"{first}-{last}" for first, last in spans[:_MOST_SPANS]]
     more = ", ..." if len(spans) > _MOST_SPANS else ""
-    return f"line{'s' if len(lines) > 1 else ''} {', '.join(spans_as_text)}{more}"
+    return f"line{'s' if len(lines) > 1 else ''} {', '.join(texts)}{more}"
 
 
 class FileError(McKibbenError, ValueError):

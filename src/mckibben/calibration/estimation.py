@@ -54,7 +54,7 @@ from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
-from mckibben.result import Column, Listing, Remark, column
+from mckibben.result import Column, Listing, Remark, column, table
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
@@ -180,8 +180,9 @@ class JointCalibration(Calibration):
                 rows[" ".join(parts)] = math.sqrt(variance)
         return rows
 
-    def listings(self) -> list[Listing]:
-        """Estimates, combinations of those that are not determined, and errors of each recording."""
+    @table()
+    def errors_of_recordings(self) -> list[Listing]:
+        """Combinations of the estimates that are not determined, and errors of each recording."""
         recordings, rows = (*self.recordings, *self.held_out), self.combinations()
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
         error = Column("N*m", digits=3)
@@ -191,7 +192,7 @@ class JointCalibration(Calibration):
             "model before": (error, before),
             "calibrated": (error, after),
         }
-        listings = [*super().listings(), Listing("root mean square error", columns)]
+        listings = [Listing("root mean square error", columns)]
         if rows:
             columns = {
                 "combination": (Column(), list(rows)),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.units import factor, show
 
 if TYPE_CHECKING:
@@ -118,9 +118,10 @@ class Calibration(Result):
             if estimate.distance > CONFLICT
         ]
 
-    def listings(self) -> list[Listing]:
-        """Declared numbers, estimates with deviations in the unit of their row, and margins of the loop."""
-        listings = [*super().listings(), self._estimates_listing()]
+    @table()
+    def estimates_and_margins(self) -> list[Listing]:
+        """Estimates with deviations in the unit of their row, and margins of the loop."""
+        listings = [self._estimates_listing()]
         if self.disk_margins is not None:
             plants = ["calibrated", *(f"drawn {i}" for i in range(1, len(self.disk_margins)))]
             columns = {"plant": (Column(), plants), "disk margin": (Column(digits=2), self.disk_margins)}

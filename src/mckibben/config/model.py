@@ -318,9 +318,9 @@ class _Keys:
         for detail in error.errors(include_url=False):
             message, remedy = self._text(detail)
             if message:
-                given_input = None if detail["type"] == "missing" else detail["input"]
-                cause = _ValidationError(message, remedy=remedy, follows=False, value=given_input)
-                detail = {"type": "value_error", "loc": detail["loc"], "input": given_input, "ctx": {"error": cause}}
+                entered = None if detail["type"] == "missing" else detail["input"]
+                cause = _ValidationError(message, remedy=remedy, follows=False, value=entered)
+                detail = {"type": "value_error", "loc": detail["loc"], "input": entered, "ctx": {"error": cause}}
             if message is not None:
                 details.append(detail)
         return ValidationError.from_exception_data(error.title, cast(Any, details))

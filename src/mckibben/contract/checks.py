@@ -150,9 +150,9 @@ def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | N
     if not kinds:
         remedy = "define a class that derives from a base, such as Valve, Geometry or Controller"
         raise ParameterError(f"{os.fspath(named)} does not define a component", value=os.fspath(named), remedy=remedy)
-    fields_of_all = list(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
-    if unknown := [name for name in values if name not in fields_of_all]:
-        remedy = f"known are {', '.join(fields_of_all)}"
+    field_names = list(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
+    if unknown := [name for name in values if name not in field_names]:
+        remedy = f"known are {', '.join(field_names)}"
         raise ParameterError(f"no class has the field {unknown[0]!r}", value=unknown[0], remedy=remedy)
     findings = []
     for kind in kinds:

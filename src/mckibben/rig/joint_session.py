@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant
-from mckibben.result import Column, Listing, Remark, Result, TableColumns
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.rig.backend import Backend, ChannelStatus
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.channels import Channels
@@ -95,9 +95,9 @@ class JointRunResult(Result):
         }
         return own | (self.result.declared() if self.result else {})
 
-    def listings(self) -> Iterator[Listing]:
-        """The metrics of the motion, and the timing of a paced run."""
-        yield from self.result.listings() if self.result else ()
+    @table()
+    def timing_of_paced(self) -> Iterator[Listing]:
+        """The timing of a paced run."""
         if self.paced:
             yield self.timing.listing(f"{self.priority} priority")
 

@@ -19,7 +19,7 @@ from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.mechanism.muscles import PathMuscle
 from mckibben.mechanism.robot import Robot
 from mckibben.muscle import Muscle
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.scenario.robot import RobotScenario
 from mckibben.units import GRAVITY
 
@@ -76,7 +76,8 @@ class ReadRobot(Result):
         for part in self.left_out:
             yield Remark.warning("left_out", f"not carried over: {part}")
 
-    def listings(self) -> Iterator[Listing]:
+    @table()
+    def joints_and_tendons(self) -> Iterator[Listing]:
         """Yield tables of joints and tendons."""
         joints, frames = self.robot.joints, self.robot.frame_names
         columns: dict[str, tuple[Column, Sequence[object]]] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -22,7 +23,7 @@ from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.plant import JointPlant, PlantState
-from mckibben.result import Column, Listing, Result, TableColumns
+from mckibben.result import Column, Result, TableColumns, table
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -160,9 +161,11 @@ class Batch(RunTable):
 
     def declared(self) -> TableColumns:
         """The metrics of all runs, with their units."""
-        return metric_columns(self.kind, self.metrics)
+        columns = metric_columns(self.kind, self.metrics)
+        return {name: (replace(mark, dims=("run",)), values) for name, (mark, values) in columns.items()}
 
-    def listings(self) -> Sequence[Listing]:
+    @table("metrics")
+    def spread(self) -> TableColumns:
         """Least, median and largest value of each metric; of several joints one row each."""
         rows = []
         for mark, values in self.declared().values():
@@ -173,7 +176,7 @@ class Batch(RunTable):
                 rows.append((title, *map(mark.cell, ends), mark.shown_unit))
         titles = ("metric", *_PARTS, "unit")
         cells = zip(*rows, strict=True) if rows else [()] * len(titles)
-        return [Listing("", {title: (Column(), values) for title, values in zip(titles, cells, strict=True)})]
+        return {title: (Column(), values) for title, values in zip(titles, cells, strict=True)}
 
 
 def batch_table(

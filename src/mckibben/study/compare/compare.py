@@ -86,9 +86,9 @@ def compare(
                 if trial is not None:
                     at_air.tuned[name] = task.values(trial)
             report("evaluation runs, the last part", 0.98)
-            for fraction in (result, at_air):
-                if name in fraction.tuned:
-                    fraction.batches[name] = evaluate(evaluation, name, fraction.tuned[name])
+            for kind in (result, at_air):
+                if name in kind.tuned:
+                    kind.batches[name] = evaluate(evaluation, name, kind.tuned[name])
             with suppress(McKibbenError):  # its run cannot start or diverges, as the table shows
                 result.margins[name] = suite.tuned_scenario(name, result.tuned[name]).margins()
     progress("done", 1.0)
