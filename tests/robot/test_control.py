@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -47,6 +49,12 @@ THROUGH_THE_AXIS = """- name: on the axis
 ROOT = Path(__file__).parents[2]
 FULL = "examples/robot/lei-leg-control.yaml"
 KEPT = ("angle", "pressure", "command", "stiffness")
+
+
+@pytest.mark.slow
+def test_a_file_may_name_computed_torque_where_nothing_else_was_imported():
+    code = f"from mckibben.scenario import read_scenario; read_scenario({FULL!r})"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True).returncode == 0
 
 
 @pytest.mark.parametrize("stiffness", ["0 N*m/rad", "{class: step, before: 14 N*m/rad, after: 0 N*m/rad, at: 0.2 s}"])

@@ -32,6 +32,7 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import fail_validation, located_below
 from mckibben.control import Controller, Reference
+from mckibben.control.computed_torque import ComputedTorque
 from mckibben.control.reaching import PointReference
 from mckibben.control.robot_control import JointwiseControl, TimedReference, TrackingControl, check_pairs
 from mckibben.errors import RangeError, UnreachableError
@@ -79,6 +80,9 @@ from mckibben.units import (
 
 _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the robot."""
+
+CONTROLLERS = JointwiseControl, ComputedTorque
+"""Controllers of all joints that a file may name; those of a user's module are known as well."""
 
 _JOINTS = TypeAdapter(dict[str, ReferencePart])
 
