@@ -115,7 +115,7 @@ BUDGET = {
     "reachability": 1140,
     "report": 1980,
     "rig": 4970,
-    "scenario": 1840,
+    "scenario": 1850,
     "serial_protocol": 170,
     "simulation": 3250,
     "statics": 570,
