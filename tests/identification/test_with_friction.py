@@ -33,7 +33,7 @@ def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     assert float(found.friction.half_width) == pytest.approx(12.0, rel=0.01)
     assert float(found.friction.presliding_length) == pytest.approx(0.5 * mm, rel=0.02)
     assert found.rmse < 0.1 < 10 < fit_law(ExponentialLaw, rig).rmse
-    assert found.law == fit_law(ExponentialLaw, found.hysteresis.corrected(rig)).law
+    assert found.law == fit_law(ExponentialLaw, found.hysteresis.corrected_points).law
     assert found.note
 
 
@@ -80,7 +80,7 @@ def test_friction_does_not_depend_on_the_form_of_the_law(rig):
     found, other = (identify_with_friction(law, rig) for law in (ReynoldsLaw, ExponentialLaw))
     assert float(found.friction.half_width) == pytest.approx(float(other.friction.half_width), rel=1e-3)
     assert found.hysteresis.rmse > 40 and other.hysteresis.rmse < 0.1
-    assert found.law == fit_law(ReynoldsLaw, found.hysteresis.corrected(rig)).law
+    assert found.law == fit_law(ReynoldsLaw, found.hysteresis.corrected_points).law
 
 
 def steps_of_pressure(half_width: float, *, left: float = 1.0, seed: int = 0) -> mk.IsobaricDataset:

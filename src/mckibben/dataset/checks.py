@@ -263,9 +263,8 @@ def _resolution(values: Floats) -> float:
 def _last_decimal(values: Floats) -> Floats:
     """Power of ten, from 1e3 to 1e-5, of the last decimal of all numbers along the first axis; 0 if they have more."""
     steps = 10.0 ** -np.arange(-3, 6).reshape(-1, *np.ones(values.ndim, int))
-    rounded = np.abs(values - steps * np.round(values / steps)) <= 1e-6 * steps + 2e-16 * np.abs(values).max(
-        initial=0.0
-    )
+    error = 1e-6 * steps + 2e-16 * np.abs(values).max(initial=0.0)
+    rounded = np.abs(values - steps * np.round(values / steps)) <= error
     return np.max(steps[:, 0] * rounded.all(axis=1), axis=0)
 
 

@@ -61,7 +61,7 @@ class HysteresisFit(Result):
     fit
         Fit of the static law, midway between loading and unloading, to the points without friction and drift.
     corrected_points
-        These points.
+        These points, used and slack; those that are slack, as measured or by the law, remain slack.
     friction
         Hysteresis, with the parameters of its form.
     form
@@ -165,18 +165,6 @@ class HysteresisFit(Result):
         """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
         return draw("loops", data, self)
 
-    def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Used and slack points of the identified dataset without friction and drift, to fit a static law.
-
-        Points that are slack, as measured or by the law, remain slack.
-        """
-        means = with_loads(dataset)
-        if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
-            raise IdentificationError(
-                f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
-            )
-        return self.corrected_points
-
 
 _SHOWN = {
     "half_width": ("N", "reference_pressure"),
@@ -263,19 +251,17 @@ def identify_hysteresis(
     bases, about_creep = _with_creep(model, bases, start)
     model = dataclasses.replace(model, drift=bases[-1])
     comparison: Mapping[FrictionForm, float] = {}
-    free = set(FRICTION)
     if fixed := at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
-        form, free = form or FrictionForm.COULOMB, free - {"half_width"}
-        start["half_width"] = half_gap
+        form, start["half_width"] = form or FrictionForm.COULOMB, half_gap
     if form is None:
         form, comparison, start = _compare_forms(model, start)
     else:
         start = model.start(start, form)
-    names = tuple(name for name in form.free if name in free)
+    names = tuple(name for name in form.free if not (fixed and name == "half_width"))
     model, solution = _with_drift(_with_tension(model, start)[0].smoothed(start), bases, start, names)
     solution, undetermined, about_presliding = _presliding(model, solution)
     result = _result(model, solution, taut, form, comparison, law)
-    if "half_width" not in free:
+    if fixed:
         result.standard_errors["half_width"] = gap_error
     notes = [*left_out(outliers), *about_creep, *about_presliding, *_doubts(model, solution, result)]
     notes += _released(means, used & taut) if fixed else []
