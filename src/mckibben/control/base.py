@@ -191,6 +191,8 @@ def with_preview(controller: Any, state: PyTree, setpoints: Any, period: ArrayLi
     """State before the first step that knows the first setpoints, and the setpoints of the steps, `samples_ahead`."""
     if not (count := getattr(controller, "samples_ahead", 0)):
         return state, setpoints
+    if not isinstance(setpoints, tuple):
+        raise RangeError("a reference that is not over time gives no setpoints ahead", field="preview")
     known = extended(setpoints, count, period)
     first = jax.tree.map(lambda samples: samples[:count], known)
     state = lax.scan(lambda held, setpoint: (controller.foresee(held, setpoint, period), None), state, first)[0]

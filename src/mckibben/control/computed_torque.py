@@ -60,8 +60,7 @@ class ComputedTorque(LinearisingControl, TrackingControl):
     minimum_tension
         Lower limit of each muscle's tension [N].
     impedance
-        Whether each joint is a critically damped spring of its stiffness about its reference, for contact (Hogan 1985),
-        in place of feedback that rejects every disturbance.
+        Whether each joint is a spring of its stiffness about its reference, as for `DecouplingControl`.
 
     References
     ----------

@@ -25,6 +25,7 @@ from mckibben.numerics.elementary import exp
 Scalar = Float[Array, ""]
 
 _SECOND_ZERO = 6.63  # of the weights of a smoothed reference
+_DAMPING = 0.55  # of a joint with an impedance, relative to critical: it feels as stiff as asked up to its resonance
 _SHARE, _LEAST = 0.5, 0.05  # of the rate of the torque, for the feedback
 
 
@@ -144,7 +145,7 @@ class LinearisingControl(StatePrediction[LinearisedState]):
             error, rate = setpoint.angle - expected.angles[i], reference.velocity - rates[i]
             inertia, acceleration = equations.matrix[i][i], reference.acceleration_after(lead, period)
             if self.impedance:
-                damping = 2 * jnp.sqrt(setpoint.stiffness * inertia)
+                damping = 2 * _DAMPING * jnp.sqrt(setpoint.stiffness * inertia)
                 torques[i] = torques[i] + setpoint.stiffness * error + damping * rate
                 feedback.append(state.feedback[i])
             else:

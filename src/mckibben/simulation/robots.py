@@ -39,7 +39,15 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import compute_groups, dynamic_steps, run_alone
-from mckibben.simulation.loop import LoopState, control_period, initial_loop, of_any_length, positions_over_time
+from mckibben.simulation.loop import (
+    LoopState,
+    Record,
+    begun,
+    control_period,
+    initial_loop,
+    of_any_length,
+    positions_over_time,
+)
 from mckibben.simulation.metrics import Run, Totals, values_of
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampled_reference, sampling_times, single_run, split_runs
@@ -138,9 +146,9 @@ def tracking_metrics(
 ) -> TrackingMetrics:
     """Run a robot that follows references over time, and return its metrics alone, as `robot_metrics`."""
 
-    def advance(carry: tuple[LoopState, PyTree, Totals], time: PyTree) -> tuple[tuple[LoopState, PyTree, Totals], None]:
-        loop, before, totals = carry
-        following, record = control_period(plant, controller, loop, time, period, substeps)
+    def advance(carry: tuple[LoopState, PyTree, Totals], row: PyTree) -> tuple[tuple[LoopState, PyTree, Totals], None]:
+        (loop, before, totals), (time, early) = carry, row
+        following, record = control_period(plant, controller, loop, early, period, substeps)
         sample, setpoints = record.state, controller.setpoints_at(time)
         stiffness = plant.robot.stiffness(sample.angle, sample.pressure)
         kind = sample.z.dtype
@@ -153,11 +161,11 @@ def tracking_metrics(
         ).totals
         return (following, sample.air_mass, totals.merge(terms)), None
 
-    loop = initial_loop(plant, controller, start)
+    loop, early = begun(plant, controller, times, start, period)
     first = plant.observe(loop[0])
     zeros, zero = tuple(jnp.zeros_like(angle) for angle in first.angle), jnp.zeros_like(first.z)
     empty = TrackingSample(zeros, zeros, zero, zero, zero).totals.empty()
-    (_, _, totals), _ = lax.scan(advance, (loop, first.air_mass, empty), times)
+    (_, _, totals), _ = lax.scan(advance, (loop, first.air_mass, empty), (times, early))
     count = jax.tree.leaves(times)[0].shape[0]
     return values_of(TrackingMetrics, totals, Run(jnp.asarray(count), period))
 
@@ -219,7 +227,7 @@ def simulate_robot(
     check_pairs(plant.robot, controller)
     run = single_run(RobotProblem(plant, controller, start), control_period, "simulate_robots")
     plant.check_start(start)
-    rows = of_any_length(controller, setpoints_over(run.controller, times))
+    rows = of_any_length(run.controller, setpoints_over(run.controller, times))
     solutions: dict[int, tuple[tuple[Any, Record], str]] = {}
 
     def solve(number: int, _: Any = None) -> Positions:
@@ -312,7 +320,7 @@ def simulate_robots(
 
     every = spacing(times.size)
     rows = setpoints_over(shared.controller, times, lanes.controller)
-    given = shared, of_any_length(controller, rows, every), np.asarray(control_period)
+    given = shared, of_any_length(shared.controller, rows, every), np.asarray(control_period)
 
     def refine_runs(runs: Runs) -> Refinement:
         some = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes)
