@@ -458,8 +458,8 @@ def test_the_classes_of_the_documentation_keep_it(text, failures, classes, tmp_p
     code = "from mckibben.cli import main; main()"  # in a process of its own: the page is run as a doctest, too
     run = subprocess.run([sys.executable, "-c", code, "check", path, "--json"], capture_output=True, text=True)
     answer = json.loads(run.stdout)
-    columns = answer["tables"][0]["columns"]
-    findings = list(zip(*(columns[name]["values"] for name in ("class", "check", "result")), strict=True))
+    columns = answer["columns"]
+    findings = list(zip(*(columns[name]["values"] for name in ("kind", "check", "result")), strict=True))
     assert [row[:2] for row in findings if row[2] != "passed"] == failures, answer["remarks"]
     defined = {node.name for node in ast.parse(text).body if isinstance(node, ast.ClassDef)} - HARDWARE
     assert {row[0] for row in findings} == defined and len(defined) == classes
