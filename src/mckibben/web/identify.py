@@ -388,7 +388,7 @@ class _Page(JobPage[IdentificationState]):
             if state.questions:
                 self.show_columns()
             if state.data is not None and "fit" not in state.results:
-                with panel(f"{len(state.data)} points, {len(state.data.taut)} taut"):
+                with panel(f"{len(state.data)} points, {len(state.data) - len(state.data.taut)} slack"):
                     self.show_points(state.data)
             folded = bool(state.results and state.tables)
             with panel() if folded else nullcontext(), fold("The file") if folded else nullcontext():
