@@ -350,7 +350,7 @@ class Recorder:
     def __init__(
         self,
         folder: str | os.PathLike[str],
-        header: Mapping[str, Any],
+        header: Mapping[str, object],
         columns: Sequence[Column],
         attachments: Mapping[str, bytes] | None = None,
         *,
@@ -397,7 +397,7 @@ class Recorder:
             self._put(rows)
             self.rows += len(rows)
 
-    def event(self, kind: str, text: str = "", /, **data: Any) -> None:
+    def event(self, kind: str, text: str = "", /, **data: object) -> None:
         """Record an event between the rows before and after it.
 
         Parameters

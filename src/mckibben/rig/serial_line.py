@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -307,7 +307,7 @@ class SerialBackend(Backend):
             return self._receiver.feed(self._line.read(4096))
 
     @contextlib.contextmanager
-    def _translated(self) -> Any:
+    def _translated(self) -> Iterator[None]:
         try:
             yield
         except (OSError, AttributeError, TypeError) as error:  # pyserial raises all of them for a lost port

@@ -183,10 +183,10 @@ class Hello(NamedTuple):
     def pack(self) -> list[bytes]:
         """Bodies: of `HELLO` and, if not all channels fit in it, of the messages `CHANNELS` 1, 2, ...
 
-        >>> channels = [(f"pressure.muscle{number}", "Pa") for number in range(20)]
+        >>> channels = [(f"pressure.muscle {number}", "Pa") for number in range(20)]
         >>> bodies = Hello("board 1", 2000, bytes(32), channels, channels).pack()
         >>> [len(body) <= LONGEST for body in bodies], Hello.unpack(*bodies).commands == channels
-        ([True, True, True, True, True], True)
+        ([True, True, True, True], True)
         """
         groups = self.measurements, self.commands, self.setpoints
         bodies = [_HELLO.pack(VERSION, *map(len, groups), self.period, self.digest) + self.firmware.encode()]
@@ -216,7 +216,7 @@ class Hello(NamedTuple):
         _, *sizes, period, digest = _fields(_HELLO, body)
         texts = body[_HELLO.size :], *(part[1:] for part in more)
         firmware, *lines = b"\n".join(texts).decode(errors="replace").split("\n")
-        channels = [(name, unit) for name, _, unit in (line.partition(" ") for line in lines)]
+        channels = [(name, unit) for name, _, unit in (line.rpartition(" ") for line in lines)]
         first, second, _ = sizes
         groups = channels[:first], channels[first : first + second], channels[first + second :]
         printable = all(line.isprintable() and "\ufffd" not in line for line in (firmware, *lines))
