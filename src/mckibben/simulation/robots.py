@@ -41,7 +41,6 @@ from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import (
     LoopState,
-    Record,
     begun,
     control_period,
     initial_loop,

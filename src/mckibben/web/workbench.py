@@ -17,7 +17,7 @@ from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
 from mckibben.scenario import UNKNOWN, StudiedScenario, starting_stiffness, starting_text
-from mckibben.scenario.scenario import scenario_class
+from mckibben.scenario.files import scenario_class
 from mckibben.simulation import RunResult
 from mckibben.web import resource
 from mckibben.web.results import Presented, Repetition
