@@ -93,9 +93,9 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 BUDGET = {
     "top": 992,
     "actuator": 1000,
-    "calibration": 1620,
+    "calibration": 1720,
     "catalog": 230,
-    "cli": 1480,
+    "cli": 1520,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
@@ -124,7 +124,7 @@ BUDGET = {
     "web": 3120,
 }
 
-MOST_ANY = 680  # uses of `Any`
+MOST_ANY = 700  # uses of `Any`
 MOST_CONSTANTS = 446  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
