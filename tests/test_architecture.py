@@ -101,7 +101,7 @@ BUDGET = {
     "control": 2590,
     "dataset": 4020,
     "experiment_design": 720,
-    "export": 2440,
+    "export": 2450,
     "identification": 3710,
     "joint": 1240,
     "robot": 80,

@@ -17,13 +17,12 @@ from mckibben.cli.options import (
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
-    from mckibben.simulation import Margins
-    from mckibben.simulation.result import RunResult
+    from mckibben.simulation import Margins, SimulationResult
     from mckibben.study.stiffness import StiffnessTests
 
 
 @command
-def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> RunResult:
+def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> SimulationResult:
     """Simulate a scenario: a controller on a joint, or on all joints of a robot.
 
     Parameters
@@ -36,9 +35,9 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    read = read_scenario(scenario)
+    read = Scenario.read(scenario)
     result = read.run_once(source=str(scenario))
     if animate:
         from mckibben import report
@@ -89,9 +88,9 @@ def stiffness(
 @command
 def margins(scenario: ScenarioFile) -> Margins:
     """Compute the stability margins of the sampled loop at operating points along the reference."""
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    return read_scenario(scenario).margins()
+    return Scenario.read(scenario).margins()
 
 
 @command

@@ -22,7 +22,7 @@ from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Valves, mean_commands
 from mckibben.control.observer import ExtendedStateObserver, MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
-from mckibben.control.robot_control import TrackingControl
+from mckibben.control.robot_control import RobotController
 from mckibben.errors import RangeError
 from mckibben.mechanism.base import RobotMeasurement
 from mckibben.mechanism.dynamics import joint_equations
@@ -43,7 +43,6 @@ _CENTRED = 1e-3  # weight of the distance from the middle of the range, which se
 class ComputedTorqueState(NamedTuple):
     """Estimates of the motion and of the valves, the references so far, and the last allocation."""
 
-    reference: PyTree
     motions: tuple[MotionEstimate, ...]
     derivatives: tuple[ReferenceDerivatives, ...]
     feedback: tuple[PyTree, ...]
@@ -63,7 +62,7 @@ class _Coming(NamedTuple):
     valves: tuple[PyTree, ...]
 
 
-class ComputedTorque(TrackingControl):
+class ComputedTorque(RobotController):
     r"""Computed torque, and the stiffness of all joints, by the pressures of all muscles.
 
     The torques for the accelerations of references and feedback follow from a model of the robot, with its base at rest
@@ -146,7 +145,6 @@ class ComputedTorque(TrackingControl):
         known = self._accelerations(angles, still, pressures, 0.0)
         terms = joint_terms(self.robot, angles)
         return ComputedTorqueState(
-            self.reference.init(measurement),
             tuple(map(self.observer.init, angles, known)),
             tuple(map(ReferenceDerivatives.init, angles)),
             tuple(map(self.feedback.init, still)),
@@ -157,19 +155,17 @@ class ComputedTorque(TrackingControl):
             terms.stiffness_at(pressures),
         )
 
-    def step_toward(
+    def step(
         self,
         state: ComputedTorqueState,
-        setpoints: Sequence[Setpoint],
+        setpoint: Sequence[Setpoint],
         measurement: RobotMeasurement,
         period: ArrayLike,
     ) -> tuple[ComputedTorqueState, tuple[Array, ...]]:
         lag = self.feedback.lag
         lead = period / (1 - exp(-jnp.asarray(period) / lag))  # with which sampled pressures follow a ramp exactly
         now, motions = self._updated(state, measurement, period)
-        derivatives = tuple(
-            of.update(setpoint.angle, period) for of, setpoint in zip(state.derivatives, setpoints, strict=True)
-        )
+        derivatives = tuple(of.update(own.angle, period) for of, own in zip(state.derivatives, setpoint, strict=True))
         coming, ahead = now, derivatives
         if self.command_delay is not None:
             coming = self._predicted(now, motions, state.sent, period)
@@ -180,7 +176,7 @@ class ComputedTorque(TrackingControl):
         valves = self._valves(coming)
         lower, upper, swings = self._window(terms.tension, valves, period)
         torques, feedback = list(made.bias), []
-        for i, (reference, setpoint) in enumerate(zip(ahead, setpoints, strict=True)):
+        for i, (reference, own) in enumerate(zip(ahead, setpoint, strict=True)):
             error, rate = reference.angle - coming.angles[i], reference.velocity - coming.velocities[i]
             torque_rate = sum(jnp.abs(gain) * swings[m] for m, (_, gain) in terms.torque[i].items()) / (2 * lag)
             jerk = torque_rate / (2 * made.matrix[i][i])  # half of it is for the feedback
@@ -188,13 +184,13 @@ class ComputedTorque(TrackingControl):
             feedback.append(held)
             acceleration = reference.acceleration_after(lead, period)
             if self.impedance:
-                damping = 2 * jnp.sqrt(setpoint.stiffness * made.matrix[i][i])
-                torques[i] = torques[i] + setpoint.stiffness * error + damping * rate
+                damping = 2 * jnp.sqrt(own.stiffness * made.matrix[i][i])
+                torques[i] = torques[i] + own.stiffness * error + damping * rate
             else:
                 acceleration = acceleration + correction - motions[i].disturbance
             torques[i] = torques[i] + self.robot.joints[i].damping * coming.velocities[i]
             torques = [torque + row[i] * acceleration for torque, row in zip(torques, made.matrix, strict=True)]
-        stiffness = [setpoint.stiffness for setpoint in setpoints]
+        stiffness = [own.stiffness for own in setpoint]
         if self.robot.has_disjoint_pairs:
             springs = [self.robot.pair(joint).springs for joint in range(len(torques))]
             allocation = allocate_pairs(terms, torques, stiffness, lower, upper, springs)
@@ -213,7 +209,6 @@ class ComputedTorque(TrackingControl):
         ]
         commands = valves.commands_toward(targets, lag, period)
         return ComputedTorqueState(
-            state.reference,
             motions,
             derivatives,
             tuple(feedback),

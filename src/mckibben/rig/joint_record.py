@@ -116,7 +116,7 @@ def measured_result(
     references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)
     moved = compute_trajectory(_by_laws(plant), references, record, nothing, stiffness_amplitude)
-    moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
+    moved = moved._replace(air=(nothing, nothing))  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     resolution = float(plant.sensors.angle_resolution)
     result = SimulationResult.of(
