@@ -26,7 +26,6 @@ import numpy as np
 
 import mckibben as mk
 from mckibben.control import predictive
-from mckibben.control.base import with_preview
 from mckibben.control.ddp import FirstCommand
 from mckibben.export import export
 from mckibben.numerics.compiled import numeric
@@ -166,7 +165,8 @@ def fatrop_loop(plant, control, reference, periods):
         return (*plant.sample(after, PERIOD), state, plant.joint.stiffness(after.angle, after.pressures))
 
     now, measurement = plant.sample(plant.begin(plant.complete_state(start_of(plant, reference))), PERIOD)
-    state, given = with_preview(control, control.init(measurement), jax.tree.map(jnp.asarray, setpoints), PERIOD)
+    known = jax.tree.map(jnp.asarray, setpoints)
+    state, given = control.foreseeing(control.init(measurement), known, PERIOD), control.ahead(known, PERIOD)
     solver, spent, failed, signals = None, [], 0, []
     for k in range(periods):
         setpoint = jax.tree.map(lambda signal, k=k: signal[k], given)

@@ -99,7 +99,7 @@ def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
     def batch(count: int, engine: str, precision: int = 64) -> Callable[[], Any]:
         given = {"duration": DURATION, "control_period": PERIOD, "substeps": count, "workers": 1, "engine": engine}
         given["precision"] = precision
-        over = {"start.upward_speed": -np.linspace(*SPEEDS, LANES)}
+        over = {"initial.upward_speed": -np.linspace(*SPEEDS, LANES)}
         return lambda: robots.simulate_robots(plant, controller, start, over=over, chunk=LANES, **given)
 
     base = named("MuJoCo, RK4", SUBSTEPS)
@@ -247,7 +247,7 @@ def main() -> None:
     """Seconds of the first batch of this process."""
     plant = robot_plant(next(iter(GROUNDS)))
     controller, start = _given(plant)
-    over = {"start.upward_speed": -np.linspace(*SPEEDS, LANES)}
+    over = {"initial.upward_speed": -np.linspace(*SPEEDS, LANES)}
     begin = time.perf_counter()
     settings = {"duration": DURATION, "control_period": PERIOD, "substeps": SUBSTEPS}
     robots.simulate_robots(plant, controller, start, over=over, workers=1, **settings)

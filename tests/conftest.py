@@ -34,7 +34,6 @@ from mckibben.paper.reproduction import Reproduction, run_leg
 from mckibben.paper.tracking import run_tracking
 from mckibben.plant import JointPlant
 from mckibben.simulation import Batch, Metrics, Outcome, batch
-from mckibben.simulation import robots as robot_runs
 from mckibben.simulation.engine import run_alone
 from mckibben.simulation.outcome import OUTCOMES
 
@@ -342,7 +341,7 @@ def cuda_here(cuda_driver, monkeypatch):
 def cuda_device(request, monkeypatch):
     """The engine "cuda" on this processor, which compiles anew, and on a GPU where there is one; its compiler."""
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
-    for one in (batch._run, batch._positions, robot_runs._run, robot_runs._positions):
+    for one in (batch._run, batch._positions):
         monkeypatch.setattr(one._cuda, "_known", {})
     if request.param == "processor":
         return request.getfixturevalue("cuda_here").compiler

@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 import mckibben as mk
 from mckibben.component.checks import check_count
@@ -19,11 +19,10 @@ from mckibben.control import Setpoint
 from mckibben.numerics.elementary import exp
 from mckibben.robot import (
     JointwiseControl,
+    RobotController,
     RobotMeasurement,
-    RobotReference,
     RobotScenario,
     RobotStart,
-    simulate_robot,
 )
 from mckibben.units import PositiveTime, ShortTime, Tension, bar, deg, ms
 
@@ -37,8 +36,9 @@ FLIGHT, TOUCHDOWN, STANCE, PUSH_OFF = range(4)
 
 
 class PhaseState(NamedTuple):
-    """Phase and its time [s], setpoints, angle of the extensor [rad], and duration of the last flight [s]."""
+    """Controllers, phase and its time [s], setpoints, angle of the extensor [rad], and last flight [s]."""
 
+    controllers: PyTree
     phase: Array
     since: Scalar
     setpoints: tuple[Setpoint, ...]
@@ -46,8 +46,8 @@ class PhaseState(NamedTuple):
     flight: Scalar
 
 
-class PhasedReference(RobotReference):
-    """Setpoints by phase of a hop, with detection of touchdown, of the deepest point, and of take-off.
+class HopControl(RobotController):
+    """Position and stiffness of the joints by phase of a hop: touchdown, deepest point and take-off are detected.
 
     Phases are flight; touchdown, from the first force on the foot for a set time; stance, until the angle of the
     `extensor` joint reverses; push-off, until the force on the foot is zero. Setpoints follow those of the phase
@@ -56,6 +56,8 @@ class PhasedReference(RobotReference):
 
     Parameters
     ----------
+    joints
+        Controllers of the joints.
     flight, touchdown, stance, push_off
         Setpoint of each joint in each phase: angle [rad] and stiffness [N*m/rad].
     threshold
@@ -72,6 +74,9 @@ class PhasedReference(RobotReference):
         "flight_time": Label("s", "duration of the last flight"),
     }
 
+    follows_reference = False
+
+    joints: JointwiseControl
     flight: tuple[Setpoint, ...]
     touchdown: tuple[Setpoint, ...]
     stance: tuple[Setpoint, ...]
@@ -91,11 +96,12 @@ class PhasedReference(RobotReference):
         zero = jnp.zeros(())
         setpoints = tuple(Setpoint(*map(jnp.asarray, one)) for one in self.flight)
         begun = jnp.where(measurement.ground_force > self.threshold, STANCE, FLIGHT)
-        return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero)
+        held = self.joints.init(measurement)
+        return PhaseState(held, begun, zero, setpoints, measurement.angles[self.extensor], zero)
 
     def step(
-        self, state: PhaseState, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[PhaseState, tuple[Setpoint, ...]]:
+        self, state: PhaseState, setpoint: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+    ) -> tuple[PhaseState, tuple[Array, ...]]:
         touching = measurement.ground_force > self.threshold
         extension = measurement.angles[self.extensor]
         phase = state.phase
@@ -119,11 +125,11 @@ class PhasedReference(RobotReference):
             setpoints.append(
                 Setpoint(held.angle + part * (angle - held.angle), held.stiffness + part * (stiffness - held.stiffness))
             )
-        following = PhaseState(phase, since, tuple(setpoints), extension, flight)
-        return following, tuple(setpoints)
+        held, commands = self.joints.step(state.controllers, setpoints, measurement, period)
+        return PhaseState(held, phase, since, tuple(setpoints), extension, flight), commands
 
-    def telemetry(self, state: PhaseState) -> dict[str, Array]:
-        return {"phase": state.phase, "flight_time": state.flight}
+    def telemetry(self, state: PhaseState) -> dict[str, PyTree]:
+        return {"phase": state.phase, "flight_time": state.flight} | self.joints.telemetry(state.controllers)
 
 
 def _select(phase: Array, values: Sequence[ArrayLike]) -> Array:
@@ -140,13 +146,6 @@ def hop(duration: float = 4.0):
 
     hip = Setpoint(angle=0 * deg, stiffness=16.0)
     folded, stretched = Setpoint(angle=-8 * deg, stiffness=14.0), Setpoint(angle=16 * deg, stiffness=17.0)
-    reference = PhasedReference(
-        flight=(hip, folded),
-        touchdown=(hip, folded),
-        stance=(hip, folded),
-        push_off=(hip, stretched),
-        blanking=60 * ms,
-    )
     controllers = tuple(
         mk.PositionStiffnessControl(
             mk.PID(kp=6 * bar, ki=40 * bar, kd=0.1 * bar),
@@ -156,12 +155,18 @@ def hop(duration: float = 4.0):
         )
         for index in plant.robot.pairs
     )
+    control = HopControl(
+        JointwiseControl(controllers),
+        flight=(hip, folded),
+        touchdown=(hip, folded),
+        stance=(hip, folded),
+        push_off=(hip, stretched),
+        blanking=60 * ms,
+    )
     angles = (0 * deg, -8 * deg)
     pressures = plant.robot.pressures_for(angles, (0.0, 0.0), (16.0, 14.0))
     start = RobotStart(angles, pressures, clearance=0.03)
-    return simulate_robot(
-        plant, JointwiseControl(controllers, reference=reference), start, duration=duration, accuracy=1e-4
-    )
+    return mk.simulate(plant, control, initial=start, duration=duration, accuracy=1e-4)
 
 
 def flights(run):

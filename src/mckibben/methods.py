@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from mckibben.reachability import Envelope
     from mckibben.scenario import Scenario, StudiedScenario
     from mckibben.scenario.robot import RobotScenario
-    from mckibben.scenario.tracking import TrackingResult
     from mckibben.study.compare import CompareResult, Suite
     from mckibben.study.compare.robots import RobotSuite
     from mckibben.study.tune import TuneResult
@@ -72,22 +71,6 @@ def write_identified(path: Path, fit: FitWithFriction) -> None:
     from mckibben.scenario import write_identified
 
     write_identified(path, fit, fit.points.table.attrs)
-
-
-@bind
-def write_scenario(path: Path, text: str) -> None:
-    """Write the scenario of a run."""
-    from mckibben.scenario import Scenario
-
-    Scenario.parse(text).to_yaml(path)
-
-
-@bind
-def run_tracking(scenario: RobotScenario, source: str) -> TrackingResult:
-    """`RobotScenario.run_once`."""
-    from mckibben.scenario.tracking import run_tracking
-
-    return run_tracking(scenario, source=source)
 
 
 @bind

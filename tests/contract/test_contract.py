@@ -70,7 +70,6 @@ PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
 LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=KNEE)
 DECOUPLING = control.DecouplingControl(KNEE, LOAD, control.PolePlacement())
 REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
-TIMED = robot.TimedReference((REFERENCE, REFERENCE))
 SPANNING = robot.PathMuscle(
     "x",
     ROUGH,
@@ -131,9 +130,8 @@ EXAMPLES = [
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),
     robot.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
-    TIMED,
-    robot.JointwiseControl((LOOPS, LOOPS), reference=TIMED),
-    robot.ComputedTorque(control.PolePlacement(30.0), reference=TIMED, robot=ROBOT, valve=FirstOrderValve(0.02)),
+    robot.JointwiseControl((LOOPS, LOOPS)),
+    robot.ComputedTorque(control.PolePlacement(30.0), robot=ROBOT, valve=FirstOrderValve(0.02)),
     ROBOT,
     ROBOT.bodies[0],
     ROBOT.bodies[0].centre,

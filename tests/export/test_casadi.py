@@ -145,7 +145,7 @@ def test_a_robot(base):
                           "pressures_1")  # fmt: skip
     assert len(made.left_out) == 2
     plant = plant.with_ideal_io()
-    start = plant.begin(scenario.initial())
+    start = scenario.initial(plant)
     state = start._replace(velocity=start.velocity._replace(angles=(jnp.asarray(1.5),)))
     commands, torque = (1e5, 5e5), 0.3
 

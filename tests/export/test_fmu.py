@@ -144,7 +144,7 @@ def test_a_robot_in_a_closed_loop_is_its_simulation(name, tmp_path, opened):
     signals = {"setpoint.angles[1]": run["desired_angle"][0], "setpoint.stiffness[1]": run["desired_stiffness"][0]}
     names = ("angles[1]", "velocities[1]", "pressure1", "pressure2", "tension1", "tension2", "command1", "command2")
     rows = closed_loop(signals, tmp_path, opened, names, scenario.control_period)
-    columns = [*run["angle"], *run["velocity"], *run["pressure"], *run["tension"], *run["command"]]
+    columns = [*run["angle"], *run["velocity"], *run["pressure"], *run["force"], *run["command"]]
     expected = np.stack(columns, 1)
     assert np.ptp(expected[:, 0]) > 0.05
     assert np.max(np.abs(rows - expected) / np.max(np.abs(expected), 0)) < 1e-9

@@ -23,7 +23,7 @@ from mckibben.mechanism.dynamics import joint_equations, joint_load
 from mckibben.mechanism.point_stiffness import place_of, point_jacobian, point_of, stiffness_matrix
 from mckibben.mechanism.terms import joint_terms
 from mckibben.plant import PerfectSensors
-from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot, run_tracking
+from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot
 from mckibben.scenario import batched, run_many, with_values
 from mckibben.statics.posture import HeldPosture
 from mckibben.study.compare import compare, draw, evaluate
@@ -53,7 +53,7 @@ KEPT = ("angle", "pressure", "command", "stiffness")
 
 @pytest.mark.slow
 def test_a_file_may_name_computed_torque_where_nothing_else_was_imported():
-    code = f"from mckibben.scenario import read_scenario; read_scenario({FULL!r})"
+    code = f"from mckibben.scenario import Scenario; Scenario.read({FULL!r})"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True).returncode == 0
 
 
@@ -61,7 +61,7 @@ def test_a_file_may_name_computed_torque_where_nothing_else_was_imported():
 def test_a_stiffness_of_0_is_refused(stiffness):
     text = re.sub(r"stiffness: \{class: step.*\}", f"stiffness: {stiffness}", ONE)
     with pytest.raises(ScenarioError) as caught:
-        run_tracking(RobotScenario.parse(text + TORQUE))
+        RobotScenario.parse(text + TORQUE).run_once()
     (problem,) = caught.value.problems
     assert problem.field.endswith("stiffness") and (problem.value, problem.lower) == (0, 0)
     with pytest.raises(RangeError):
@@ -72,7 +72,7 @@ def test_a_stiffness_of_0_is_refused(stiffness):
 @pytest.mark.slow
 def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):
     scenario = RobotScenario.parse(ONE.replace(LAG, valve) + controllers)
-    run, margins = run_tracking(scenario), scenario.margins(3)
+    run, margins = scenario.run_once(), scenario.margins(3)
     parts = {name: getattr(scenario, name) for name in ("valve", "sensors", "command_delay")}
     alone = mk.Scenario(
         name="joint",
@@ -131,17 +131,17 @@ def test_mistakes_are_named(text, field):
 @pytest.mark.slow
 def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     scenario = RobotScenario.read(FULL)
-    run = run_tracking(scenario)
+    run = scenario.run_once()
     late = run["time"] > 0.3
     error = np.abs(run["angle"] - run["desired_angle"])[:, late].max(axis=1) / deg
     np.testing.assert_array_less(error, [0.1, 0.2, 0.6])
     steady = late & (run["time"] % 1 > 0.2)  # a joint has a step at 1, 2 and 3 s
     assert np.abs(run["stiffness"] - run["desired_stiffness"])[:, steady].max() < 0.1
-    assert list(run.notes) == []
+    assert run.notes() == []
     late_commands = RobotScenario.parse(scenario.dumps().replace("reference:", "command_delay: 8 ms\nreference:"))
-    aware = run_tracking(late_commands)
+    aware = late_commands.run_once()
     unaware = dataclasses.replace(late_commands.controller, command_delay=None)
-    blind = run_tracking(late_commands.model_copy(update={"controller": unaware}))
+    blind = late_commands.model_copy(update={"controller": unaware}).run_once()
     left = [np.std((r["angle"] - r["desired_angle"])[:, late], axis=1) for r in (aware, blind)]
     np.testing.assert_array_less(*left)
 
@@ -153,7 +153,7 @@ def test_a_robot_becomes_unstable_at_its_delay_margin():
     margin = scenario.margins(3).delay.min()
     for share, least, most in ((0.9, 0.0, 0.1), (1.15, 0.25, 10.0)):  # beyond it, a limit cycle
         late = scenario.with_fixed_model().model_copy(update={"command_delay": share * margin, "substeps": 4})
-        run = run_tracking(late)
+        run = late.run_once()
         error = np.abs(run["angle"] - run["desired_angle"])[0, run["time"] > 0.5].max() / deg
         assert least < error < most
 
@@ -169,7 +169,7 @@ def test_a_robot_is_tuned_with_its_disk_margin(tmp_path):
     assert results["cost"]["value"] <= results["cost_before"]["value"] and results["least_disk"]["value"] > 0.2
     tuned = RobotScenario.read(tmp_path / "out" / "one-tuned.yaml")
     many = run_many(tuned, {"controller.feedback.bandwidth": [20.0, 30.0]})
-    one = run_tracking(with_values(tuned, {"controller.feedback.bandwidth": 30.0}))
+    one = with_values(tuned, {"controller.feedback.bandwidth": 30.0}).run_once()
     for name in ("angle_rmse", "angle_max", "stiffness_rmse"):
         np.testing.assert_allclose(many.metrics[name][:, 1], one.metrics[name], rtol=1e-6)
     for name in ("air", "time_saturated"):
@@ -195,7 +195,7 @@ control_period: 2 ms
 @pytest.mark.slow
 def test_a_point_is_a_spring_of_its_stiffness_about_its_reference():
     scenario = RobotScenario.parse(POINT)
-    run = run_tracking(scenario)
+    run = scenario.run_once()
     robot, point = scenario.robot, point_of(scenario.robot, None)
     at, reference = (
         np.array(place_of(robot, point, jnp.asarray(run[name][:, -1]))) for name in ("angle", "desired_angle")
@@ -256,7 +256,7 @@ def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
 
 def test_the_cost_of_a_robot_has_its_metrics():
     with pytest.raises(ParameterError) as caught:
-        tune(RobotScenario.parse(ONE + TORQUE), ["controller.feedback.bandwidth=5..40 rad/s"], "coupling")
+        tune(RobotScenario.parse(ONE + TORQUE), ["controller.feedback.bandwidth=5..40 rad/s"], "peak_force")
     assert caught.value.field == "cost"
 
 
@@ -266,8 +266,9 @@ def test_what_is_not_attainable_is_a_remark():
     reference = "reference:\n" + "".join(
         f"  {name}: {{angle: 2 deg, stiffness: 60 N*m/rad}}\n" for name in ("side", "nod")
     )
-    run = run_tracking(RobotScenario.parse(text + reference + TORQUE + "duration: 0.1 s\n"))
-    assert {remark.field for remark in run.notes} == {"reference"} and "attains" in str(run.notes[0])
+    run = RobotScenario.parse(text + reference + TORQUE + "duration: 0.1 s\n").run_once()
+    notes = run.notes()
+    assert {remark.field for remark in notes} == {"reference"} and "attains" in str(notes[0])
     assert run["saturated"].all()
 
 
@@ -355,7 +356,7 @@ def test_mujoco_holds_the_start_and_moves_alike(tmp_path):
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
     assert np.abs(data.qacc).max() < 1e-9
-    start, plant = scenario.initial(), dataclasses.replace(scenario.plant(), sensors=PerfectSensors())
+    start, plant = scenario.starts(), dataclasses.replace(scenario.plant(), sensors=PerfectSensors())
     data.ctrl[:] = commands = np.array(start.pressures) + 3e4 * np.eye(6)[4]
     mujoco.mj_step(model, data, round(0.3 / model.opt.timestep))
     end = jax.jit(lambda state: plant.advance(state, tuple(commands), 0.3, 600))(plant.begin(start))
@@ -375,7 +376,7 @@ def test_a_locked_joint_is_refused():
 def test_a_scenario_of_a_robot_has_the_methods_of_one_of_a_joint(tmp_path):
     path = tmp_path / "one.yaml"
     path.write_text(ONE + PID, encoding="utf-8")
-    scenario = mk.read_scenario(path)
+    scenario = mk.Scenario.read(path)
     assert {"simulate", "margins", "tune", "compare", "export"} <= set(dir(scenario))
     run = scenario.simulate(duration=0.1)
     assert run.duration == pytest.approx(0.1) and run.plot().axes

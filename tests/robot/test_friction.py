@@ -14,7 +14,7 @@ from mckibben.errors import RangeError
 from mckibben.mechanism.base import RobotMeasurement
 from mckibben.mechanism.dynamics import joint_load
 from mckibben.plant import JointFriction
-from mckibben.robot import ComputedTorque, RobotScenario, run_tracking
+from mckibben.robot import ComputedTorque, RobotScenario
 from mckibben.units import deg
 
 ONE = Path(__file__).with_name("one-joint.yaml").read_text(encoding="utf-8")
@@ -39,7 +39,7 @@ def rough_leg(controller):
 def test_all_joints_of_a_leg_with_friction_follow():
     gains = "feedback: {bandwidth: 80 rad/s}, observer: {bandwidth: 60 rad/s}"
     errors = [
-        np.array(run_tracking(rough_leg(gains + more)).metrics["angle_rmse"]) / deg
+        np.array(rough_leg(gains + more).run_once().metrics["angle_rmse"]) / deg
         for more in ("", ", friction_compensation: true, friction_in_observer: 80 %")
     ]
     assert errors[0][2] > 0.3
@@ -52,7 +52,7 @@ def test_friction_of_a_robot_of_one_joint_is_that_of_the_joint():
     law = "law: lei-mas-10-180n"
     text = ONE.replace(law, f"{law}, friction: {{half_width: 5 N, presliding_length: 0.5 mm}}")
     gains = "feedback: {bandwidth: 40 rad/s}, friction_compensation: true, friction_in_observer: 60 %"
-    whole = run_tracking(RobotScenario.parse(f"{text}controller: {{{gains}, preview: 30 ms}}\n"))
+    whole = RobotScenario.parse(f"{text}controller: {{{gains}, preview: 30 ms}}\n").run_once()
     apart = RobotScenario.parse(f"{text}controllers: {{knee: {{class: decoupling, {gains}, preview: 30 ms}}}}\n")
     joint = mk.Scenario(
         name="joint",
@@ -95,7 +95,7 @@ def test_a_step_known_ahead_is_met_in_the_middle():
     step = "angle: {class: step, before: 0 deg, after: 3 deg, at: 0.2 s}"
     text = re.sub(r"angle: \{class: \w+[^}]*\}", step, ONE)
     gains = "controller: {feedback: {bandwidth: 40 rad/s}"
-    blind, known = (run_tracking(RobotScenario.parse(text + gains + more)) for more in ("}\n", ", preview: 60 ms}\n"))
+    blind, known = (RobotScenario.parse(text + gains + more).run_once() for more in ("}\n", ", preview: 60 ms}\n"))
     assert known.metrics["angle_rmse"][0] < 0.5 * blind.metrics["angle_rmse"][0]
     before = known["angle"][0][np.searchsorted(known["time"], 0.2 - 1e-9)]
     assert 1 * deg < before < 2 * deg

@@ -13,18 +13,17 @@ import xarray as xr
 import mckibben as mk
 from mckibben.control import Controller
 from mckibben.errors import CallError, ParameterError, RangeError, SimulationError
-from mckibben.plant.robot_plant import RobotSample
 from mckibben.robot import (
     JointwiseControl,
     PressureSchedule,
     RobotMeasurement,
     RobotPlant,
     RobotStart,
-    TimedReference,
     simulate_robot,
     simulate_robots,
 )
 from mckibben.simulation import Outcome
+from mckibben.simulation.robot_metrics import BodySample
 from mckibben.units import deg
 from tests.robot.conftest import over_two, with_unit
 
@@ -48,7 +47,7 @@ def test_single_runs_and_batches_with_a_series_spring_agree_in_both_engines(plan
     again = simulate_robot(springy, schedule, start, engine="xla", **given)
     assert run.engine == "native" and again.engine == "xla"
     assert float(abs(run["z"] - again["z"]).max()) < 1e-12
-    over = {"start.upward_speed": [-0.5, -1.0]}
+    over = {"initial.upward_speed": [-0.5, -1.0]}
     native, xla = (
         simulate_robots(springy, schedule, start, over=over, engine=engine, **given) for engine in ("native", "xla")
     )
@@ -62,7 +61,7 @@ def test_single_runs_and_batches_with_a_series_spring_agree_in_both_engines(plan
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["native", "xla"])
 def test_batches_with_32_bits_are_those_with_64(plant, start, engine):
-    given = {"over": {"start.upward_speed": [-0.5, -1.0]}, "substeps": 2, "engine": engine, **STEP}
+    given = {"over": {"initial.upward_speed": [-0.5, -1.0]}, "substeps": 2, "engine": engine, **STEP}
     controller = PressureSchedule(tuple((p,) for p in start.pressures))
     whole, half = (simulate_robots(plant, controller, start, precision=bits, **given) for bits in (64, 32))
     assert half.table["peak_force"].dtype == np.float32
@@ -76,7 +75,7 @@ def test_batches_with_32_bits_are_those_with_64(plant, start, engine):
 @pytest.mark.slow
 def test_robots_on_cuda_are_those_of_the_c_compiler(plant, start, cuda_device, nvrtc):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    over = {"start.upward_speed": np.linspace(-1.4, -0.5, 5)}
+    over = {"initial.upward_speed": np.linspace(-1.4, -0.5, 5)}
     tables = [
         simulate_robots(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "cuda")
     ]
@@ -92,7 +91,10 @@ def test_a_run_that_diverges_in_the_air_has_diverged(plant, start):
     joints = tuple(dataclasses.replace(one, damping=1000.0) for one in plant.robot.joints)
     stiff = dataclasses.replace(plant, robot=dataclasses.replace(plant.robot, joints=joints))
     high = start._replace(clearance=0.3, angles=(0.02, 0.0))  # not at rest, where only rounding would grow
-    schedule, over = PressureSchedule(tuple((p,) for p in start.pressures)), {"start.upward_speed": [-0.5, -1.0, -1.4]}
+    schedule, over = (
+        PressureSchedule(tuple((p,) for p in start.pressures)),
+        {"initial.upward_speed": [-0.5, -1.0, -1.4]},
+    )
     for one, diverged in ((stiff, True), (plant, False)):
         assert (simulate_robots(one, schedule, high, over=over, substeps=4, **STEP).failed == diverged).all()
 
@@ -219,7 +221,7 @@ def test_steps_that_do_not_resolve_the_ground(plant, start, change):
         simulate_robot(hard, schedule, start, substeps=1, **STEP)
     assert caught.value.field == "substeps" and caught.value.lower is not None
     with pytest.raises(SimulationError):
-        simulate_robots(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, substeps=1, **STEP)
+        simulate_robots(hard, schedule, start, over={"initial.upward_speed": [-1.0, -0.5]}, substeps=1, **STEP)
 
 
 def test_controllers_of_another_robot(plant, start):
@@ -227,7 +229,7 @@ def test_controllers_of_another_robot(plant, start):
         simulate_robot(plant, PressureSchedule(((1e5,),) * 3), start, substeps=1, **STEP)
     assert caught.value.field == "commands" and caught.value.value == 3
     with pytest.raises(RangeError) as caught:
-        simulate_robot(plant, JointwiseControl((), reference=TimedReference(())), start, substeps=1, **STEP)
+        simulate_robot(plant, JointwiseControl(()), start, substeps=1, **STEP)
     assert caught.value.field == "controllers"
 
 
@@ -266,7 +268,7 @@ def test_the_air_of_a_run_is_that_which_flows_in(plant, start):
     high = start._replace(clearance=0.3)
     run = simulate_robot(plant, schedule, high, substeps=1, **STEP)
     steps = np.diff(run["air_mass"], axis=1)
-    table = simulate_robots(plant, schedule, high, over={"start.upward_speed": [-1.0, -0.9]}, substeps=1, **STEP)
+    table = simulate_robots(plant, schedule, high, over={"initial.upward_speed": [-1.0, -0.9]}, substeps=1, **STEP)
     assert -steps[steps < 0].sum() > 0.2 * steps[steps > 0].sum() > 0
     assert float(table["air_mass"][0]) == pytest.approx(steps[steps > 0].sum(), rel=2e-3)
 
@@ -275,7 +277,7 @@ def test_arguments_that_are_swapped_or_not_a_number_are_named(plant, start):
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     for arguments, kind, field in (
         ((plant, start, schedule), CallError, "controller"),
-        ((plant, schedule, start._replace(upward_speed=float("nan"))), SimulationError, "start.upward_speed"),
+        ((plant, schedule, start._replace(upward_speed=float("nan"))), SimulationError, "initial.upward_speed"),
     ):
         with pytest.raises(kind) as caught:
             simulate_robot(*arguments, **STEP)
@@ -300,7 +302,7 @@ def test_parts_of_a_controller_are_prepared_for_the_control_period():
         def telemetry(self, state):
             return {}
 
-    control = JointwiseControl((Prepared(), Prepared()), reference=TimedReference(())).with_period(1e-3)
+    control = JointwiseControl((Prepared(), Prepared())).with_period(1e-3)
     assert [one.periods for one in control.controllers] == [10, 10]
 
 
@@ -310,18 +312,18 @@ def test_a_finished_run_has_the_metrics_of_a_batch(plant, start, tmp_path):
     levels = tuple((p, 5.5e5 if number % 2 else 0.2e5) for number, p in enumerate(start.pressures))
     schedule = PressureSchedule(levels, tuple((5e-3,) for _ in levels))
     run = simulate_robot(plant, schedule, start, duration=0.3, substeps=1, control_period=0.5e-3)
-    over = {"start.upward_speed": [-1.0, -0.5]}
+    over = {"initial.upward_speed": [-1.0, -0.5]}
     batch = simulate_robots(plant, schedule, start, over=over, duration=0.3, control_period=0.5e-3, substeps=1)
     assert np.isfinite(run.metrics["apex"]) and run.metrics["muscle_work"] != 0
     for name, value in run.metrics.items():
         np.testing.assert_allclose(value, batch[name][..., 0], rtol=1e-10, atol=1e-15, err_msg=name)
     assert set(run.metrics) == set(batch.metrics) and batch.outcomes == [Outcome.COMPLETED] * 2
-    np.testing.assert_array_equal(batch["start.upward_speed"], [-1.0, -0.5])
+    np.testing.assert_array_equal(batch["initial.upward_speed"], [-1.0, -0.5])
     assert pickle.loads(pickle.dumps(run)).metrics["apex"] == run.metrics["apex"]
     run.to_netcdf(tmp_path / "run.nc")
     table = xr.load_dataset(tmp_path / "run.nc")
     assert table["angle"].dims == ("joint", "time") and table["command"].dims == ("muscle", "time")
-    assert all(table[name].attrs["units"] for name in (*RobotSample._fields, "command", "time"))
+    assert all(table[name].attrs["units"] for name in (*BodySample._fields, "command", "time"))
     assert run._repr_html_().count("<tr>") >= len(run.metrics)
     assert batch._repr_html_().count("<tr>") == 1 + len(run.metrics) + 1  # the stops of two joints
 
@@ -335,7 +337,7 @@ def test_steps_follow_from_the_accuracy_of_the_positions(plant, start):
     )
     apart = max(float(np.abs(found[name] - fine[name]).max()) for name in ("angle", "z", "x", "pitch"))
     assert found.resolution.error <= 1e-5 and apart <= 2e-5 and not found.resolution.chaotic
-    given = {"over": {"start.upward_speed": [-0.3, -0.2]}} | STEP
+    given = {"over": {"initial.upward_speed": [-0.3, -0.2]}} | STEP
     table = simulate_robots(plant, schedule, low, accuracy=1e-5, **given)
     assert np.ptp(table["substeps"]) == 0 and np.all(table["error_estimate"] <= 1e-5)
     with pytest.raises(SimulationError) as caught:

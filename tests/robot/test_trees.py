@@ -13,7 +13,7 @@ from mckibben.errors import RangeError, ScenarioError
 from mckibben.mechanism.dynamics import acceleration, at_rest, frames, joint_equations, posture_of
 from mckibben.mechanism.tree import MASSLESS, BodyInertia, Frame, TreeHinge, equations, frames_of, path_through
 from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
-from mckibben.robot import JointwiseControl, RobotScenario, RobotStart, TimedReference, simulate_robot
+from mckibben.robot import JointwiseControl, RobotScenario, RobotStart, simulate_robot
 
 ARM = "examples/robot/umarm.yaml"
 REFERENCE = json.loads(Path(__file__).with_name("umarm.json").read_text())
@@ -209,7 +209,7 @@ def test_a_mistake_in_a_tree_has_its_line(old, new, line, field):
 
 def test_a_controller_of_pairs_is_refused_without_pairs():
     plant = RobotScenario.read(ARM).plant()
-    control = JointwiseControl((mk.PID(1.0, 1.0, 0.0),) * 12, reference=TimedReference(()))
+    control = JointwiseControl((mk.PID(1.0, 1.0, 0.0),) * 12)
     with pytest.raises(RangeError) as caught:
         simulate_robot(plant, control, RobotStart((0.0,) * 12, (1e5,) * 24, 0.2), duration=0.01)
     assert caught.value.field == "controllers"

@@ -17,7 +17,8 @@ from mckibben.errors import ParameterError, RangeError, ReachabilityWarning, Sim
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle import ChouLaw, Muscle
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import AtRest, Metrics, Outcome, Trajectory, simulate, simulate_many
+from mckibben.simulation import AtRest, Metrics, Outcome, simulate, simulate_many
+from mckibben.simulation.trajectories import column_names
 from mckibben.units import bar, deg, mm
 
 SHORT = {"duration": 0.1, "substeps": 2}
@@ -160,7 +161,7 @@ def everything(parts):
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
         metrics=Metrics._fields,
-        keep=Trajectory._fields,
+        keep=column_names(()),
         chunk=16,
         **SHORT,
     )
@@ -217,7 +218,7 @@ def test_coupling_is_known_where_the_stiffness_changes_and_stops(everything):
 def test_what_is_kept_are_columns_of_the_single_run(everything, alone):
     np.testing.assert_allclose(everything.table["time"], np.arange(PERIODS) * 1e-3, rtol=1e-15)
     for row in (0, 3, special("step early"), special("step late"), special("saturated")):
-        for name in Trajectory._fields:
+        for name in column_names(()):
             kept = everything.table[name].to_numpy()[row]
             column = alone(row).columns[name]
             np.testing.assert_allclose(kept, column, rtol=1e-10, atol=1e-11 * np.abs(column).max(), err_msg=name)

@@ -9,6 +9,7 @@ from mckibben import simulation
 from mckibben.control import Setpoint
 from mckibben.simulation import Trajectory, without_last_change
 from mckibben.simulation.metrics import first_of_end, last_change
+from mckibben.simulation.trajectories import column_names, trajectory_of
 
 PERIOD = 1e-3
 measure = jax.jit(simulation.measure)  # one program a length
@@ -17,8 +18,8 @@ FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
 
 def moved(size: int, **given) -> Trajectory:
     """A trajectory that is zero but for what is given."""
-    columns = {name: jnp.zeros(size, bool if name in FLAGS else float) for name in Trajectory._fields}
-    return Trajectory(**{**columns, **{name: jnp.asarray(value) for name, value in given.items()}})
+    columns = {name: jnp.zeros(size, bool if name in FLAGS else float) for name in column_names(())}
+    return trajectory_of(columns | {name: jnp.asarray(value) for name, value in given.items()}, ())
 
 
 def answer(desired, stiffness) -> float:

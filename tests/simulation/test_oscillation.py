@@ -85,12 +85,12 @@ searched = jax.jit(lambda signals: find_oscillations(signals, PERIOD))
 
 def oscillations(**columns):
     rest = dict.fromkeys(Signals._fields, STILL) | {"desired_stiffness": STILL + 70.0, "stiffness": STILL + 70.0}
-    return searched(Signals(**(rest | {name: np.asarray(column) for name, column in columns.items()})))
+    return searched(Signals(**(rest | {"command": (STILL, STILL)} | columns)))
 
 
 def test_a_command_that_reverses_209_times_a_second_chatters_though_the_angle_is_quiet():
     swing = np.sin(2 * np.pi * 104.5 * TIMES)
-    found = oscillations(command1=3 * bar + 0.36 * bar * swing, stiffness=70.0 + 2.05 * swing)
+    found = oscillations(command=(3 * bar + 0.36 * bar * swing, STILL), stiffness=70.0 + 2.05 * swing)
     assert float(found.angle) == 0.0
     assert float(found.command) == pytest.approx(0.36 * bar, rel=0.05)
     assert float(found.stiffness) == pytest.approx(2.05, rel=0.05)
@@ -109,7 +109,9 @@ def test_a_relay_has_the_limit_cycle_of_its_describing_function():
         commands.append(relay)
         state = a @ state + b[:, 0] * relay
     scale = 5 * deg  # of the relay's torque
-    found = oscillations(angle=scale * np.array(angles), command1=0.5 * bar * np.array(commands))
+    found = oscillations(
+        angle=scale * np.array(angles), command=(0.5 * bar * np.array(commands), 0.0 * np.array(commands))
+    )
     assert float(found.angle) == pytest.approx(scale * 2 / np.pi, rel=0.1)
     assert float(found.period) * rate / PERIOD == pytest.approx(2 * np.pi, rel=0.05)
     assert float(found.command) == pytest.approx(0.5 * bar, rel=0.01)
@@ -126,7 +128,7 @@ def test_a_free_vibration_of_a_damped_oscillator_decays_and_is_no_cycle(damping,
         t_eval=TIMES,
         rtol=1e-6,
     ).y[0]
-    found = oscillations(angle=5 * deg * swing, command1=4 * bar * swing, stiffness=70.0 + 20 * swing)
+    found = oscillations(angle=5 * deg * swing, command=(4 * bar * swing, STILL), stiffness=70.0 + 20 * swing)
     amplitudes = map(float, (found.angle, found.command, found.stiffness))
     assert [amplitude > 0 for amplitude in amplitudes] == [damping == 0.0] * 3
 
@@ -139,7 +141,9 @@ def test_noise_on_a_command_is_no_cycle_and_below_the_step_of_a_valve_no_reversa
     if shape == "filtered":
         noise = np.convolve(noise, np.ones(10) / 10, mode="same")
     noise /= noise.std()
-    loud, quiet = (oscillations(command1=3 * bar + size * bar * noise, stiffness=70 + noise) for size in (0.3, 0.01))
+    loud, quiet = (
+        oscillations(command=(3 * bar + size * bar * noise, STILL), stiffness=70 + noise) for size in (0.3, 0.01)
+    )
     assert float(loud.command) == float(loud.stiffness) == 0.0
     assert float(loud.reversals) > 50 and float(quiet.reversals) == 0.0
 
@@ -149,7 +153,10 @@ def test_commands_and_stiffness_of_a_joint_that_follows_its_reference_have_its_h
     stiffness = 70 + 5 * np.sin(2 * wave) + 2 * np.sin(3 * wave + 1)
     command = 3 * bar + 0.5 * bar * np.sin(wave) + 0.4 * bar * np.sin(2 * wave + 1)
     found = oscillations(
-        desired_angle=5 * deg * np.sin(wave), angle=5 * deg * np.sin(wave), command2=command, stiffness=stiffness
+        desired_angle=5 * deg * np.sin(wave),
+        angle=5 * deg * np.sin(wave),
+        command=(STILL, command),
+        stiffness=stiffness,
     )
     assert float(found.stiffness) == float(found.command) == 0.0
     still = oscillations(stiffness=stiffness)  # without a reference that asks for them

@@ -32,12 +32,12 @@ def moved():
 
 def test_an_overload_is_where_the_tension_is_above_630_n(moved):
     assert moved.overloaded.tolist() == [False, False, True, False]
-    assert float(moved.force2[2]) > 630
+    assert float(moved.force[1][2]) > 630
     assert moved.outside_domain.tolist() == [False, False, False, True]
 
 
 def test_the_excursion_is_how_far_the_contraction_is_outside(moved):
-    stretch = float(moved.contraction2[3])
+    stretch = float(moved.contraction[1][3])
     assert stretch < -0.03
     np.testing.assert_allclose(moved.excursion, [0, 0, 0, -0.03 - stretch], atol=1e-15)
 
@@ -46,7 +46,7 @@ def test_the_excursion_is_how_far_the_contraction_is_outside(moved):
 def test_metrics_and_outcome_say_so(moved):
     found = measure(moved, 0.5)
     assert float(found.time_overloaded) == 0.5
-    assert float(found.force_max) == float(moved.force2.max())
+    assert float(found.force_max) == float(moved.force[1].max())
     band = (np.zeros(4), np.zeros(4))
     result = SimulationResult.of(moved, 0.5, band=band, telemetry={})
     assert result.outcome is Outcome.LEFT_DOMAIN

@@ -14,7 +14,7 @@ from mckibben.component.schema import inherited_fields, replaced
 from mckibben.control import Controller
 from mckibben.errors import McKibbenError, McKibbenWarning
 from mckibben.result import Remark
-from mckibben.scenario import Scenario, initial_state, list_parameters
+from mckibben.scenario import Scenario, list_parameters
 from mckibben.simulation import LEAST_DISK_MARGIN, disk_margins
 
 PLANTS = 8
@@ -75,7 +75,7 @@ def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64] | None
     cannot run.
     """
     plant = dataclasses.replace(scenario.plant(), **parts)
-    run = plant, scenario.control(), scenario.reference(), initial_state(scenario)
+    run = plant, scenario.control(), scenario.reference(), scenario.starts()
     times = {"duration": scenario.duration, "control_period": scenario.control_period}
     try:
         return np.nan_to_num(disk_margins(*run, **times, substeps=scenario.substeps or _SUBSTEPS))

@@ -45,12 +45,12 @@ def export(
     from mckibben.export import export as write
     from mckibben.export.hardware import Hardware
     from mckibben.export.targets import CONTROLLERS, check_target
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
     check_target(to)
     folder = required_folder(out, "export")
     with keeping(folder):
-        read = read_scenario(scenario)
+        read = Scenario.read(scenario)
         parts = None if hardware is None else Hardware.read(hardware)
         if to != "mjcf" and (count := len(read.muscle_names)):
             seconds, what = (count**2 / 4, " with margins") if to in CONTROLLERS else (count**2 / 15, "")

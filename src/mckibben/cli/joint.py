@@ -19,15 +19,14 @@ from mckibben.errors import ParameterError
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
-    from mckibben.simulation import Margins
-    from mckibben.simulation.result import RunResult
+    from mckibben.simulation import Margins, SimulationResult
     from mckibben.study.stiffness import FeltStiffness
 
 _MOTION = "0.01..10 deg, 0.1..10 Hz"
 
 
 @command
-def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> RunResult:
+def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> SimulationResult:
     """Simulate a scenario: a controller on a joint, or on all joints of a robot.
 
     Parameters
@@ -40,9 +39,9 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    read = read_scenario(scenario)
+    read = Scenario.read(scenario)
     result = read.run_once(source=str(scenario))
     if animate:
         from mckibben import report
@@ -56,9 +55,9 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 def envelope(scenario: ScenarioFile, *, progress: Progress = None) -> Envelope:
     """Show the attainable set of each joint, whether its reference is feasible, and what would be."""
     from mckibben import reachability
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    return reachability.envelope(read_scenario(scenario), progress=progress)
+    return reachability.envelope(Scenario.read(scenario), progress=progress)
 
 
 @command
@@ -91,11 +90,11 @@ def stiffness(
     check_positive("--motion", "Hz", rate=rates[0])
     torque = None if push is None else parse_quantity("--push", push, "N*m", positive=True)
 
-    from mckibben.scenario import Scenario, read_scenario
+    from mckibben.scenario import Scenario
     from mckibben.study.felt import felt_stiffness
     from mckibben.study.stiffness import FeltStiffness, stiffness_tests
 
-    read = read_scenario(scenario)
+    read = Scenario.read(scenario)
     if not isinstance(read, Scenario):
         if motion != _MOTION:
             raise ParameterError("--motion is of a single joint", remedy="leave it out: a robot is pushed")
@@ -107,9 +106,9 @@ def stiffness(
 @command
 def margins(scenario: ScenarioFile) -> Margins:
     """Compute the stability margins of the sampled loop at operating points along the reference."""
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    return read_scenario(scenario).margins()
+    return Scenario.read(scenario).margins()
 
 
 @command

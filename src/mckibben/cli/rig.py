@@ -63,9 +63,9 @@ def control(
     """
     from mckibben.rig import JointRig, JointRunResult, prepare
     from mckibben.rig.running import status_line
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    read = read_scenario(scenario)
+    read = Scenario.read(scenario)
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")

@@ -64,9 +64,9 @@ def sweep(
     dask : ADDRESS
         tcp://HOST:PORT of a dask scheduler, to whose workers the runs go. Default: threads.
     """
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
 
-    read = read_scenario(scenario)
+    read = Scenario.read(scenario)
     if list_:
         from mckibben.study.parameters.listing import ParameterList
 
@@ -141,7 +141,7 @@ def tune(
     seed : N
         Seed of the search (default 0).
     """
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
     from mckibben.study.parameters import parse_sweeps, sample
     from mckibben.study.parameters.sampling import check_count
     from mckibben.study.scenarios import begun_settings
@@ -150,7 +150,7 @@ def tune(
     from mckibben.study.tune.tune import FORMAT, cost_of
 
     check_count("iterations", iterations, 1, 10**9)
-    read = [read_scenario(path) for path in scenarios]
+    read = [Scenario.read(path) for path in scenarios]
     texts = [path.read_text(encoding="utf-8-sig") for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)
@@ -256,7 +256,7 @@ def _suite(file: Path) -> ControllerSuite:
     """Read a suite, or the default one of a scenario."""
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text
-    from mckibben.scenario import read_scenario
+    from mckibben.scenario import Scenario
     from mckibben.study.compare import Suite
     from mckibben.study.compare.robots import RobotSuite
 
@@ -265,7 +265,7 @@ def _suite(file: Path) -> ControllerSuite:
         return RobotSuite.read(file)
     if not {"controller", "robot"} & {*keys}:
         return Suite.read(file)
-    suite: ControllerSuite = read_scenario(file).suite()
+    suite: ControllerSuite = Scenario.read(file).suite()
     echo(
         f"suite of the scenario: {', '.join(suite.controllers)}; varied: {', '.join(suite.conditions)}. For other "
         "controllers and conditions, edit suite.yaml in DIR, and compare that",

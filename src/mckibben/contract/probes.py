@@ -24,7 +24,7 @@ from mckibben.actuator import Actuator, FirstOrderValve, Valve
 from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal, StageCost, StageEnd
 from mckibben.control.base import DiscreteTimeSystem
-from mckibben.control.robot_control import RobotController, RobotReference
+from mckibben.control.robot_control import PressureSchedule, RobotController
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
 from mckibben.mechanism.base import RobotMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
@@ -371,8 +371,13 @@ def _commands(
     return _stepped(controller, Setpoint(setpoint, stiffness), measurements)
 
 
-def _robot_step(system: RobotController | RobotReference, time: Num, angle: Num, pressure: Num, force: Num) -> Tree:
-    return _stepped(system, time, [RobotMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
+def _robot_step(system: RobotController, setpoint: Num, stiffness: Num, angle: Num, pressure: Num, force: Num) -> Tree:
+    measurement = RobotMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)
+    return _stepped(system, (Setpoint(setpoint, stiffness),) * 2, [measurement] * 2)
+
+
+def _scheduled(system: PressureSchedule, time: Num) -> Tree:
+    return system.step((), time, RobotMeasurement((), (), time), PERIOD)[1]
 
 
 def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[Tree]) -> Tree:
@@ -490,5 +495,5 @@ _PROBES: dict[type, Probes] = {
     StageCost: Probes((_residuals,), limits=lambda _: _NARROW),
     Observer: Probes((_observed,), limits=lambda _: _NARROW),
     RobotController: _ROBOT,
-    RobotReference: _ROBOT,
+    PressureSchedule: Probes((_scheduled,)),
 }

@@ -2,6 +2,7 @@
 
 from mckibben.control.backprop import BackpropPID
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Reference, Setpoint
+from mckibben.control.computed_torque import ComputedTorque
 from mckibben.control.cost import AngleLimits, StageCost, StageEnd
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
@@ -29,6 +30,7 @@ __all__ = [
     "PID",
     "AngleLimits",
     "BackpropPID",
+    "ComputedTorque",
     "Constant",
     "Controller",
     "DecouplingControl",

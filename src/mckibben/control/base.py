@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import operator
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -84,6 +84,11 @@ class DiscreteTimeSystem(Labelled, Component, Generic[State]):
     `init` is called once, and `step` once per control period.
     """
 
+    follows_reference: ClassVar[bool] = True
+    """Whether the setpoints of its steps are those of references; else they are the times [s]."""
+    samples_ahead = 0
+    """Control periods by which the setpoints of the steps come early."""
+
     def with_period(self, period: float) -> Self:
         """Return the system for a control period [s], where the size of its state depends on it."""
 
@@ -114,6 +119,23 @@ class DiscreteTimeSystem(Labelled, Component, Generic[State]):
     def telemetry(self, state: State) -> dict[str, Array]:
         """Return the signals to record each period, by name."""
         return {}
+
+    def foresee(self, state: State, setpoint: PyTree, period: ArrayLike) -> State:
+        """Return the state before the first step after one of the setpoints that precede that of this step."""
+        return state
+
+    def ahead(self, setpoints: PyTree, period: ArrayLike) -> PyTree:
+        """Return the setpoints of the steps of a run, each `samples_ahead`, from those of its control periods [s]."""
+        if not (count := self.samples_ahead):
+            return setpoints
+        return jax.tree.map(lambda values: values[count:], extended(setpoints, count, period))
+
+    def foreseeing(self, state: State, setpoints: PyTree, period: ArrayLike) -> State:
+        """Return the state before the first step that knows the setpoints of a run before those of the step."""
+        if not (count := self.samples_ahead):
+            return state
+        first = jax.tree.map(lambda values: values[:count], extended(setpoints, count, period))
+        return lax.scan(lambda held, setpoint: (self.foresee(held, setpoint, period), None), state, first)[0]
 
 
 class Delegated:
@@ -149,13 +171,6 @@ class Controller(DiscreteTimeSystem[State]):
     minimum_tension = Delegated()
     """Lower limit of each muscle's tension [N]; None without one."""
 
-    samples_ahead = 0
-    """Control periods by which the setpoints of the steps come early."""
-
-    def foresee(self, state: State, setpoint: Setpoint, period: ArrayLike) -> State:
-        """Return the state before the first step after one of the setpoints that precede that of this step."""
-        return state
-
     @abc.abstractmethod
     def init(self, measurement: Measurement) -> State:
         """Return the state before the first step, for a bumpless start from the measured pressures."""
@@ -185,18 +200,6 @@ def extended(setpoints: Setpoint | tuple[Setpoint, ...], count: int, period: Arr
     times = jnp.arange(1, count + 1).reshape(-1, *[1] * (angle.ndim - 1)) * period
     held = jnp.broadcast_to(stiffness[-1:], (count, *stiffness.shape[1:]))
     return Setpoint(jnp.concatenate([angle, last.after(times).angle]), jnp.concatenate([stiffness, held]))
-
-
-def with_preview(controller: Any, state: PyTree, setpoints: Any, period: ArrayLike) -> tuple[PyTree, Any]:
-    """State before the first step that knows the first setpoints, and the setpoints of the steps, `samples_ahead`."""
-    if not (count := getattr(controller, "samples_ahead", 0)):
-        return state, setpoints
-    if not isinstance(setpoints, tuple):
-        raise RangeError("a reference that is not over time gives no setpoints ahead", field="preview")
-    known = extended(setpoints, count, period)
-    first = jax.tree.map(lambda samples: samples[:count], known)
-    state = lax.scan(lambda held, setpoint: (controller.foresee(held, setpoint, period), None), state, first)[0]
-    return state, jax.tree.map(lambda samples: samples[count:], known)
 
 
 class Loop(Component, Generic[State]):

@@ -16,7 +16,7 @@ from mckibben.control.linearisation import LinearisedState, LinearisingControl
 from mckibben.control.mechanics import Scalars, TreeMechanics
 from mckibben.control.model_based import Estimates, FrictionShare
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
-from mckibben.control.robot_control import TrackingControl
+from mckibben.control.robot_control import RobotController
 from mckibben.errors import RangeError
 from mckibben.mechanism.base import RobotMeasurement
 from mckibben.mechanism.robot import Robot
@@ -25,7 +25,7 @@ from mckibben.statics.posture import check_affine
 from mckibben.units import GRAVITY, AngleScale, CommandDelay, Force, Gravity, PositiveTime
 
 
-class ComputedTorque(LinearisingControl, TrackingControl):
+class ComputedTorque(LinearisingControl, RobotController):
     r"""Computed torque, and the stiffness of all joints, by the pressures of all muscles.
 
     The torques for the accelerations of references and feedback follow from a model of the robot, with its base at rest
@@ -106,17 +106,16 @@ class ComputedTorque(LinearisingControl, TrackingControl):
         return TreeMechanics(self.robot, self.gravity)
 
     def init(self, measurement: RobotMeasurement) -> LinearisedState:
-        state = self.init_linearised(measurement.angles, measurement.pressures)
-        return state._replace(reference=self.reference.init(measurement))
+        return self.init_linearised(measurement.angles, measurement.pressures)
 
-    def step_toward(
+    def step(
         self,
         state: LinearisedState,
-        setpoints: Sequence[Setpoint],
+        setpoint: Sequence[Setpoint],
         measurement: RobotMeasurement,
         period: ArrayLike,
     ) -> tuple[LinearisedState, tuple[Array, ...]]:
-        return self.steer(state, setpoints, measurement.angles, measurement.pressures, period)
+        return self.steer(state, setpoint, measurement.angles, measurement.pressures, period)
 
     def _stiffness(self, estimates: Estimates, terms: JointTerms) -> Scalars:
         if self.stiffness_amplitude is None:  # of the terms at hand: that in the posture of the sample takes longer

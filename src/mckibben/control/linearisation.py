@@ -56,12 +56,11 @@ def smoothing_weights(half: int) -> np.ndarray:
 
 
 class LinearisedState(NamedTuple):
-    """Estimates, states of the feedback of each joint, the last quadratic program, and the state of the references."""
+    """Estimates, states of the feedback of each joint, and the last quadratic program."""
 
     estimates: Estimates
     feedback: tuple[PyTree, ...]
     solution: PyTree
-    reference: PyTree = ()
 
 
 class LinearisingControl(StatePrediction[LinearisedState]):
@@ -166,7 +165,7 @@ class LinearisingControl(StatePrediction[LinearisedState]):
             feedback[i] = self.feedback.track(feedback[i], (wanted - attained) / equations.matrix[i][i], period)
         sent = (commands, *estimates.sent[:-1])
         estimates = estimates._replace(sent=sent, saturated=allocation.saturated)
-        return LinearisedState(estimates, tuple(feedback), allocation.solution, state.reference), commands
+        return LinearisedState(estimates, tuple(feedback), allocation.solution), commands
 
     def telemetry(self, state: LinearisedState) -> dict[str, PyTree]:
         return self.estimates_telemetry(state.estimates)

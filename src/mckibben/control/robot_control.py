@@ -1,4 +1,4 @@
-"""Controllers of a robot: pressures over time, and a controller for each joint with setpoints by phase."""
+"""Controllers of a robot: pressures over time, and a controller for each joint."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ import functools
 import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.checks import check_count
-from mckibben.control import Controller, Reference
-from mckibben.control.base import DiscreteTimeSystem, Setpoint
+from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.mechanism.base import RobotMeasurement
@@ -27,19 +25,21 @@ Scalar = Float[Array, ""]
 
 
 class RobotController(DiscreteTimeSystem):
-    """Interface from time and measurements to pressure commands of all muscles.
+    """Interface from a setpoint of each joint and measurements to pressure commands of all muscles."""
 
-    A controller of a robot has its own references: instead of a setpoint, `step` receives the time [s].
-    """
+    default_class = "computed_torque"
+
+    def desired_angle(self, setpoint: Sequence[Setpoint]) -> tuple[Scalar, ...]:
+        return tuple(each.angle for each in setpoint)
 
     @abc.abstractmethod
     def step(
-        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
+        self, state: PyTree, setpoint: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
     ) -> tuple[PyTree, tuple[Array, ...]]:
         """Return the next state, and the commands [Pa] for the coming control period [s]."""
 
 
-class PressureSchedule(RobotController):
+class PressureSchedule(DiscreteTimeSystem):
     """Commands that are constant between switching times, which need not be multiples of the control period.
 
     The command of a control period is the mean of the schedule over it, so that results depend continuously on the
@@ -59,6 +59,8 @@ class PressureSchedule(RobotController):
     >>> [float(one) for one in schedule.step((), 1e-3, nothing, 1e-3)[1]]
     [325000.0, 200000.0]
     """
+
+    follows_reference: ClassVar = False
 
     levels: tuple[tuple[Pressure, ...], ...]
     switches: tuple[tuple[Instant, ...], ...] = ()
@@ -94,105 +96,55 @@ class PressureSchedule(RobotController):
         return (), tuple(commands)
 
 
-class RobotReference(DiscreteTimeSystem):
-    """Interface from time and measurements to the setpoints of all joints."""
-
-    @abc.abstractmethod
-    def step(
-        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[PyTree, tuple[Setpoint, ...]]:
-        """Return the next state, and the setpoint of each joint at a time [s]."""
-
-
-class TimedReference(RobotReference):
-    """References of the joints over time."""
-
-    references: tuple[Reference, ...]
-
-    def init(self, measurement: RobotMeasurement) -> tuple[()]:
-        return ()
-
-    def step(
-        self, state: PyTree, time: ArrayLike, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[PyTree, tuple[Setpoint, ...]]:
-        return (), tuple(reference(time) for reference in self.references)
-
-
-class TrackingControl(RobotController):
-    """Base of controllers whose joints follow a reference, that of a file or `reference`."""
-
-    default_class = "computed_torque"
-
-    reference: RobotReference | PyTree = eqx.field(kw_only=True, default=None)  # not in a section of a file
-
-    def step(
-        self, state: PyTree, time: PyTree, measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[PyTree, tuple[Array, ...]]:
-        if isinstance(time, tuple):  # setpoints that were sampled before the run, see `setpoints_over`
-            return self.step_toward(state, time, measurement, period)
-        held, setpoints = self.reference.step(state.reference, time, measurement, period)
-        return self.step_toward(state._replace(reference=held), setpoints, measurement, period)
-
-    def setpoints_at(self, time: PyTree) -> tuple[Setpoint, ...]:
-        """Return the setpoints of the joints at a time [s], of a `TimedReference`, or those sampled."""
-        timed: PyTree = self.reference
-        return time if isinstance(time, tuple) else tuple(reference(time) for reference in timed.references)
-
-    def desired_angle(self, setpoint: PyTree) -> PyTree:
-        return tuple(each.angle for each in self.setpoints_at(setpoint))
-
-    @abc.abstractmethod
-    def step_toward(
-        self, state: PyTree, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[PyTree, tuple[Array, ...]]:
-        """Return the next state, and the commands [Pa], for a setpoint of each joint."""
-
-
-class JointwiseState(NamedTuple):
-    """States of the reference and of the controllers."""
-
-    reference: PyTree
-    controllers: tuple[PyTree, ...]
-
-
-class JointwiseControl(TrackingControl):
+class JointwiseControl(RobotController):
     """A controller of position and stiffness for each joint of a robot that has pairs of muscles alone.
 
     Parameters
     ----------
     controllers
         One controller of a joint for each joint of the robot; each has its own model.
-    reference
-        Setpoints of the joints.
     """
 
     controllers: tuple[Controller, ...]
 
-    def init(self, measurement: RobotMeasurement) -> JointwiseState:
+    @property
+    def samples_ahead(self) -> int:  # type: ignore[override]
+        """The most control periods by which a controller needs setpoints early."""
+        return max((controller.samples_ahead for controller in self.controllers), default=0)
+
+    def init(self, measurement: RobotMeasurement) -> tuple[PyTree, ...]:
         check_count("controllers", len(self.controllers), len(measurement.angles), "joint, in their order")
-        if any(controller.samples_ahead for controller in self.controllers):
-            raise RangeError("a robot gives no setpoints ahead", field="controllers", remedy="leave preview out")
-        states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
-        return JointwiseState(self.reference.init(measurement), tuple(states))
+        return tuple(one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers))
 
-    def step_toward(
-        self, state: JointwiseState, setpoints: Sequence[Setpoint], measurement: RobotMeasurement, period: ArrayLike
-    ) -> tuple[JointwiseState, tuple[Array, ...]]:
-        parts = enumerate(zip(self.controllers, state.controllers, setpoints, strict=True))
+    def ahead(self, setpoints: Sequence[Setpoint], period: ArrayLike) -> tuple[Setpoint, ...]:
+        return tuple(one.ahead(own, period) for one, own in zip(self.controllers, setpoints, strict=True))
+
+    def foreseeing(
+        self, state: tuple[PyTree, ...], setpoints: Sequence[Setpoint], period: ArrayLike
+    ) -> tuple[PyTree, ...]:
+        parts = zip(self.controllers, state, setpoints, strict=True)
+        return tuple(one.foreseeing(held, own, period) for one, held, own in parts)
+
+    def step(
+        self,
+        state: tuple[PyTree, ...],
+        setpoint: Sequence[Setpoint],
+        measurement: RobotMeasurement,
+        period: ArrayLike,
+    ) -> tuple[tuple[PyTree, ...], tuple[Array, ...]]:
+        parts = enumerate(zip(self.controllers, state, setpoint, strict=True))
         steps = [one.step(held, to, _of_joint(measurement, index), period) for index, (one, held, to) in parts]
-        commands = tuple(command for _, pair in steps for command in pair)
-        return state._replace(controllers=tuple(held for held, _ in steps)), commands
+        return tuple(held for held, _ in steps), tuple(command for _, pair in steps for command in pair)
 
-    def telemetry(self, state: JointwiseState) -> dict[str, PyTree]:
-        signals = [one.telemetry(held) for one, held in zip(self.controllers, state.controllers, strict=True)]
+    def telemetry(self, state: tuple[PyTree, ...]) -> dict[str, PyTree]:
+        signals = [one.telemetry(held) for one, held in zip(self.controllers, state, strict=True)]
         everywhere = [name for name in signals[0] if all(name in own for own in signals)]
         joint = {name: tuple(own[name] for own in signals) for name in everywhere if name != "saturated"}
         limited = [own["saturated"] for own in signals if "saturated" in own]
-        joint |= {"saturated": functools.reduce(operator.or_, limited)} if limited else {}
-        return dict(self.reference.telemetry(state.reference)) | joint
+        return joint | ({"saturated": functools.reduce(operator.or_, limited)} if limited else {})
 
 
-def check_pairs(robot: Robot, controller: RobotController) -> None:
+def check_pairs(robot: Robot, controller: DiscreteTimeSystem) -> None:
     """Raise `RangeError` if a controller commands pairs of muscles, and joints of a robot have none."""
     if isinstance(controller, JointwiseControl):
         check_count("controllers", len(controller.controllers), len(robot.pairs), "joint with a pair of muscles")

@@ -22,7 +22,7 @@ from mckibben.codegen.native import over_periods
 from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
 from mckibben.control import Setpoint
-from mckibben.control.robot_control import TimedReference, TrackingControl
+from mckibben.control.robot_control import RobotController
 from mckibben.errors import ExportError
 from mckibben.export.containment.functions import ControllerFunctions, functions_of
 from mckibben.export.containment.limits import Limits, containment_of
@@ -32,8 +32,7 @@ from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.simulation.problem import sampled, sampling_times
-from mckibben.simulation.robots import setpoints_over
+from mckibben.simulation.problem import in_order, sampled, sampled_reference, sampling_times
 from mckibben.units import SYMBOLS
 
 _MOST_PERIODS = 10_000  # of a recording
@@ -80,12 +79,12 @@ def controller_functions(scenario: Scenario | RobotScenario, limits: Limits | No
     if isinstance(scenario, Scenario):
         return functions_of(plant, controller, initial, period, scenario.reference()(0.0), bounds)
 
-    def stepped(controller: TrackingControl, state: PyTree, setpoint: PyTree, *sample: PyTree) -> PyTree:
-        return controller.step_toward(state, tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"])), *sample)
+    def stepped(controller: RobotController, state: PyTree, setpoint: PyTree, *sample: PyTree) -> PyTree:
+        return controller.step(state, tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"])), *sample)
 
-    setpoints = zip(*(reference(0.0) for reference in controller.reference.references), strict=True)
+    references = scenario.references()
+    setpoints = zip(*(references[name](0.0) for name in scenario.joint_names), strict=True)
     setpoint = dict(zip(("angles", "stiffness"), setpoints, strict=True))
-    controller = dataclasses.replace(controller, reference=TimedReference(()))  # setpoints are arguments
     return functions_of(plant, controller, initial, period, setpoint, bounds, stepped)
 
 
@@ -97,10 +96,8 @@ def parts_of(scenario: Scenario | RobotScenario) -> tuple[PyTree, PyTree, PyTree
     period = scenario.control_period
     plant: PyTree = scenario.plant().with_period(period)
     controller = scenario.control().with_period(period)
-    if isinstance(scenario, Scenario):
-        plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
-        return plant, controller, plant.complete_state(initial)
-    return numeric((plant, controller, plant.begin(scenario.initial())))
+    plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
+    return plant, controller, plant.complete_state(initial)
 
 
 def controller_module(
@@ -119,7 +116,8 @@ def controller_module(
     else:
         assert scenario.duration is not None  # else `controller_functions` raises
         controller = parts_of(scenario)[1]
-        rows = setpoints_over(controller, sampling_times(scenario.duration, source.period))
+        times = sampling_times(scenario.duration, source.period)
+        rows = in_order(source.plant, sampled_reference(scenario.references(), times))
         substeps = scenario.substeps or source.plant.needed_substeps(source.initial.angle, None, source.period)
     rows = jax.tree.map(lambda x: x[:_MOST_PERIODS], rows)
     step = find_function(module.functions, "step")

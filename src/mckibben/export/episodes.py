@@ -21,7 +21,7 @@ from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import Plant
 from mckibben.rig.compiled import FlatTree, compile_flat
-from mckibben.scenario import batched, read_scenario, valid_rows
+from mckibben.scenario import Scenario, batched, valid_rows
 from mckibben.scenario.scenario import BatchParts, StudiedScenario
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.study.compare.suite import ControllerSuite
@@ -169,7 +169,7 @@ def example_of(scenario: ScenarioLike, random_plant: Sequence[str]) -> tuple[Stu
     random_plant = (random_plant,) if isinstance(random_plant, str) else tuple(random_plant)
     if isinstance(scenario, ControllerSuite):
         return scenario.example(), (*conditions_of(scenario), *random_plant)
-    example = scenario if isinstance(scenario, StudiedScenario) else read_scenario(scenario)
+    example = scenario if isinstance(scenario, StudiedScenario) else Scenario.read(scenario)
     if not example.references():
         message = f"{example.name}: the joints have no reference to follow"
         remedy = "give the robot `reference`, `duration` and `controller`, as in examples/robot/lei-leg-control.yaml"

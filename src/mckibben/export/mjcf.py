@@ -492,7 +492,7 @@ def plant_and_start(scenario: Scenario | RobotScenario) -> tuple[JointPlant | Ro
         return joint, joint.complete_state(scenario.initial(joint)), period / scenario.needed_substeps()
     plant = scenario.plant()
     if scenario.duration is not None:
-        start = plant.begin(scenario.initial())
+        start = scenario.initial(plant)
         return plant, start, period / (scenario.substeps or plant.needed_substeps(start.position.angles, None, period))
     angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
     if scenario.landing is not None:

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.base import Component
 from mckibben.joint.route import Route
 from mckibben.mechanism.joint_friction import JointFriction
-from mckibben.muscle import Muscle
+from mckibben.muscle import Muscle, MuscleState
 
 Scalar = Float[Array, ""]
+
+
+class Statics(NamedTuple):
+    """Torque [N*m] and stiffness [N*m/rad] of each joint, in the form of a torque, and of each muscle the force [N]
+    and the contraction.
+
+    Torque and forces include the friction and creep of the muscles; the stiffness is that of their laws.
+    """
+
+    torque: PyTree
+    stiffness: PyTree
+    forces: tuple[Array, ...]
+    contractions: tuple[Array, ...]
 
 
 class Mechanism(abc.ABC):
@@ -27,6 +40,16 @@ class Mechanism(abc.ABC):
     @abc.abstractmethod
     def muscles(self) -> tuple[Muscle, ...]:
         """All muscles, in the order of their routes, commands and pressures."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints; none of a single joint without a name."""
+        return ()
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        """Names of the muscles of named joints."""
+        return ()
 
     @abc.abstractmethod
     def components(self, kind: type) -> tuple[Component, ...]:
@@ -59,6 +82,10 @@ class Mechanism(abc.ABC):
         """Return a position or velocity with None for the coordinates of the base that are held."""
         return value
 
+    def coordinates_of(self, position: PyTree) -> tuple[Array, ...]:
+        """Return the numbers of a position: the angles [rad] of all joints, then those of a base [m], [rad]."""
+        return self.by_joint(position)
+
     @abc.abstractmethod
     def routes(self, position: PyTree) -> Sequence[Route]:
         """Return all muscles with their paths in a position."""
@@ -68,11 +95,45 @@ class Mechanism(abc.ABC):
         """Return the isobaric stiffness [N*m/rad] of each joint, the others held, at gauge pressures [Pa]."""
 
     @abc.abstractmethod
+    def gravity_stiffness(self, position: PyTree) -> PyTree:
+        """Return the stiffness [N*m/rad] of each joint by gravity, the others held, in the form of a torque."""
+
+    @abc.abstractmethod
+    def statics(
+        self,
+        position: PyTree,
+        velocity: PyTree,
+        pressures: Sequence[Array],
+        muscles: Sequence[MuscleState],
+        amplitude: ArrayLike | None = None,
+    ) -> Statics:
+        """Return what the muscles do in a position, at a velocity and gauge pressures [Pa], with their states.
+
+        The stiffness is the isobaric one, or that of a motion with an `amplitude` [rad].
+        """
+
+    @abc.abstractmethod
     def acceleration(self, position: PyTree, velocity: PyTree, torques: Sequence[Array]) -> PyTree:
         """Return the acceleration [rad/s^2, m/s^2] under torques [N*m] of muscles, friction and disturbance by joint.
 
         It has the form of a velocity. Gravity, damping, stops and ground act as well.
         """
+
+
+def over_joints(function: Callable[..., PyTree], first: PyTree, *others: PyTree) -> PyTree:
+    """Apply a function to the values of the unnamed joint, or to those of each joint, which are in tuples.
+
+    >>> over_joints(max, 1.0, 2.0), over_joints(max, (1.0, 5.0), (2.0, 3.0))
+    (2.0, (2.0, 5.0))
+    """
+    if type(first) is tuple:
+        return tuple(map(function, first, *others))
+    return function(first, *others)
+
+
+def joints_in(value: PyTree) -> tuple[PyTree, ...]:
+    """Return the values of all joints as a tuple, also that of an unnamed one."""
+    return value if type(value) is tuple else (value,)
 
 
 def angles_of(position: PyTree) -> PyTree:

@@ -9,10 +9,12 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.base import Component
 from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint.antagonistic import NO_STATES
 from mckibben.joint.route import Route
-from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.base import Mechanism, Statics
 from mckibben.mechanism.joint_friction import JointFriction
-from mckibben.muscle import Muscle
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.numerics.batching import fusion_barrier
 
 Scalar = Float[Array, ""]
 
@@ -52,6 +54,29 @@ class Hinge(Mechanism):
 
     def stiffness(self, position: Scalar, pressures: Sequence[Array]) -> tuple[Array]:
         return (self.joint.evaluate(position, (pressures[0], pressures[1]))[1],)
+
+    def gravity_stiffness(self, position: Scalar) -> Array:
+        return self.load.gravity_stiffness(position)
+
+    def statics(
+        self,
+        position: Scalar,
+        velocity: Scalar,
+        pressures: Sequence[Array],
+        muscles: Sequence[MuscleState],
+        amplitude: ArrayLike | None = None,
+    ) -> Statics:
+        joint, pair, held = self.joint, (pressures[0], pressures[1]), (muscles[0], muscles[1])
+        torque, stiffness = fusion_barrier(joint.torque_and_stiffness, position, pair)
+        if amplitude is not None:
+            stiffness = fusion_barrier(joint.secant_stiffness, position, pair, amplitude)
+        if held != NO_STATES:
+            forces, torque, contractions = fusion_barrier(joint.forces, position, velocity, pair, held)
+            return Statics(torque, stiffness, forces, contractions)
+        contractions = fusion_barrier(joint.contractions, position, pair)
+        states = zip(joint.muscles, contractions, pair, strict=True)
+        forces = tuple(muscle.tension(contraction, pressure) for muscle, contraction, pressure in states)
+        return Statics(torque, stiffness, forces, contractions)
 
     def acceleration(self, position: Scalar, velocity: Scalar, torques: Sequence[Array]) -> Array:
         return self.load.acceleration(position, velocity, *torques)

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
-from jaxtyping import Array, PyTree
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.base import Component
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.route import Route
-from mckibben.mechanism.base import Mechanism
+from mckibben.mechanism.base import Mechanism, Statics
 from mckibben.mechanism.bodies import MOTIONS
-from mckibben.mechanism.dynamics import Contact, Posture, Velocity, acceleration, contacts, frames
+from mckibben.mechanism.dynamics import Contact, Posture, Velocity, acceleration, contacts, frames, joint_equations
 from mckibben.mechanism.ground import Ground, compliant_force
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.mechanism.robot import Robot
-from mckibben.muscle import Muscle
-from mckibben.numerics.spatial import Vector, difference, product
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.spatial import Vector, difference, product, total
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +40,14 @@ class Tree(Mechanism):
         if kind is AntagonisticJoint:
             return tuple(map(self.robot.pair, self.robot.pairs))
         return (self.robot,) if kind is Robot else ()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.robot.joint_names
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        return self.robot.muscle_names
 
     @property
     def frictions(self) -> tuple[JointFriction | None, ...]:
@@ -58,11 +70,49 @@ class Tree(Mechanism):
     def moving(self, value: PyTree) -> PyTree:
         return value._replace(**dict.fromkeys({*MOTIONS["floating"]}.difference(self.robot.motions)))
 
+    def coordinates_of(self, position: Posture) -> tuple[Array, ...]:
+        return (*position.angles, *jax.tree.leaves(position._replace(angles=())))
+
     def routes(self, position: Posture) -> Sequence[Route]:
         return self.robot.routed_muscles(position.angles)
 
     def stiffness(self, position: Posture, pressures: Sequence[Array]) -> tuple[Array, ...]:
         return self.robot.stiffness(position.angles, pressures)
+
+    def gravity_stiffness(self, position: Posture) -> tuple[Array, ...]:
+        angles, robot = position.angles, self.robot
+        free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
+        slopes = {index: self._gravity_slope(angles, index, row) for row, index in enumerate(free)}
+        return tuple(slopes.get(index, jnp.zeros_like(angle)) for index, angle in enumerate(angles))
+
+    def _gravity_slope(self, angles: Sequence[Array], index: int, row: int) -> Array:
+        """Derivative [N*m/rad] of the torque that holds a joint by its angle; of a row of the equations."""
+
+        def holding(angle: Array) -> Array:
+            posture = (*angles[:index], angle, *angles[index + 1 :])
+            bias = joint_equations(self.robot, posture, (0.0,) * len(posture), self.gravity).bias[row]
+            return bias * jnp.ones_like(angle)
+
+        return value_and_derivative(holding, angles[index])[1]
+
+    def statics(
+        self,
+        position: Posture,
+        velocity: Velocity,
+        pressures: Sequence[Array],
+        muscles: Sequence[MuscleState],
+        amplitude: ArrayLike | None = None,
+    ) -> Statics:
+        resistance: list[Any] = [0.0] * len(self.robot.joints)  # minus the torque
+        forces, contractions = [], []
+        for route, pressure, held in zip(self.routes(position), pressures, muscles, strict=True):
+            force, contraction = route.forces(pressure, held, route.rate(velocity.angles))
+            for joint, slope in route.slopes.items():
+                resistance[joint] = total(resistance[joint], force * slope)
+            forces.append(force)
+            contractions.append(contraction)
+        torque = tuple(jnp.asarray(difference(0.0, own)) for own in resistance)
+        return Statics(torque, self.stiffness(position, pressures), tuple(forces), tuple(contractions))
 
     def acceleration(self, position: Posture, velocity: Velocity, torques: Sequence[Array]) -> Velocity:
         robot, stops = self.robot, self.stop_torques(position, velocity)

@@ -25,8 +25,7 @@ from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.reachability import StaticEnvelope
 from mckibben.result import Result, TableColumns, row_columns, table
 from mckibben.scenario.robot import RobotScenario
-from mckibben.scenario.tracking import TrackingResult
-from mckibben.scenario.tracking import run_tracking as run_robot
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import json_ready
 from mckibben.study.tune import TuneResult
@@ -53,7 +52,7 @@ class Reproduction(Result):
     identification: Identification
     joint: dict[str, StaticEnvelope]
     tracking: Tracking
-    leg: TrackingResult
+    leg: SimulationResult
     claims: tuple[Claim, ...]
     quick: bool
     seconds: float
@@ -192,10 +191,10 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     return Reproduction(identification, joint, tracking, robot, claims, quick, time.perf_counter() - start)
 
 
-def run_leg() -> TrackingResult:
+def run_leg() -> SimulationResult:
     """The experiment on the knee, on all joints of the leg at once, with computed torque."""
     text = (resources.files("mckibben.paper") / "leg.yaml").read_text(encoding="utf-8")
-    return run_robot(RobotScenario.parse(text))
+    return RobotScenario.parse(text).run_once()
 
 
 def _rig(identification: Identification) -> dict[str, object]:
@@ -258,7 +257,7 @@ def _run(run: ControllerRun) -> dict[str, object]:
     return numbers | {"outcome": run.result.verdict()}
 
 
-def _leg(run: TrackingResult) -> dict[str, object]:
+def _leg(run: SimulationResult) -> dict[str, object]:
     """RMS errors of angle [deg] and stiffness [N*m/rad] of each joint of the leg."""
     errors = zip(run.metrics["angle_rmse"] / deg, run.metrics["stiffness_rmse"], strict=True)
     return {

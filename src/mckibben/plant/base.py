@@ -94,6 +94,20 @@ class Plant(Component):
         """The field `valve` of each plant, in its own order of arguments."""
         return self.valve  # type: ignore[attr-defined]
 
+    def valve_of(self, muscle: int) -> Actuator:
+        """Return the actuator of one muscle."""
+        return self._valve.for_muscle(muscle)
+
+    @property
+    def supply(self) -> float:
+        """Gauge pressure of the supply of the valves [Pa]; infinite where they have none."""
+        return float(getattr(self._valve, "supply", None) or math.inf)
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether muscles or joints have friction."""
+        return any(muscle.has_friction for muscle in self.muscles) or self._has_joint_friction
+
     @property
     @abc.abstractmethod
     def mechanism(self) -> Mechanism:
@@ -240,7 +254,10 @@ class Plant(Component):
                 f"{_SLOWER.get(what, 'a softer or slower component')}",
             )
 
-    def begin(self, start: Any) -> Any:
+    def check_start(self, start: Any) -> None:
+        """Raise `RangeError` where the plain numbers of a start are not possible; a state always is."""
+
+    def begin(self, start: Any) -> PlantState:
         """Return the state of a start; by default a start is a state."""
         return start._replace(last=())
 

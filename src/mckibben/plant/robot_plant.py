@@ -8,15 +8,14 @@ import math
 import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from mckibben.actuator.base import Actuator, at_room_temperature
+from mckibben.actuator.base import Actuator
 from mckibben.component.checks import check_count, check_positive, known_numbers
-from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
 from mckibben.mechanism.base import RobotMeasurement
 from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
@@ -30,7 +29,6 @@ from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.robot_tree import Tree
 from mckibben.muscle import MuscleState, SpringLaw
-from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import Plant
@@ -54,35 +52,11 @@ class RobotStart(NamedTuple):
     pressures: tuple[ArrayLike, ...]
     clearance: ArrayLike = 0.0
     upward_speed: ArrayLike = 0.0
+    exists: ArrayLike = True
 
-
-@labelled
-class RobotSample(NamedTuple):
-    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
-
-    x: Annotated[Scalar, Label("m", "position of the base, forwards")]
-    y: Annotated[Scalar, Label("m", "position of the base, to the left")]
-    z: Annotated[Scalar, Label("m", "height of the base")]
-    speed: Annotated[Scalar, Label("m/s", "upward speed of the base")]
-    pitch: Annotated[Scalar, Label("rad", "pitch of the base")]
-    yaw: Annotated[Scalar, Label("rad", "yaw of the base")]
-    roll: Annotated[Scalar, Label("rad", "roll of the base")]
-    angle: Annotated[tuple[Scalar, ...], Label("rad", "joint angle", along="joint")]
-    velocity: Annotated[tuple[Scalar, ...], Label("rad/s", "angular velocity", along="joint")]
-    pressure: Annotated[tuple[Scalar, ...], Label("Pa", "gauge pressure", along="muscle")]
-    tension: Annotated[tuple[Scalar, ...], Label("N", "tension of the muscle", along="muscle")]
-    contraction: Annotated[tuple[Scalar, ...], Label("1", "contraction of the muscle", along="muscle")]
-    stop_torque: Annotated[tuple[Scalar, ...], Label("N*m", "torque of the stops", along="joint")]
-    ground_forward: Annotated[Scalar, Label("N", "force of the ground on the foot, forwards")]
-    ground_left: Annotated[Scalar, Label("N", "force of the ground on the foot, to the left")]
-    ground_up: Annotated[Scalar, Label("N", "force of the ground on the foot, upwards")]
-    mass_height: Annotated[Scalar, Label("m", "height of the centre of mass")]
-    mass_speed: Annotated[Scalar, Label("m/s", "upward speed of the centre of mass")]
-    kinetic: Annotated[Scalar, Label("J", "kinetic energy")]
-    muscle_power: Annotated[Scalar, Label("W", "power of the muscles")]
-    stop_power: Annotated[Scalar, Label("W", "power of the stops")]
-    air_mass: Annotated[tuple[Scalar, ...], Label("kg", "mass of the air", along="muscle")]
-    outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
+    def state(self, plant: RobotPlant, setpoints: PyTree) -> tuple[PlantState, ArrayLike]:
+        """Return the state of a plant, and whether it exists, as `AtRest.state`."""
+        return plant.begin(self), self.exists
 
 
 class RobotPlant(Plant):
@@ -125,41 +99,6 @@ class RobotPlant(Plant):
     def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, RobotMeasurement]:
         state, (angles, pressures) = super().sample(state, period)
         return state, RobotMeasurement(cast(Any, angles), pressures, self.ground_force(state).dot(self.ground.normal))
-
-    def observe(self, state: PlantState) -> RobotSample:
-        forces, volumes = self.forces(state), self.air_volumes(state)
-        stops = self.mechanism.stop_torques(state.position, state.velocity)
-        moving = motion(self.robot, state.position, state.velocity, self.gravity)
-        contents = enumerate(zip(state.pressures, volumes, strict=True))
-        inside = [
-            muscle.domain.contains_contraction(one)
-            for muscle, one in zip(self.robot.all_muscles, forces.contractions, strict=True)
-        ]
-        zero, ground = jnp.zeros_like(state.position.x), self.ground_force(state)
-        base = {name: getattr(state.position, name) for name in ("x", "y", "z", "pitch", "yaw", "roll")}
-        return RobotSample(
-            **{name: zero if value is None else value for name, value in base.items()},
-            speed=state.velocity.z,
-            angle=state.position.angles,
-            velocity=state.velocity.angles,
-            pressure=state.pressures,
-            tension=forces.tensions,
-            contraction=forces.contractions,
-            stop_torque=stops,
-            ground_forward=ground.x,
-            ground_left=ground.y,
-            ground_up=ground.z,
-            mass_height=moving.height,
-            mass_speed=moving.upward_speed,
-            kinetic=moving.kinetic,
-            muscle_power=-_power(forces.tensions, forces.path_rates),
-            stop_power=_power(stops, state.velocity.angles),
-            air_mass=tuple(
-                at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
-                for i, (pressure, one) in contents
-            ),
-            outside=~functools.reduce(operator.and_, inside),
-        )
 
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
@@ -217,8 +156,10 @@ class RobotPlant(Plant):
         """
         return self.begin(RobotStart(tuple(angles), tuple(pressures), clearance, upward_speed))
 
-    def check_start(self, start: RobotStart) -> None:
+    def check_start(self, start: RobotStart | PlantState | None) -> None:
         """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""
+        if not isinstance(start, RobotStart):
+            return
         robot = self.robot
         robot.check_posture(start.angles)
         check_count("pressures", len(start.pressures), len(self.muscles), f"of {', '.join(robot.muscle_names)}")
@@ -250,7 +191,9 @@ class RobotPlant(Plant):
                 remedy = "give other angles, or the plane a greater distance"
                 raise RangeError("the start is inside the plane", field="distance", value=distance, remedy=remedy)
 
-    def begin(self, start: RobotStart) -> PlantState:
+    def begin(self, start: RobotStart | PlantState) -> PlantState:
+        if isinstance(start, PlantState):
+            return super().begin(start)
         self.check_start(start)
         robot = self.robot
         held = tuple(map(floating, robot.held(start.angles)))

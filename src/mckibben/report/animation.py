@@ -27,7 +27,6 @@ from mckibben.report.robot import BONE, set_space
 from mckibben.report.style import DESIRED, Look, looks_of, pressure_colours, robust_limits, styled
 from mckibben.report.tracking import TIME, draw_angle, draw_pressures, draw_stiffness
 from mckibben.scenario.robot import RobotScenario
-from mckibben.simulation.robots import RobotResult
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, mm
 
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from mckibben.plant import JointPlant
     from mckibben.plant.robot_plant import RobotPlant
     from mckibben.simulation import SimulationResult
-    from mckibben.simulation.result import RunResult
 
 Stage = tuple[Sequence[Artist], Callable[[int], None]]
 """Moving artists, and a function that moves them to a frame."""
@@ -64,7 +62,9 @@ def animation_format(path: str | os.PathLike[str]) -> str:
     return FORMATS[suffix]
 
 
-def animate(result: RunResult, path: str | os.PathLike[str], plant: PyTree = None, *, overwrite: bool = False) -> Path:
+def animate(
+    result: SimulationResult, path: str | os.PathLike[str], plant: PyTree = None, *, overwrite: bool = False
+) -> Path:
     """Write an animation of a run: a joint or robot moves, its muscles are coloured by pressure.
 
     The diameter of a joint's muscles follows from the volume of their specimens at the current contraction. Runs up to
@@ -102,18 +102,18 @@ def animate(result: RunResult, path: str | os.PathLike[str], plant: PyTree = Non
     return Path(path)
 
 
-def _plant_of(result: RunResult) -> PyTree:
+def _plant_of(result: SimulationResult) -> PyTree:
     """The plant of a result's scenario."""
     if not result.scenario:
         remedy = "give its plant: animate(result, path, plant)"
         raise SimulationError("the run has no scenario, so there is nothing to draw", field="plant", remedy=remedy)
     from mckibben.scenario import Scenario
 
-    return (RobotScenario if isinstance(result, RobotResult) else Scenario).parse(result.scenario).plant()
+    return (RobotScenario if result.joints else Scenario).parse(result.scenario).plant()
 
 
 @styled
-def _frames(result: RunResult, plant: PyTree) -> list[Image.Image]:
+def _frames(result: SimulationResult, plant: PyTree) -> list[Image.Image]:
     """Images of a run at 12 per second, at most 120; static parts are drawn once."""
     times = result.times
     count = int(np.clip(times[-1] * _RATE, 2, _MOST_FRAMES))
@@ -121,7 +121,7 @@ def _frames(result: RunResult, plant: PyTree) -> list[Image.Image]:
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     halves: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.7))
-    draw: PyTree = (_stage_of_robot, _plots_of_robot) if isinstance(result, RobotResult) else (_stage_of_joint, _plots)
+    draw: PyTree = (_stage_of_robot, _plots_of_robot) if result.joints else (_stage_of_joint, _plots)
     (artists, update), rows = draw[0](halves[0], result, plant, at), draw[1](halves[1], result)
     rows[2].set(xlabel=TIME, xlim=(0, times[-1]))
     halves[1].align_ylabels(list(rows))
@@ -152,7 +152,7 @@ def _pressure_scale(figure: SubFigure, axes: Axes, highest: float) -> ScalarMapp
     return scale
 
 
-def _stage_of_joint(figure: SubFigure, result: RunResult, plant: JointPlant, at: NDArray[np.int64]) -> Stage:
+def _stage_of_joint(figure: SubFigure, result: SimulationResult, plant: JointPlant, at: NDArray[np.int64]) -> Stage:
     angles = result["angle"][at]
     linkage = Linkage(plant.joint.geometry, (float(angles.min()), float(angles.max())))
     lengths, diameters = muscle_sizes(plant.joint, (result["contraction1"][at], result["contraction2"][at]))
@@ -173,7 +173,7 @@ def _stage_of_joint(figure: SubFigure, result: RunResult, plant: JointPlant, at:
     return picture.artists, update
 
 
-def _stage_of_robot(figure: SubFigure, result: RunResult, plant: RobotPlant, at: NDArray[np.int64]) -> Stage:
+def _stage_of_robot(figure: SubFigure, result: SimulationResult, plant: RobotPlant, at: NDArray[np.int64]) -> Stage:
     robot, base = plant.robot, [[result[name][i] for name in BASE] for i in at]
     shapes = [outline(robot, result["angle"][:, i].tolist(), where) for i, where in zip(at, base, strict=True)]
     axes = figure.add_subplot(projection="3d", proj_type="ortho", computed_zorder=False)
@@ -196,7 +196,7 @@ def _stage_of_robot(figure: SubFigure, result: RunResult, plant: RobotPlant, at:
     return [*bones, *muscles.values()], update
 
 
-def _plots_of_robot(figure: SubFigure, result: RunResult) -> Sequence[Axes]:
+def _plots_of_robot(figure: SubFigure, result: SimulationResult) -> Sequence[Axes]:
     """Plot angles, stiffness and pressures over time; references are dashed."""
     rows = figure.subplots(3, 1, sharex=True)
     quantities = (("angle", "angle [deg]", deg), ("stiffness", "stiffness\n[N·m/rad]", 1.0))

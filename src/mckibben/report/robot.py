@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mckibben.mechanism.bodies import BodyPoint, Foot
     from mckibben.mechanism.point_stiffness import PointStiffness
     from mckibben.mechanism.robot import Robot
-    from mckibben.scenario.tracking import TrackingResult
+    from mckibben.simulation import SimulationResult
     from mckibben.statics.pressures import StaticPressures
     from mckibben.study.jumping import JumpStudy
 
@@ -224,7 +224,7 @@ def set_space(axes: Axes3D, lines: Sequence[np.ndarray]) -> float:
 
 
 @styled
-def robot_tracking(run: TrackingResult) -> Figure:
+def robot_tracking(run: SimulationResult) -> Figure:
     """Angle [deg], its error [deg] and stiffness [N*m/rad] of each joint over time [s], and pressures of all muscles.
 
     Dashed: references.
@@ -232,7 +232,7 @@ def robot_tracking(run: TrackingResult) -> Figure:
     Parameters
     ----------
     run
-        Result of `mckibben.robot.run_tracking`.
+        Result of a robot whose joints follow references.
     """
     count, time = len(run.joints), run["time"]
     figure = blank(DOUBLE, 1.4 * (count + 1) + 0.6)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.report.palette import BLACK, BLUE, GREEN, MEASURED, MUSCLES, PURPLE, VERMILLION
+from mckibben.report.robot import robot_tracking
 from mckibben.report.style import (
     DESIRED,
     DOUBLE,
@@ -58,6 +59,8 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
         If there is no run, runs have no names, or their times or references differ.
     """
     if isinstance(results, SimulationResult):
+        if results.joints:
+            return robot_tracking(results)
         results = {"run": results}
     _same_reference(results)
     alone = len(results) == 1

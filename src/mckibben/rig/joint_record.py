@@ -19,8 +19,8 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.plant.robot_plant import RobotPlant
 from mckibben.result import Column, Listing, Remark
 from mckibben.rig.channels import Channels
-from mckibben.scenario.tracking import TrackingResult
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
+from mckibben.simulation.result import columns_of_run
 from mckibben.simulation.trajectories import Record
 from mckibben.storage import mcap
 
@@ -114,7 +114,7 @@ def measured_robot(
     *,
     scenario: str = "",
     notes: tuple[Remark, ...] = (),
-) -> TrackingResult | None:
+) -> SimulationResult | None:
     """Return the result of a recorded run of a robot; None without a run.
 
     Parameters
@@ -131,30 +131,39 @@ def measured_robot(
     run = MeasuredRun.of(columns)
     if run is None:
         return None
-    angles, pressures = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
-    velocities = tuple(np.gradient(angle, period) for angle in angles)
-    sample, stiffness = _observed((plant, start), (angles, velocities, pressures))
-    held = sample._asdict() | {"stiffness": stiffness, "command": run.rows(channels.by_muscle("command"))}
-    held |= {f"desired_{name}": run.rows(channels.by_joint(f"desired_{name}")) for name in ("angle", "stiffness")}
-    held |= {"saturated": run.telemetry.pop("saturated", run.table["limited"] != 0)}
+    readings = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
+    velocities = tuple(np.gradient(angle, period) for angle in readings[0])
+    states = _states((plant, start), (readings[0], velocities, readings[1]))
+    telemetry: dict[str, PyTree] = {}
     for name, values in run.telemetry.items():
         quantity, of, _ = name.partition(".")
-        held[quantity] = (*held.get(quantity, ()), values) if of else values
-    stacked = {name: np.stack(rows) if isinstance(rows, tuple) else rows for name, rows in held.items()}
+        telemetry[quantity] = (*telemetry.get(quantity, ()), values) if of else values
+    record = Record(states, run.rows(channels.by_muscle("command")), run.table["limited"] != 0, telemetry)  # type: ignore[arg-type]
+    desired = zip(*(run.rows(channels.by_joint(f"desired_{name}")) for name in ("angle", "stiffness")), strict=True)
+    setpoints = tuple(Setpoint(*values) for values in desired)  # type: ignore[arg-type]
+    unknown = np.full((len(readings[0]), len(run.table["time"])), np.nan)
     joints, muscles = (tuple(end.removeprefix(".") for end in ends) for ends in channels)
-    return TrackingResult(stacked, period, scenario, joints=joints, muscles=muscles, notes=notes)
+    return SimulationResult(
+        columns_of_run(plant, setpoints, record, lambda: unknown, None, None, "auto"),
+        period,
+        scenario,
+        angle_resolution=float(plant.sensors.angle_resolution),
+        notes=lambda: [*notes],
+        joints=joints,
+        muscles=muscles,
+    )
 
 
 @compiled
-def _observed(robot: tuple[RobotPlant, PlantState], lanes: PyTree) -> PyTree:
-    """Sample and stiffness [N*m/rad] at angles [rad], velocities [rad/s] and pressures [Pa], over the last axis."""
+def _states(robot: tuple[RobotPlant, PlantState], lanes: PyTree) -> PlantState:
+    """States at angles [rad], velocities [rad/s] and pressures [Pa], over the last axis, with the base at its start."""
     plant, start = robot
     angles, velocities, pressures = lanes
     like = plant.mechanism.like_joints
     position, velocity = like(angles, start.position), like(velocities, start.velocity)
     muscles, friction = (MuscleState((), ()),) * len(pressures), ()
     bare = start._replace(position=position, velocity=velocity, pressures=pressures, muscles=muscles, friction=friction)
-    return plant.observe(plant.complete_state(bare)), plant.robot.stiffness(angles, pressures)
+    return plant.complete_state(bare)
 
 
 def measured_result(
@@ -192,7 +201,7 @@ def measured_result(
     references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing, count = np.full(len(table["time"]), np.nan), len(table["time"])
     moved = compute_trajectory(_by_laws(plant), references, record, nothing, stiffness_amplitude)
-    moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
+    moved = moved._replace(air=(nothing, nothing))  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     resolution = float(plant.sensors.angle_resolution)
     result = SimulationResult.of(

@@ -22,7 +22,7 @@ from mckibben.rig.channels import Channels
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.rig.ni import Card, NiBackend
 from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
-from mckibben.scenario import read_scenario
+from mckibben.scenario import Scenario
 from mckibben.units import Angle, AngleStep, BoundedInt, Duration, PositivePressure, PressureNoise, WaitTime
 
 
@@ -144,7 +144,7 @@ class SerialJoint(JointHardware):
     def backend(self, plant: Plant, run: RunConditions) -> Backend:
         from mckibben.rig.serial_line import SerialBackend
 
-        digest = run.digest if self.firmware is None else read_scenario(self.firmware).digest
+        digest = run.digest if self.firmware is None else Scenario.read(self.firmware).digest
         return SerialBackend(self.port, baud=self.baud, digest=digest, period=run.period)
 
 

@@ -36,7 +36,6 @@ from mckibben.rig.record import Recorder, read_record, segments, software_versio
 from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.scenario.tracking import TrackingResult
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
 from mckibben.simulation.problem import sampling_times
 from mckibben.statics.reference import check_postures
@@ -67,7 +66,7 @@ class JointRunResult(Result):
     files: ClassVar = (*SimulationResult.files, "tracking.png", "tracking.svg")
 
     outcome: RunOutcome
-    result: SimulationResult | TrackingResult | None
+    result: SimulationResult | None
     timing: Timing
     paced: bool
     priority: str
@@ -216,7 +215,7 @@ class JointSession:
         """Columns of the record."""
         return columns(self.program.telemetry, self.plan.channels)
 
-    def measured(self, table: Mapping[str, NDArray[np.float64]]) -> SimulationResult | TrackingResult | None:
+    def measured(self, table: Mapping[str, NDArray[np.float64]]) -> SimulationResult | None:
         """Result of the columns of a record; None if the run did not begin."""
         text, period = self.scenario.dumps(), self.plan.period
         if isinstance(self.reach, Feasibility):

@@ -1,13 +1,16 @@
-"""Robots with air muscles: names of the packages that have their bodies, statics, control, runs and studies."""
+"""Robots with air muscles: names of the packages that have their bodies, statics, control, runs and studies.
 
+`simulate_robot` and `simulate_robots` are names for this version alone of `mckibben.simulate` and `simulate_many`.
+"""
+
+from jaxtyping import PyTree
+
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.computed_torque import ComputedTorque
 from mckibben.control.robot_control import (
     JointwiseControl,
     PressureSchedule,
     RobotController,
-    RobotReference,
-    TimedReference,
-    TrackingControl,
 )
 from mckibben.mechanism.base import RobotMeasurement
 from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Joint, Place
@@ -18,9 +21,8 @@ from mckibben.mechanism.robot import Robot
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.scenario.reading import ReadRobot, read_mjcf
 from mckibben.scenario.robot import RobotScenario, read_robot
-from mckibben.scenario.tracking import TrackingResult, run_tracking
+from mckibben.simulation import Batch, SimulationResult, simulate, simulate_many
 from mckibben.simulation.robot_metrics import RobotMetrics
-from mckibben.simulation.robots import RobotResult, robot_metrics, simulate_robot, simulate_robots
 from mckibben.statics.attainable import JointRange, attainable_point_stiffness, attainable_statics
 from mckibben.statics.posture import holding_torques
 from mckibben.statics.pressures import (
@@ -55,14 +57,9 @@ __all__ = [
     "RobotMeasurement",
     "RobotMetrics",
     "RobotPlant",
-    "RobotReference",
-    "RobotResult",
     "RobotScenario",
     "RobotStart",
     "StaticPressures",
-    "TimedReference",
-    "TrackingControl",
-    "TrackingResult",
     "attainable_point_stiffness",
     "attainable_statics",
     "holding_torques",
@@ -71,11 +68,21 @@ __all__ = [
     "pressures_for_point_stiffness",
     "read_mjcf",
     "read_robot",
-    "robot_metrics",
-    "run_tracking",
     "simulate_robot",
     "simulate_robots",
     "stiffness_matrix",
     "study_jump",
     "study_landing",
 ]
+
+
+def simulate_robot(
+    plant: RobotPlant, controller: DiscreteTimeSystem, start: RobotStart, **options: PyTree
+) -> SimulationResult:
+    """Return `mckibben.simulate` of a robot that follows no references."""
+    return simulate(plant, controller, initial=start, **options)
+
+
+def simulate_robots(plant: RobotPlant, controller: DiscreteTimeSystem, start: RobotStart, **options: PyTree) -> Batch:
+    """Return `mckibben.simulate_many` of a robot that follows no references."""
+    return simulate_many(plant, controller, initial=start, **options)

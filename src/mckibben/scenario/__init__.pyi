@@ -1,4 +1,3 @@
-from .files import read_scenario as read_scenario
 from .muscle import air_volume as air_volume
 from .muscle import read_specimen as read_specimen
 from .muscle import write_identified as write_identified
@@ -7,11 +6,11 @@ from .parameters import ScenarioParameter as ScenarioParameter
 from .parameters import find_parameter as find_parameter
 from .parameters import find_parameters as find_parameters
 from .parameters import list_parameters as list_parameters
+from .robot import Scenario as Scenario
+from .robot import read_scenario as read_scenario
 from .scenario import RunSettings as RunSettings
-from .scenario import Scenario as Scenario
 from .scenario import Start as Start
 from .scenario import StudiedScenario as StudiedScenario
-from .scenario import initial_state as initial_state
 from .scenario import run_scenario as run_scenario
 from .start import UNKNOWN as UNKNOWN
 from .start import starting_scenario as starting_scenario

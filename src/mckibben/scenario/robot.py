@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from types import SimpleNamespace
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Annotated, Any, cast
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, PyTree
-from numpy.typing import NDArray
+from jaxtyping import PyTree
 from pydantic import (
     Field,
     PrivateAttr,
@@ -32,17 +30,16 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import fail_validation, located_below
 from mckibben.control import Controller, Reference
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.computed_torque import ComputedTorque
 from mckibben.control.reaching import PointReference
-from mckibben.control.robot_control import JointwiseControl, TimedReference, TrackingControl, check_pairs
+from mckibben.control.robot_control import JointwiseControl, RobotController, check_pairs
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.mechanism.dynamics import joint_load
 from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.point_stiffness import SINGULAR, movable
 from mckibben.mechanism.robot import Robot
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors, PlantState
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Remark
@@ -54,20 +51,16 @@ from mckibben.scenario.robot_settings import (
     StiffnessSettings,
 )
 from mckibben.scenario.scenario import (
-    BatchParts,
     ControllerPart,
     ReferencePart,
+    Scenario,
     SensorsPart,
     StudiedScenario,
     Substeps,
     ValvePart,
 )
-from mckibben.simulation import Batch, Margins
 from mckibben.simulation.accuracy import ACCURACY
-from mckibben.simulation.problem import sampling_times, single_run, split_runs
-from mckibben.simulation.robot_metrics import TrackingMetrics
-from mckibben.simulation.robots import RobotProblem, RobotResult, setpoints_over, simulate_robot, simulate_robots
-from mckibben.simulation.stability import least_disk_margins, linearisable, margins_along
+from mckibben.simulation.problem import sampling_times
 from mckibben.statics.posture import holding_torques, is_affine
 from mckibben.statics.pressures import pressures_for_joint_stiffness
 from mckibben.units import (
@@ -85,17 +78,6 @@ CONTROLLERS = JointwiseControl, ComputedTorque
 """Controllers of all joints that a file may name; those of a user's module are known as well."""
 
 _JOINTS = TypeAdapter(dict[str, ReferencePart])
-
-
-class RobotStarts(NamedTuple):
-    """Starts of the runs of a batch, and whether they exist."""
-
-    starts: RobotStart
-    exist: NDArray[np.bool_]
-
-    def state(self, plant: RobotPlant, angles: Sequence[ArrayLike]) -> tuple[PlantState, NDArray[np.bool_]]:
-        """Return the state of a plant, and whether it exists, as `AtRest.state`."""
-        return plant.begin(self.starts), self.exist
 
 
 class RobotScenario(StudiedScenario):
@@ -119,9 +101,8 @@ class RobotScenario(StudiedScenario):
     RobotPlant(...)
     """
 
-    kind = "robot"
+    kind = section = "robot"
     plant_parts = ("robot", "valve", "command_delay")
-    metrics = TrackingMetrics
     examples = "examples/robot/"
 
     name: Title
@@ -136,7 +117,7 @@ class RobotScenario(StudiedScenario):
     uncertainty: DrawSettings = DrawSettings()
     reference: dict[str, ReferencePart] | PointReference = Field(default_factory=dict)
     controllers: dict[str, ControllerPart] = Field(default_factory=dict)
-    controller: Annotated[TrackingControl, ComponentField(TrackingControl)] | None = None
+    controller: Annotated[RobotController, ComponentField(RobotController)] | None = None
     start: StartSettings = StartSettings()
     duration: Duration | None = None
     control_period: PositiveTime = 0.25e-3
@@ -224,7 +205,7 @@ class RobotScenario(StudiedScenario):
 
     def timing_over(self, duration: float) -> dict[str, Any]:
         """As `timing`, for another duration [s], rounded to control periods."""
-        return self.timing | {"duration": self.control_period * round(duration / self.control_period)}
+        return super().timing | {"duration": self.control_period * round(duration / self.control_period)}
 
     @property
     def supply(self) -> float:
@@ -236,16 +217,16 @@ class RobotScenario(StudiedScenario):
         plant = RobotPlant(self.robot, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
         return plant.with_period(self.control_period)
 
-    def control(self) -> TrackingControl:
-        """Return the controller of all joints with its reference; what its models lack is that of the plant."""
-        reference, whole = self._timed(self.references()), self.with_model()
+    def control(self) -> RobotController:
+        whole = self.with_model()
         if whole.controller is not None:
-            return dataclasses.replace(whole.controller, reference=reference)
-        controllers = tuple(whole.controllers[name] for name in self.joint_names)
-        return JointwiseControl(controllers, reference=reference)
+            return whole.controller
+        return JointwiseControl(tuple(whole.controllers[name] for name in self.joint_names))
 
-    def _timed(self, references: dict[str, Reference]) -> TimedReference:
-        return TimedReference(tuple(references[name] for name in self.joint_names))
+    def controlled_by(self, controller: DiscreteTimeSystem) -> dict[str, PyTree]:
+        if not isinstance(controller, JointwiseControl):
+            return {"controller": controller, "controllers": {}}
+        return {"controller": None, "controllers": dict(zip(self.joint_names, controller.controllers, strict=True))}
 
     def _scope(self) -> Scope:
         return {name: getattr(self, name) for name in self.plant_parts}
@@ -285,9 +266,7 @@ class RobotScenario(StudiedScenario):
         tension = getattr(self.controller, "minimum_tension", 1.0)
         return reference.of_joints(self.robot, start, times, self.supply, tension)
 
-    @property
-    def reference_notes(self) -> list[Remark]:
-        """Remarks on references of the joints that follow from that of a point."""
+    def reference_remarks(self) -> list[Remark]:
         return self._joint_references[1]
 
     def with_model(self, *, fixed: bool = False) -> RobotScenario:
@@ -299,60 +278,12 @@ class RobotScenario(StudiedScenario):
             update={"controller": change(_inheriting(self.controller, self._scope)), "controllers": controllers}
         )
 
-    def check_start(self) -> None:
-        self.initial()
-
-    def needed_substeps(self) -> int:
-        if self.substeps is not None:
-            return self.substeps
-        parts = self.plant(), self.control(), self.initial()
-        resolution = simulate_robot(*parts, **self.timing).resolution
-        return 1 if resolution is None else resolution.substeps
-
-    def run_once(self, *, source: str = "") -> RobotResult:
-        return call("run_tracking", self, source)
-
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
         return call("robot_suite", self, controllers, **settings)
 
-    def batch_parts(self) -> BatchParts:
-        return BatchParts(self.plant(), self.references(), self._starts())
-
-    def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
-        start, exists = parts.start
-        control = dataclasses.replace(control, reference=self._timed(parts.reference))
-        options = self.timing | options | {"metrics": TrackingMetrics}  # all of them
-        return simulate_robots(parts.plant, control, start, **options).with_started(exists)
-
-    def margins(self, points: int = 20) -> Margins:
-        times, period = sampling_times(self.run_duration, self.control_period), self.control_period
-        problem = single_run(self._linearisable(self.initial()), period, "disk_margins")
-        start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], numeric(problem.start))
-        chosen = evenly_spaced(times.size, points)
-        setpoints, names = setpoints_over(problem.controller, times), self.robot.muscle_names
-        return margins_along(problem, start, setpoints, times[chosen], chosen, period, self.needed_substeps(), names)
-
-    def disk_margins(self, points: int) -> NDArray[np.float64]:
-        times, (first, exists) = sampling_times(self.run_duration, self.control_period), self._starts()
-        lanes, shared, count = split_runs(self._linearisable(first), {}, self.control_period, "margins")
-
-        setpoints = setpoints_over(shared.controller, times, lanes.controller)
-
-        def starting(some: RobotProblem) -> tuple[RobotStart, NDArray, PyTree]:
-            size = jax.tree.leaves(some)[0].shape[-1]
-            start = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), eqx.combine(some.start, shared.start))
-            return start, np.ones(size, bool), setpoints
-
-        margins = least_disk_margins(
-            lanes,
-            shared,
-            count,
-            starting,
-            evenly_spaced(times.size, points),
-            self.control_period,
-            self.substeps or 1,
-        )
-        return np.where(exists, margins, np.nan)
+    @property
+    def timing(self) -> dict[str, Any]:
+        return super().timing | {"duration": self.run_duration}
 
     @property
     def run_duration(self) -> float:
@@ -362,15 +293,12 @@ class RobotScenario(StudiedScenario):
             raise RangeError("the robot has no controller", field="controller", remedy=remedy)
         return self.duration
 
-    def _linearisable(self, start: RobotStart) -> RobotProblem:
-        return RobotProblem(linearisable(self.plant(), self.control_period), self.control(), start)
-
-    def _starts(self) -> RobotStarts:
-        """Starts of the runs of a batch: others are in the place of those that do not exist."""
+    def starts(self) -> RobotStart:
+        """Return the start of a controlled run, of a batch with others in the place of those that do not exist."""
         parts = {"robot": self.robot, "valve": self.valve, "reference": self.references()}
         count, varying = lanes_of(parts)
         if count is None:
-            return RobotStarts(self.initial(), np.ones((), bool))
+            return self._start()
         lanes, shared = eqx.partition(parts, varying)
         leaves, structure = jax.tree.flatten(lanes)
 
@@ -378,7 +306,7 @@ class RobotScenario(StudiedScenario):
         def start_of(*row: float) -> RobotStart | None:
             own = self.model_copy(update=eqx.combine(jax.tree.unflatten(structure, row), shared))
             try:
-                return own.initial()
+                return own._start()
             except UnreachableError:
                 return None
 
@@ -386,11 +314,13 @@ class RobotScenario(StudiedScenario):
         nowhere = RobotStart((0.0,) * len(self.joint_names), (0.0,) * len(self.muscle_names))
         found = next((start for start in starts if start), nowhere)
         exists = np.array([start is not None for start in starts])
-        return RobotStarts(
-            jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts)), exists
-        )
+        columns = jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts))
+        return columns._replace(exists=exists)
 
-    def initial(self) -> RobotStart:
+    def initial(self, plant: RobotPlant) -> PlantState:
+        return plant.begin(self._start())
+
+    def _start(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.
 
         Raises `McKibbenError` if the muscles cannot hold the posture.
@@ -451,3 +381,8 @@ def read_robot(name: str | os.PathLike[str]) -> Robot:
     if text.endswith((".yaml", ".yml")):
         return RobotScenario.read(name).robot
     return parse_component(Robot, to_text({"from": text}), source=text)
+
+
+def read_scenario(path: str | os.PathLike[str]) -> Any:
+    """Read the scenario of a joint or of a robot; a name for this version alone of `Scenario.read`."""
+    return Scenario.read(path)

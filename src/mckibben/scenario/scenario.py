@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import abc
 import contextlib
+import dataclasses
 import hashlib
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from jaxtyping import PyTree
@@ -22,13 +23,13 @@ from mckibben.binding import call
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import whole_periods
 from mckibben.component.schema import ComponentField, independent, inherit, write
+from mckibben.config.document import read_document
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
-from mckibben.control.base import DiscreteTimeSystem, Setpoint
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
-from mckibben.numerics.compiled import numeric
 from mckibben.plant import (
     Disturbance,
     JointFriction,
@@ -39,6 +40,7 @@ from mckibben.plant import (
     PlantState,
     Sensors,
 )
+from mckibben.plant.robot_plant import RobotStart
 from mckibben.result import Remark
 from mckibben.simulation import (
     ACCURACY,
@@ -53,8 +55,6 @@ from mckibben.simulation import (
     simulate,
     simulate_many,
 )
-from mckibben.simulation.problem import SimulationProblem, starts_of
-from mckibben.simulation.result import RunResult
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -147,7 +147,9 @@ class StudiedScenario(RunSettings):
         accuracy: float
         substeps: int | None
 
-    metrics: ClassVar[PyTree] = Metrics
+    section: ClassVar[str] = ""
+    """Section of a file that makes it one of this class."""
+    metrics: ClassVar[type] = Metrics
     """Class of the metrics of its runs."""
 
     @property
@@ -191,33 +193,82 @@ class StudiedScenario(RunSettings):
         return self.with_model(fixed=True)
 
     @abc.abstractmethod
+    def starts(self) -> AtRest | RobotStart:
+        """Return the start of its run, with arrays where runs of a batch differ.
+
+        Raises `McKibbenError` if there is none.
+        """
+
+    @abc.abstractmethod
+    def initial(self, plant: Any) -> PlantState:
+        """Return the state of a plant at the start; raises `McKibbenError` if there is none."""
+
+    def reference_remarks(self) -> Iterable[Remark]:
+        """Remarks on references that are not exactly those of the file."""
+        return ()
+
+    def _parts(self) -> tuple[PyTree, PyTree, PyTree, PyTree]:
+        return self.plant(), self.control(), self.references(), self.starts()
+
+    @property
+    def _times(self) -> dict[str, Any]:
+        return {name: self.timing[name] for name in ("duration", "control_period")}
+
     def check_start(self) -> None:
         """Raise `McKibbenError` if its run cannot start."""
+        plant, control, references, initial = self._parts()
+        first = {"duration": self.control_period, "control_period": self.control_period}
+        needed_substeps(plant, control, references, initial, **first)
 
-    @abc.abstractmethod
     def needed_substeps(self) -> int:
         """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
+        if self.substeps is not None:
+            return self.substeps
+        return needed_substeps(*self._parts(), **self._times, accuracy=self.accuracy)
 
-    @abc.abstractmethod
-    def run_once(self, *, source: str = "") -> RunResult:
+    def run_once(self, *, source: str = "", warn_infeasible: bool = False) -> SimulationResult:
         """Simulate the scenario; `source` is its file, for errors. Raises `ScenarioError` if its parts do not fit."""
+        with errors_of(self, source):
+            plant, control, references, initial = self._parts()
+            options: dict[str, Any] = {"scenario": self, "warn_infeasible": warn_infeasible}
+            run = simulate(plant, control, references, **self.timing, initial=initial, **options)
+        known = tuple(self.reference_remarks())
+        return dataclasses.replace(run, notes=lambda: [*known, *run.notes()]) if known else run
 
     @checked_call
     def envelope(self) -> Any:
         """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
         return call("envelope", self)
 
-    @abc.abstractmethod
     def batch_parts(self) -> BatchParts:
         """Return what is simulated apart from the controller, with arrays where runs of a batch differ."""
+        return BatchParts(self.plant(), self.references(), self.starts())
 
-    @abc.abstractmethod
     def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
         """Simulate parts of a batch with a controller, with options of `simulate_many`."""
+        return simulate_many(parts.plant, control, parts.reference, initial=parts.start, **self.timing | options)
 
-    def simulate(self, **changes: PyTree) -> RunResult:
-        """Run the scenario, with changes as for `replace`."""
-        return (self.replace(**changes) if changes else self).run_once()
+    @checked_call
+    def simulate(self, controller: DiscreteTimeSystem | None = None, **changes: Any) -> SimulationResult:
+        """Run the scenario, with another controller or other changes as for `replace`; see `mckibben.simulate`.
+
+        Warns if its reference is not statically feasible.
+        """
+        changes |= {} if controller is None else self.controlled_by(controller)
+        return (self.replace(**changes) if changes else self).run_once(warn_infeasible=True)
+
+    @checked_call
+    def margins(self, points: int = 20) -> Margins:
+        """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
+        return margins(*self._parts(), **self._times, substeps=self.needed_substeps(), points=points)
+
+    def controlled_by(self, controller: DiscreteTimeSystem) -> dict[str, PyTree]:
+        """Return the changes, as for `replace`, for another controller."""
+        return {"controller": controller}
+
+    def disk_margins(self, points: int) -> NDArray[np.float64]:
+        """Return the least disk margin of each run of a batch, see `mckibben.simulation.disk_margins`."""
+        return disk_margins(*self._parts(), **self._times, substeps=self.substeps or 1, points=points)
 
     @checked_call
     def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
@@ -250,14 +301,6 @@ class StudiedScenario(RunSettings):
     def run_many(self, **options: PyTree) -> Batch:
         """Simulate all runs of a batch, with options of `simulate_many`."""
         return self.run_parts(self.batch_parts(), self.control(), **options)
-
-    @abc.abstractmethod
-    def margins(self, points: int = 20) -> Margins:
-        """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
-
-    @abc.abstractmethod
-    def disk_margins(self, points: int) -> NDArray[np.float64]:
-        """Return the least disk margin of each run of a batch, see `mckibben.simulation.disk_margins`."""
 
 
 class Start(ConfigModel):
@@ -354,6 +397,20 @@ class Scenario(StudiedScenario):
         usual = {"sensors": write(PerfectSensors(), ComponentField(Sensors)), "disturbance": "none"}
         return {key: value for key, value in written.items() if usual.get(key) != value}
 
+    @classmethod
+    def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Any:
+        """Read the scenario of a joint, or of a robot, whose text has a section `robot`; raises `ScenarioError`."""
+        kind = cls.class_of(text)
+        parsed: Any = super() if kind is cls else kind
+        return parsed.parse(text, source=source, folder=folder)
+
+    @classmethod
+    def class_of(cls, text: str) -> type[StudiedScenario]:
+        """Return the class of scenarios that a text is read as, by its sections."""
+        others = StudiedScenario.__subclasses__() if cls is Scenario else []
+        sections = read_document(text).data if others else ()
+        return next((kind for kind in others if isinstance(sections, dict) and kind.section in sections), cls)
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             return super().__getattr__(name)  # type: ignore[misc]  # defined by pydantic
@@ -389,38 +446,8 @@ class Scenario(StudiedScenario):
         control = self.control()
         return self.model_copy(update={"controller": independent(control) if fixed else control})
 
-    def check_start(self) -> None:
-        _start_of(self, self.plant())
-
-    def run_once(self, *, source: str = "") -> SimulationResult:
-        return run_scenario(self, source=source)
-
-    def batch_parts(self) -> BatchParts:
-        return BatchParts(self.plant(), self.reference(), initial_state(self))
-
-    def run_parts(self, parts: BatchParts, control: PyTree, **options: PyTree) -> Batch:
-        return simulate_many(parts.plant, control, parts.reference, initial=parts.start, **self.timing | options)
-
-    def disk_margins(self, points: int) -> NDArray[np.float64]:
-        parts = self.plant(), self.control(), self.reference(), initial_state(self)
-        times = {"duration": self.duration, "control_period": self.control_period}
-        return disk_margins(*parts, **times, substeps=self.substeps or 1, points=points)
-
-    @checked_call
-    def simulate(self, controller: Controller | None = None, **changes: Any) -> SimulationResult:
-        """Run the scenario, with another controller or other changes as for `replace`; see `mckibben.simulate`.
-
-        Warns if its reference is not statically feasible.
-        """
-        changes |= {} if controller is None else {"controller": controller}
-        return run_scenario(self.replace(**changes) if changes else self, warn_infeasible=True)
-
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
         return call("joint_suite", self, controllers, **settings)
-
-    @checked_call
-    def margins(self, points: int = 20) -> Margins:
-        return _with_run(self, margins, substeps=self.needed_substeps(), points=points)
 
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
@@ -428,52 +455,17 @@ class Scenario(StudiedScenario):
 
     references = reference
 
+    def starts(self) -> AtRest:
+        stiffness = self.start.stiffness
+        return AtRest(self.start.angle, math.nan if stiffness is None else stiffness)
+
     def initial(self, plant: JointPlant) -> PlantState:
-        """Return the initial equilibrium of a plant; raises UnreachableError if there is none."""
         return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
 
-    def needed_substeps(self) -> int:
-        if self.substeps is not None:
-            return self.substeps
-        return _with_run(self, needed_substeps, accuracy=self.accuracy)
 
-
-def _with_run(scenario: Scenario, function: Callable[..., T], **settings: Any) -> T:
-    """Call a function of plant, controller, reference and start, with those of a scenario and the times of its run."""
-    plant = scenario.plant()
-    parts = plant, scenario.control(), scenario.reference(), _start_of(scenario, plant)
-    return function(*parts, duration=scenario.duration, control_period=scenario.control_period, **settings)
-
-
-def _start_of(scenario: Scenario, plant: JointPlant) -> PlantState:
-    """`Scenario.initial` by the program of a run."""
-    unused, first = cast(Any, None), cast(Any, np.zeros(1))
-    problem = numeric(SimulationProblem(plant, unused, unused, initial_state(scenario)))
-    state, exists = starts_of(None, problem, Setpoint(first, first))
-    return state if exists else scenario.initial(plant)  # which raises
-
-
-def initial_state(scenario: Scenario) -> AtRest:
-    """Return the initial state of a scenario, at rest; for a batch, with one value per run."""
-    stiffness = scenario.start.stiffness
-    return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
-
-
-def run_scenario(scenario: Scenario, *, source: str = "", warn_infeasible: bool = False) -> SimulationResult:
-    """Result of a scenario, with its text and the feasibility of its reference; `source` is its file, for errors.
-
-    Raises `ScenarioError` if its parts do not fit together.
-    """
-    with errors_of(scenario, source):
-        return simulate(
-            scenario.plant(),
-            scenario.control(),
-            scenario.reference(),
-            **scenario.timing,
-            initial=initial_state(scenario),
-            scenario=scenario.dumps(),
-            warn_infeasible=warn_infeasible,
-        )
+def run_scenario(scenario: StudiedScenario) -> SimulationResult:
+    """Return the result of a scenario, as `run_once`."""
+    return scenario.run_once()
 
 
 @contextlib.contextmanager

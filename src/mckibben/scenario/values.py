@@ -17,8 +17,8 @@ from mckibben.component.schema import inherit, replaced
 from mckibben.config.document import Document, edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
-from mckibben.scenario.files import scenario_class
 from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
+from mckibben.scenario.robot import Scenario
 from mckibben.scenario.scenario import StudiedScenario
 from mckibben.simulation import Batch
 
@@ -318,8 +318,7 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     load: {from: knee-table-2, damping: 0.1 N*m*s/rad}            # or, with ...
     valve: {time_constant: 30 ms}   # or ideal: the pressure equals the command at once
     """
-    kind = scenario_class(read_document(text).data)
-    scenario = kind.parse(text, folder=folder)
+    scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
     pairs = list(zip(find_parameters(scenario, values), values.values(), strict=True))
     document = read_document(text)
@@ -328,7 +327,7 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     for written in (by_name, by_place):  # two equal muscles may stand in the text once or twice
         edited = edit_yaml(text, written)
         try:
-            if kind.parse(edited, folder=folder) == wanted:
+            if Scenario.parse(edited, folder=folder) == wanted:
                 return edited
         except ScenarioError:
             pass

@@ -20,7 +20,6 @@ from .outcome import Outcome as Outcome
 from .problem import AtRest as AtRest
 from .problem import sampled as sampled
 from .problem import without_last_change as without_last_change
-from .result import RunResult as RunResult
 from .result import SimulationResult as SimulationResult
 from .result import compute_trajectory as compute_trajectory
 from .simulate import needed_substeps as needed_substeps

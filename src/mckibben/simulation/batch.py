@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from mckibben.codegen.engine import BatchFunction
 from mckibben.component.calls import checked_call
 from mckibben.component.columns import attributes, labels_of
-from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.control.base import DiscreteTimeSystem, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, SimulationError
+from mckibben.mechanism.base import Mechanism, over_joints
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import Plant, PlantState
+from mckibben.plant.robot_plant import RobotStart
 from mckibben.result import Column, Result, TableColumns, table
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -39,20 +41,24 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.engine import check_count, chunk_size, compute_groups, dynamic_steps
 from mckibben.simulation.loop import of_any_length, positions_over_time, streaming_episode
-from mckibben.simulation.metrics import USUAL_METRICS, Metrics, last_change
-from mckibben.simulation.outcome import OUTCOMES, SWUNG_OVER_AT, Outcome, outcomes
+from mckibben.simulation.metrics import Metrics, last_change, usual_metrics
+from mckibben.simulation.outcome import OUTCOMES, Outcome, near_reference, outcomes
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
     float_type,
+    in_order,
+    resolved_at,
     sampled_runs,
     sampling_times,
     split_runs,
     starts_of,
+    vary,
 )
 from mckibben.simulation.result import Measured, metric_columns, unknown_column
-from mckibben.simulation.trajectories import Trajectory
+from mckibben.simulation.robot_metrics import RobotMetrics, landing_metrics
+from mckibben.simulation.trajectories import LABELS, column_names
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -141,17 +147,6 @@ class Batch(RunTable):
         steps, accurate = self["substeps"], self["error_estimate"] <= accuracy
         return int(steps[accurate].max() if accurate.any() else steps.min())
 
-    def with_started(self, started: NDArray[np.bool_]) -> Batch:
-        """Return the batch with a mask of the runs that could start; the others have no metrics."""
-        import xarray as xr
-
-        if started.all():
-            return self
-        mask, code = xr.DataArray(started, dims="run"), OUTCOMES.index(Outcome.NO_START)
-        columns = {name: self.table[name].where(mask) for name in self.metrics}
-        outcome = self.table["outcome"].where(mask, np.int8(code))
-        return Batch(self.table.assign(columns | {"outcome": outcome}), self.kind)
-
     def verdict(self) -> str:
         """Number of runs by their outcome."""
         counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
@@ -206,17 +201,17 @@ def outcome_variable(codes: NDArray[np.int8]) -> dict[str, Any]:
 
 @checked_call
 def simulate_many(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    reference: Reference | Mapping[str, Reference] | None = None,
     *,
     over: Mapping[str, ArrayLike] | None = None,
     duration: float = 10.0,
     control_period: float = 1e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
-    initial: PlantState | AtRest | None = None,
-    metrics: Sequence[str] = USUAL_METRICS,
+    initial: PlantState | AtRest | RobotStart | None = None,
+    metrics: Sequence[str] | None = None,
     keep: Sequence[str] = (),
     every: int = 1,
     precision: int = 64,
@@ -243,11 +238,12 @@ def simulate_many(
         Arrays by the dotted name of a leaf, such as ``{"load.mass2": [0.4, 0.5]}``: parts of the plant as in a
         scenario, ``controller``, ``reference`` or ``initial``.
     metrics
-        Metrics to compute. Default: all but ``coupling``, which needs a second run from the stiffness step on.
+        Names of `Metrics` to compute, or of `RobotMetrics` for a controller that follows no reference. Default: all
+        but ``coupling``, which needs a second run from the stiffness step on.
     precision
         Bits of the floats: 64 or 32.
     keep, every
-        Names of `Trajectory` to keep over time, and control periods between two of their values. Metrics are of all
+        Columns of `Trajectory` to keep over time, and control periods between two of their values. Metrics are of all
         control periods, so that one run of hours, with an array of one value, takes little memory.
     chunk
         Runs computed together. Default: 1024, 256 by XLA, up to 65,536 by CUDA, fewer where that would leave cores
@@ -290,14 +286,15 @@ def simulate_many(
     kind = float_type(precision)
     check_accuracy(accuracy, substeps, np.finfo(kind).bits)
     times = sampling_times(duration, control_period)
-    check_names("metric", metrics, Metrics._fields)
-    check_names("column of a trajectory", keep, Trajectory._fields)
+    problem = SimulationProblem.of(plant, controller, reference, initial)
+    measured, joints = Metrics if controller.follows_reference else RobotMetrics, plant.mechanism.joint_names
+    metrics = usual_metrics(measured) if metrics is None else metrics
+    check_names("metric", metrics, measured._fields)
+    check_names("column of a trajectory", keep, column_names(joints) if measured is Metrics else ())
     if times.size % check_count("control periods from one kept value to the next", every):
         remedy = f"give a divisor of {times.size}, the number of control periods"
         raise SimulationError(f"every is {every}", field="every", value=every, remedy=remedy)
-    asked = _Asked(tuple(metrics), tuple(keep), kind.name, every)
-
-    problem = SimulationProblem.of(plant, controller, reference, initial)
+    asked = _Asked(measured, tuple(metrics), tuple(keep), kind.name, every)
     lanes, shared, count = split_runs(problem, over or {}, control_period, alone="simulate")
     varied = times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference))
     numbers = len(asked.keep) * times.size // every + varied
@@ -307,18 +304,19 @@ def simulate_many(
         steps = refine_blocks(lanes, count, functools.partial(runs.refine, accuracy=accuracy), workers)
         steps.warn_of(accuracy)
     else:
-        runs.warn_of(substeps)
+        runs.check(substeps)
         steps = StepCounts.given(substeps, count)
     columns, used = compute_groups(
         runs.compute, lanes, steps.substeps, chunk=size, workers=workers, engine=engine, progress=progress
     )
-    table = _table(columns, over or {}, times[::every], asked, steps)
-    return Batch(table.assign_attrs(engine=used))
+    table = _table(columns, over or {}, times[::every], asked, steps, plant.mechanism)
+    return Batch(table.assign_attrs(engine=used), measured)
 
 
 class _Asked(NamedTuple):
     """Static arguments of the program of a chunk."""
 
+    kind: type  # of the metrics
     metrics: tuple[str, ...]
     keep: tuple[str, ...]
     precision: str
@@ -335,12 +333,13 @@ class _Runs(NamedTuple):
     asked: _Asked
     engine: str
 
-    def begun(self, lanes: SimulationProblem, every: int = 1) -> tuple[PyTree, PyTree, Setpoint]:
+    def begun(self, lanes: SimulationProblem, every: int = 1) -> tuple[PyTree, PyTree, PyTree]:
         """Shared and varying parts of runs, what is known before they begin included, and their setpoints."""
-        setpoints = sampled_runs(lanes.reference, self.shared.reference, self.times)
+        setpoints = self.setpoints(lanes)
         starts, exist = starts_of(lanes, self.shared, setpoints, engine=self.engine)
-        rows, varies = of_any_length(self.shared.controller, setpoints, every), setpoints.angle.ndim > 1
-        known = rows, last_change(setpoints.stiffness, np)
+        rows, varies = of_any_length(self.shared.controller, setpoints, every), vary(setpoints)
+        follows = self.asked.kind is Metrics
+        known = rows, over_joints(lambda own: last_change(own.stiffness, np), setpoints) if follows else None
         unused: Any = {"reference": None, "initial": None}
         shared = self.shared._replace(**unused), None if varies else known
         return shared, (lanes._replace(**unused), known if varies else None, starts, exist), setpoints
@@ -350,13 +349,20 @@ class _Runs(NamedTuple):
         shared, varying, setpoints = self.begun(lanes, self.asked.every)
         constant = *shared, np.asarray(self.period, float), self.asked, dynamic_steps(substeps)
         columns, used = _run(self.engine, constant, varying, self.asked.precision)
-        return columns | {"_span": np.broadcast_to(np.ptp(setpoints.angle, axis=0), varying[-1].shape)}, used
+        if self.asked.kind is Metrics:
+            spans = over_joints(lambda own: np.broadcast_to(np.ptp(own.angle, axis=0), varying[-1].shape), setpoints)
+            columns = columns | {"_span": spans}
+        return columns, used
+
+    def setpoints(self, lanes: SimulationProblem) -> PyTree:
+        """Setpoints of runs, whose parts that vary have the runs along the last axis."""
+        return in_order(self.shared.plant, sampled_runs(lanes.reference, self.shared.reference, self.times))
 
     def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
         """Step doubling of some runs, with 64 bits."""
         every = spacing(self.times.size)
         shared, varying, setpoints = self.begun(self._some(runs), every)
-        desired = setpoints.angle.reshape(self.times.size, -1)[::every]
+        near = near_reference(setpoints, functools.partial(self._desired, every))
 
         def solve(substeps: int, which: Runs) -> Positions:
             padded = full_vectors(which)
@@ -364,21 +370,36 @@ class _Runs(NamedTuple):
             positions, _ = _positions(self.engine, constant, jax.tree.map(lambda leaf: leaf[..., padded], varying))
             return np.stack([x[..., : which.size] for x in positions])
 
-        def meaningful(angles: Positions, which: Runs) -> NDArray[np.bool_]:
-            near = np.abs(angles[0] - (desired if desired.shape[1] == 1 else desired[:, which])) <= SWUNG_OVER_AT
-            return near & varying[-1][which]
+        def meaningful(positions: Positions, which: Runs) -> NDArray[np.bool_]:
+            return near(positions, which) & varying[-1][which]
 
-        first, apart = self._first_substeps(runs, setpoints), every * self.period
+        first, apart = self._first_substeps(runs, setpoints, varying[-2]), every * self.period
         return refine(solve, runs.size, accuracy=accuracy, spacing=apart, first=first, meaningful=meaningful)
 
-    def warn_of(self, substeps: int) -> None:
-        """Warn of too few given steps where friction or flow, which are bounded, keeps runs from diverging."""
+    def _desired(self, every: int, values: ArrayLike, which: Runs) -> NDArray[np.float64]:
+        """Setpoints of some runs, at every n-th control period."""
+        desired = np.reshape(values, (self.times.size, -1))[::every]
+        return desired if desired.shape[1] == 1 else desired[:, which]
+
+    def check(self, substeps: int) -> None:
+        """Warn of too few given steps where friction or flow, which are bounded, keeps runs from diverging.
+
+        Raises `SimulationError` where they do not resolve the motion of a robot.
+        """
         plant = eqx.combine(self.lanes, self.shared).plant
-        if not (plant.joint.has_friction or plant.friction is not None or plant.valve.holds_air):
+        joints = plant.mechanism.joint_names
+        if not (plant.has_friction or plant.valve_of(0).holds_air or joints):
             return
         runs = probed_runs(self.lanes)
-        setpoints = sampled_runs(self._some(runs).reference, self.shared.reference, self.times)
-        needed = self._first_substeps(runs, setpoints)
+        some = self._some(runs)
+        setpoints = self.setpoints(some)
+        starts = starts_of(some, self.shared, setpoints, engine=self.engine)[0]
+        if joints:
+            first = self._plant(runs[0])
+            angles = resolved_at(first, setpoints, jax.tree.map(lambda leaf: leaf[..., 0], starts))
+            first.check_substeps(*angles, self.period, substeps)
+            return
+        needed = self._first_substeps(runs, setpoints, starts)
         if needed > substeps:
             text = f"substeps is {substeps}, too few for some runs, which friction or flow keeps from diverging"
             warnings.warn(f"{text}: their numbers may be wrong; give at least {needed}", McKibbenWarning, stacklevel=3)
@@ -387,15 +408,21 @@ class _Runs(NamedTuple):
         """Parts of some runs that vary, with the runs along the last axis."""
         return jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), self.lanes)
 
-    def _first_substeps(self, runs: Runs, setpoints: Setpoint) -> int:
-        """Number of steps at which the integration of some runs is stable."""
-        if not jax.tree.leaves(self.lanes.plant):
+    def _plant(self, run: int) -> Plant:
+        """Plant of a run."""
+        own = jax.tree.map(lambda leaf: leaf[run], self.lanes.plant)
+        return eqx.combine(own, self.shared.plant)
+
+    def _first_substeps(self, runs: Runs, setpoints: PyTree, starts: PlantState) -> int:
+        """Number of steps at which the integration of some runs is stable; of a robot, of the first one."""
+        if not jax.tree.leaves(self.lanes.plant) or self.shared.plant.mechanism.joint_names:
             runs = runs[:1]
         needed = []
         for place, run in enumerate(runs):
-            own = jax.tree.map(lambda leaf, run=run: leaf[run], self.lanes.plant)
-            angle, stiffness = (values if values.ndim == 1 else values[:, place] for values in setpoints)
-            needed.append(eqx.combine(own, self.shared.plant).needed_substeps(angle, stiffness, self.period))
+            plant = self._plant(run)
+            own = jax.tree.map(lambda values, at=place: values if values.ndim == 1 else values[:, at], setpoints)
+            start = jax.tree.map(lambda leaf, at=place: leaf[..., at], starts)
+            needed.append(plant.needed_substeps(*resolved_at(plant, own, start), self.period))
         return max(needed)
 
 
@@ -416,9 +443,12 @@ def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     run, precision = eqx.combine(own, problem), jnp.dtype(asked.precision)
     setpoints, change = cast(known or varying, precision)
     parts = *cast((run.plant, run.controller), precision), setpoints, *cast((start, period), precision), substeps
+    if asked.kind is RobotMetrics:
+        landing = landing_metrics(*parts)._asdict()
+        return {name: landing[name] for name in asked.metrics} | {f"_{name}": landing[name] for name in _LANDED}
     coupling = "coupling" in asked.metrics
     streamed = streaming_episode(*parts, change=change, coupling=coupling, keep=asked.keep, every=asked.every)
-    metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
+    metrics = jax.tree.map(lambda value: jnp.where(exists, value, jnp.nan), streamed.metrics._asdict())
     deciding = {f"_{name}": metrics[name] for name in _DECIDING}
     deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end}
     return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
@@ -430,18 +460,43 @@ _DECIDING = (
 )
 
 
+_LANDED = ("peak_force", "peak_trunk_force", "time_outside_domain")
+
+
 def _table(
-    columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked, steps: StepCounts
+    columns: Mapping[str, Any],
+    over: Mapping[str, ArrayLike],
+    times: NDArray,
+    asked: _Asked,
+    steps: StepCounts,
+    mechanism: Mechanism,
 ) -> xr.Dataset:
-    code = outcomes(
-        {name: columns[f"_{name}"] for name in _DECIDING},
-        angle_at_end=columns["_angle_at_end"],
-        span=columns["_span"],
-        started=columns["_started"],
-    )
-    table: dict[str, Any] = {name: ("run", columns[name], attributes(name)) for name in asked.metrics}
-    table |= {name: ("run", column, attributes(name)) for name, column in steps.columns().items()}
-    table |= {name: (("run", "time"), columns[name], attributes(name)) for name in asked.keep}
+    columns = {name: np.stack(values) if isinstance(values, tuple) else values for name, values in columns.items()}
+    if asked.kind is RobotMetrics:
+        worst = np.max([0.0 * columns[f"_{name}"] for name in _LANDED[:2]], axis=0)  # NaN of a lost run
+        code = outcomes({"angle_max": worst, "time_outside_domain": columns["_time_outside_domain"]})
+    else:
+        code = outcomes(
+            {name: columns[f"_{name}"] for name in _DECIDING},
+            angle_at_end=columns["_angle_at_end"],
+            span=columns["_span"],
+            started=columns["_started"],
+            by_joint=bool(mechanism.joint_names),
+        )
+    labels = labels_of(asked.kind)
+
+    def column(name: str, *axes: str, along: str) -> tuple[Any, ...]:
+        rows = [along] if along and mechanism.joint_names else []
+        return (*rows, *axes), columns[name], attributes(name)
+
+    table: dict[str, Any] = {name: column(name, "run", along=labels[name].along) for name in asked.metrics}
+    table |= {name: ("run", values, attributes(name)) for name, values in steps.columns().items()}
+    table |= {
+        name: column(name, "run", "time", along=LABELS[name].along if name in LABELS else "") for name in asked.keep
+    }
+    if mechanism.joint_names:
+        table |= {"joint": list(mechanism.joint_names)}
+        table |= {"muscle": list(mechanism.muscle_names)} if asked.keep else {}
     if asked.keep:
         table |= {"time": ("time", times, {"units": "s", "long_name": "time"})}
     return batch_table(table, code, over)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,19 +16,21 @@ from numpy.typing import NDArray
 
 from mckibben.codegen.engine import BatchFunction
 from mckibben.component.calls import checked_call
-from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.control.base import DiscreteTimeSystem, Reference
 from mckibben.errors import ParameterError
+from mckibben.mechanism.base import over_joints
 from mckibben.numerics.batching import replace_leaves, select_leaves
 from mckibben.numerics.compiled import jit_arrays
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import Plant, PlantState
+from mckibben.plant.robot_plant import RobotStart
 from mckibben.simulation.accuracy import ACCURACY, check_accuracy
 from mckibben.simulation.loop import streaming_episode
-from mckibben.simulation.metrics import Change, Metrics, last_change
+from mckibben.simulation.metrics import Metrics, last_change
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
-    sample_reference,
+    in_order,
     sampled_reference,
     sampling_times,
     single_run,
@@ -36,7 +38,7 @@ from mckibben.simulation.problem import (
 )
 from mckibben.simulation.simulate import episode_substeps
 
-_Begun = tuple[PlantState, Setpoint, Change]  # the last of the stiffness; some of their leaves
+_Begun = tuple[PlantState, PyTree, PyTree]  # the last of the stiffness; some of their leaves
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,9 +55,9 @@ class Derivatives:
 
 @checked_call
 def differentiate(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    reference: Reference | Mapping[str, Reference],
     parameters: Sequence[str],
     *,
     metrics: Sequence[str] = ("angle_rmse", "stiffness_rmse"),
@@ -63,7 +65,7 @@ def differentiate(
     control_period: float = 1e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
-    initial: PlantState | AtRest | None = None,
+    initial: PlantState | AtRest | RobotStart | None = None,
 ) -> Derivatives:
     """Derivatives of metrics with respect to named numbers: sensitivities, or gradients for tuning.
 
@@ -110,9 +112,18 @@ def differentiate(
         """Derivative; NaN where the metric is."""
         return np.where(np.isnan(known[metric]), np.nan, gradients[metric][name])
 
-    known = {metric: np.where(exists, values[metric][..., 0], np.nan) for metric in metrics}
-    gradients = {metric: restored(slopes[metric]) for metric in metrics}
-    return Derivatives(known, {metric: {name: slope(metric, name) for name in parameters} for metric in metrics})
+    known = {metric: np.where(exists, value[..., 0], np.nan) for metric, value in values.items()}
+    gradients = {metric: restored(slopes[metric]) for metric in known}
+    return Derivatives(known, {metric: {name: slope(metric, name) for name in parameters} for metric in known})
+
+
+def _by_name(metrics: Mapping[str, PyTree], joints: Sequence[str]) -> dict[str, Array]:
+    """Metrics by name; those of named joints have the joint in it, such as ``angle_rmse.hip``."""
+    of_joints = {name: value for name, value in metrics.items() if isinstance(value, tuple)}
+    named = {
+        f"{name}.{joint}": own for name, rows in of_joints.items() for joint, own in zip(joints, rows, strict=True)
+    }
+    return {name: value for name, value in metrics.items() if name not in of_joints} | named
 
 
 class _Program(NamedTuple):
@@ -129,10 +140,11 @@ def _begun(run: SimulationProblem, flat: Array, times: ArrayLike, program: _Prog
     of_reference = eqx.is_inexact_array if any(name.startswith("reference.") for name in program.parameters) else False
 
     def begin(flat: Array) -> tuple[_Begun, tuple[_Begun, Array]]:
-        setpoints = sample_reference((varied := _restored(run, flat, program)).reference, times)
+        setpoints = (varied := _restored(run, flat, program)).setpoints(times)
         start, exists = varied.start(setpoints)
         kinds = eqx.is_inexact_array, of_reference, of_reference
-        varying, rest = eqx.partition((start, setpoints, last_change(setpoints.stiffness)), kinds)
+        changes = over_joints(lambda own: last_change(own.stiffness), setpoints)
+        varying, rest = eqx.partition((start, setpoints, changes), kinds)
         return varying, (rest, exists)
 
     def along(direction: Array) -> PyTree:
@@ -151,7 +163,7 @@ def _along(parts: PyTree, lane: PyTree) -> tuple[dict[str, Array], dict[str, Arr
         start, setpoints, change = eqx.combine(varying, rest)
         parts = run.plant, run.controller, setpoints, start, period, program.substeps
         metrics = streaming_episode(*parts, change=change, coupling="coupling" in program.metrics).metrics
-        return {name: getattr(metrics, name) for name in program.metrics}
+        return _by_name({name: getattr(metrics, name) for name in program.metrics}, run.plant.mechanism.joint_names)
 
     return jax.jvp(measured, (flat, varying), lane)
 
@@ -164,6 +176,6 @@ def _restored(run: SimulationProblem, flat: Array, program: _Program) -> Simulat
 
 def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, accuracy: float) -> int:
     """Integration steps per control period of a run; 1 if it cannot start."""
-    setpoints = sampled_reference(run.reference, times)
+    setpoints = in_order(run.plant, sampled_reference(run.reference, times))
     start, exists = starts_of(None, run, setpoints)
     return episode_substeps(run.plant, run.controller, setpoints, start, period, accuracy=accuracy) if exists else 1

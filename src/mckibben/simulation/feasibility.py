@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
-from mckibben.codegen.engine import BatchFunction
+from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.component.calls import checked_call
 from mckibben.control.base import Reference, Setpoint
-from mckibben.joint.attainable import leaves_domain
+from mckibben.errors import McKibbenError
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.attainable import leaves_domain, stiffness_range
+from mckibben.mechanism.dynamics import joint_equations
+from mckibben.mechanism.robot import Robot
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
+from mckibben.plant.joint_plant import rated_for
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.problem import sampled
+from mckibben.statics.attainable import attainable_statics
+from mckibben.statics.posture import EXACT, holding_torques, is_affine
+from mckibben.statics.pressures import pressures_for_joint_stiffness
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
 _BLOCK = 256  # control periods
+_TAUT = 1.0  # N, least tension
 
 
 class Feasibility(Result):
@@ -108,7 +117,7 @@ def check_reference(
     return feasibility(plant, times, setpoints, static_band(plant, setpoints.angle, stiffness_amplitude))
 
 
-def feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
+def feasibility(plant: PyTree, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
     """Feasibility of setpoints of shape (periods,), from the attainable stiffness at them (`static_band`)."""
     angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
     unheld = np.isnan(others[-1])
@@ -131,3 +140,71 @@ def static_band(
     """`static_bands` at angles of shape (periods,), and at the last one repeated: each length needs a program."""
     padded = np.pad(angles, (0, -np.size(angles) % _BLOCK), mode="edge")
     return static_bands(engine, numeric((plant, amplitude, tension)), padded)[0]
+
+
+def _held_by_pairs(plant: PyTree, angles: NDArray, stiffness: NDArray) -> NDArray[np.bool_]:
+    """Mask of postures in which a pair of muscles of each joint, and no others, attain the stiffness at rest.
+
+    Angles [rad] and stiffness [N*m/rad] have shape (joints, postures); all are False for other muscles.
+    """
+    robot = plant.robot
+    if not robot.has_disjoint_pairs:
+        return np.zeros(angles.shape[1], bool)
+    pairs = [robot.pair(index) for index in range(len(robot.joints))]
+    rated = [[min(float(muscle.domain.pressure_max), plant.supply) for muscle in pair.muscles] for pair in pairs]
+    supplied = [rated_for(pair, tuple(limits)) for pair, limits in zip(pairs, rated, strict=True)]
+    low, high = map(np.stack, zip(*_bands_of_pairs((robot, supplied, plant.gravity), tuple(angles)), strict=True))
+    return np.all((low <= stiffness * (1 + EXACT)) & (stiffness * (1 - EXACT) <= high), axis=0)
+
+
+@compiled
+def _bands_of_pairs(
+    shared: tuple[Robot, list[AntagonisticJoint], ArrayLike], angles: tuple[Array, ...]
+) -> list[tuple[Array, Array]]:
+    """Lowest and highest stiffness [N*m/rad] of the joints of a robot that is held at rest at angles [rad]."""
+    robot, pairs, gravity = shared
+    held = robot.held(angles)
+    bias = iter(joint_equations(robot, held, (0.0,) * len(held), gravity).bias)
+    torques = [next(bias) if joint.locked is None else 0.0 for joint in robot.joints]
+    return [
+        stiffness_range(pair, angle, torque, None, _TAUT)
+        for pair, angle, torque in zip(pairs, held, torques, strict=True)
+    ]
+
+
+def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], postures: int = 25) -> list[Remark]:
+    """Return remarks on postures that the muscles of a robot cannot hold, and on stiffness not attained there, at rest.
+
+    Checked at some of the times [s] of setpoints.
+    """
+    robot, supply = plant.robot, plant.supply
+    if not is_affine(robot):
+        text = "not checked: a law is not affine in pressure, or a tendon not rigid"
+        return [Remark.note("reference", text)]
+    chosen = np.unique(np.linspace(0, times.size - 1, postures).astype(int))
+    angles, stiffness = (
+        np.stack([np.asarray(values)[chosen] for values in rows]) for rows in zip(*setpoints, strict=True)
+    )
+    worst: dict[str, tuple[float, Remark]] = {}
+    for index in np.flatnonzero(~_held_by_pairs(plant, angles, stiffness)):
+        time = times[chosen][index]
+        posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {time:.3g} s"
+        try:
+            torques = holding_torques(robot, posture)
+            found = pressures_for_joint_stiffness(robot, posture, wanted, torques=torques, supply=supply)
+            if found.exact:
+                continue
+            ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
+        except McKibbenError as error:
+            return [Remark.warning("reference", f"{at}: {error.message}", error.remedy)]
+        own = {joint.name: value for joint, value in zip(robot.joints, wanted, strict=True) if joint.name in ranges}
+        for name, value in own.items():
+            (low, high), limits = ranges[name].stiffness, ranges[name].limits
+            if (excess := max(low - value, value - high)) > max(EXACT * value, worst.get(name, (0.0,))[0]):
+                text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"
+                by = limits[2 if value < low else 3]
+                worst[name] = excess, Remark.warning("reference", f"{text} ({by})", "choose a stiffness between")
+        if not worst:
+            text = f"{at} the joints do not attain their stiffness together: relative error {found.error:.2g}"
+            worst["all"] = found.error, Remark.warning("reference", text, "the nearest is given")
+    return [remark for _, remark in worst.values()]

@@ -16,11 +16,20 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.codegen.native import over_periods
-from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint, with_preview
+from mckibben.control.base import DiscreteTimeSystem
+from mckibben.mechanism.base import joints_in, over_joints
 from mckibben.numerics.compiled import jit_arrays
-from mckibben.plant import JointPlant, Plant, PlantState
-from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, last_change, values_of
-from mckibben.simulation.trajectories import Record, trajectory
+from mckibben.plant import Plant, PlantState
+from mckibben.simulation.metrics import (
+    Accumulation,
+    Change,
+    Metrics,
+    angle_at_end,
+    form_of_period,
+    last_change,
+    values_of,
+)
+from mckibben.simulation.trajectories import Record, Trajectory, column_of, trajectory
 
 LoopState = tuple[PyTree, PyTree]
 """States of plant and controller at the start of a control period."""
@@ -28,7 +37,7 @@ LoopState = tuple[PyTree, PyTree]
 
 def of_any_length(controller: DiscreteTimeSystem, setpoints: PyTree, every: int = 1) -> PyTree:
     """Setpoints of a run, of any number in one native program; not if it previews them, or keeps every n-th period."""
-    return setpoints if every > 1 or getattr(controller, "samples_ahead", 0) else over_periods(setpoints)
+    return setpoints if every > 1 or controller.samples_ahead else over_periods(setpoints)
 
 
 def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: PyTree) -> LoopState:
@@ -46,8 +55,7 @@ def begun(
     """
     state, held = initial_loop(plant, controller, start)
     state = state if step is None else plant.with_last_step(state, step)
-    held, setpoints = with_preview(controller, held, setpoints, period)
-    return (state, held), setpoints
+    return (state, controller.foreseeing(held, setpoints, period)), controller.ahead(setpoints, period)
 
 
 def control_period(
@@ -69,8 +77,9 @@ def episode(
 ) -> tuple[PyTree, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
-    Setpoints at the start of each control period [s] are arrays of shape (periods,), for a robot the times. Returns the
-    plant's state after the last period, and the record of shape (periods,).
+    Setpoints at the start of each control period [s] are arrays of shape (periods,): those of the joint, a tuple of
+    those of the joints, or the times. Returns the plant's state after the last period, and the record of shape
+    (periods,).
     """
 
     def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
@@ -95,13 +104,13 @@ def positions_over_time(
 ) -> tuple[Array, ...]:
     """Return the positions at the start of every n-th control period of an episode.
 
-    They are the leaves of the first field of the plant's state (angles [rad], positions of a trunk [m]), each of shape
+    They are those of the plant's mechanism (angles [rad], then the position of a base [m]), each of shape
     (periods / n,); n has to divide the number of periods.
     """
 
     def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, tuple[Array, ...]]:
         following, _ = control_period(plant, controller, state, setpoint, period, substeps)
-        return following, tuple(jax.tree.leaves(state[0][0]))
+        return following, plant.mechanism.coordinates_of(state[0].position)
 
     return _scan_every(next_period, *begun(plant, controller, setpoints, initial, period, period / substeps), every)[1]
 
@@ -119,11 +128,11 @@ def _scan_every(step: Callable[..., PyTree], start: PyTree, values: PyTree, ever
 
 
 class Streamed(NamedTuple):
-    """Metrics of a whole episode, the RMS angle error at its end, and the kept columns."""
+    """Metrics of a whole episode, the RMS angle errors at its end, and the kept columns."""
 
-    metrics: Metrics
-    angle_at_end: Array
-    kept: dict[str, Array]
+    metrics: PyTree
+    angle_at_end: PyTree
+    kept: dict[str, PyTree]
 
 
 class _Carry(NamedTuple):
@@ -133,16 +142,16 @@ class _Carry(NamedTuple):
 
 
 def streaming_episode(
-    plant: JointPlant,
-    controller: Controller,
-    setpoints: Setpoint,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    setpoints: PyTree,
     initial: PlantState,
     period: ArrayLike,
     substeps: int,
     *,
-    change: Change | None = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
+    change: PyTree = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
     coupling: bool = False,  # whether the run without that change is computed alongside
-    keep: tuple[str, ...] = (),  # names of `Trajectory`
+    keep: tuple[str, ...] = (),  # columns of a trajectory
     every: int = 1,
 ) -> Streamed:
     """Run an `episode` and accumulate its metrics: memory does not grow with the duration, except for what is kept.
@@ -152,44 +161,58 @@ def streaming_episode(
     plant, controller, initial
         Plant, controller, and state at the start.
     setpoints
-        Angle [rad] and stiffness [N*m/rad] at each control period, shape (periods,).
+        Angle [rad] and stiffness [N*m/rad] of each joint at each control period, shape (periods,).
     period, substeps
         Control period [s], and integration steps in it.
     change
-        Last change of the desired stiffness, for the settling time and the coupling.
+        Last change of the desired stiffness of each joint, for the settling time and the coupling.
     coupling
-        Whether the same run without this change is computed as well, from the change on; else there is no coupling.
+        Whether the same run without these changes is computed as well, from them on; else there is no coupling.
     keep, every
-        Names of `Trajectory` to keep over time, at every n-th control period; n has to divide their number.
+        Columns of a `Trajectory` to keep over time, at every n-th control period; n has to divide their number.
     """
-    periods = jnp.asarray(setpoints.angle.shape[0])
-    change = last_change(setpoints.stiffness) if change is None else change
+    count = jax.tree.leaves(setpoints)[0].shape[0]
+    periods = jnp.asarray(count)
+    change = over_joints(lambda own: last_change(own.stiffness), setpoints) if change is None else change
+    amplitude, early = getattr(controller, "stiffness_amplitude", None), controller.samples_ahead
 
     @functools.partial(jax.jit, inline=True)  # traced once for both runs
-    def step(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Record]:
+    def step(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
-    def step_without_change(carry: _Carry, following: LoopState, setpoint: Setpoint, index: Array) -> LoopState:
-        """The next state of the run without the last change; until the change, the two runs are identical."""
+    def step_without_change(carry: _Carry, following: LoopState, setpoint: PyTree, index: Array) -> LoopState:
+        """The next state of the run without the last changes; until the first of these, the two runs are identical."""
         if not coupling:
             return following
-        unchanged = setpoint._replace(stiffness=change.before)
-        changed = change.ends & (index >= change.at - getattr(controller, "samples_ahead", 0))
+
+        def begun(change: Change) -> Array:
+            return change.ends & (index >= change.at - early)
+
+        unchanged = over_joints(
+            lambda own, change: own._replace(stiffness=jnp.where(begun(change), change.before, own.stiffness)),
+            setpoint,
+            change,
+        )
+        changed = functools.reduce(operator.or_, map(begun, joints_in(change)))
         return lax.cond(changed, lambda: step(carry.without_change, unchanged)[0], lambda: following)
 
-    def next_period(carry: _Carry, at: tuple[Array, Setpoint, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
+    def moved(state: LoopState, without: LoopState, setpoint: PyTree, seen: PyTree) -> tuple[LoopState, Trajectory]:
+        following, record = step(state, seen)
+        return following, trajectory(plant, setpoint, record, without[0].angle, amplitude)
+
+    def next_period(carry: _Carry, at: tuple[Array, PyTree, PyTree]) -> tuple[_Carry, dict[str, PyTree]]:
         index, setpoint, seen = at
-        following, record = step(carry.loop, seen)
-        now = trajectory(plant, setpoint, record, carry.without_change[0].angle, controller.stiffness_amplitude)
+        following, now = moved(carry.loop, carry.without_change, setpoint, seen)
         so_far = carry.so_far.after(now, index, periods, change, plant.sensors.angle_resolution)
         without = step_without_change(carry, following, seen, index)
-        return _Carry(following, without, so_far), {name: getattr(now, name) for name in keep}
+        return _Carry(following, without, so_far), {name: column_of(now, name) for name in keep}
 
     loop, seen = begun(plant, controller, setpoints, initial, period, period / substeps)
-    start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
-    carry, columns = _scan_every(next_period, start, (lax.iota(int, setpoints.angle.shape[0]), setpoints, seen), every)
+    one_period = jax.eval_shape(moved, loop, loop, *form_of_period((setpoints, seen)))[1]
+    start = _Carry(loop, loop, Accumulation.empty(one_period))
+    carry, columns = _scan_every(next_period, start, (lax.iota(int, count), setpoints, seen), every)
     totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
     metrics = values_of(Metrics, totals, run)
     if not coupling:
-        metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
+        metrics = metrics._replace(coupling=jax.tree.map(lambda own: jnp.full_like(own, jnp.nan), metrics.coupling))
     return Streamed(metrics, angle_at_end(totals, run), columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import functools
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, NamedTuple, TypeVar, cast
 
@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.columns import Label, labelled, labels_of
+from mckibben.mechanism.base import over_joints
 from mckibben.simulation.oscillation import Oscillation, Signals
 from mckibben.simulation.trajectories import Trajectory
 
@@ -131,13 +132,13 @@ class Duration(Total):
 
 
 class LargerRate(Metric):
-    """Larger of the sums of a quantity of the two muscles, per second."""
+    """Largest of the sums of a quantity of the muscles, per second."""
 
     def terms(self, sample: PyTree) -> Totals:
-        return Totals({f"{self.of}{i}": getattr(sample, f"{self.of}{i}") for i in (1, 2)}, {})
+        return Totals({self.of: getattr(sample, self.of)}, {})
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        return larger(totals.sums[f"{self.of}1"], totals.sums[f"{self.of}2"]) / (run.periods * run.period)
+        return functools.reduce(larger, totals.sums[self.of]) / (run.periods * run.period)
 
 
 class Tracked(Metric):
@@ -180,38 +181,51 @@ class SettlingTime(Largest):
     """Time [s] from the last change until a quantity, the number of the period from 1 if outside a band, stays 0."""
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        change: Change = run.change
-        unsettled = jnp.maximum(totals.maxima[self.of] - 1, change.at - 1)
-        in_band = run.periods - 1 - unsettled  # periods at the end
-        never = (_SETTLED * in_band < run.periods - change.at) | ((change.at > 0) & ~change.ends)
-        return jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * run.period)
+        def of_joint(last: Array, change: Change) -> Array:
+            unsettled = jnp.maximum(last - 1, change.at - 1)
+            in_band = run.periods - 1 - unsettled  # periods at the end
+            never = (_SETTLED * in_band < run.periods - change.at) | ((change.at > 0) & ~change.ends)
+            return jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * run.period)
+
+        return over_joints(of_joint, totals.maxima[self.of], run.change)
 
 
 class LargestAfterChange(Largest):
     """Largest value of a quantity since the last change of the setpoint; NaN without one."""
 
     def value(self, totals: Totals, run: Run) -> PyTree:
-        return jnp.where(run.change.ends, totals.maxima[self.of], jnp.nan)
+        return over_joints(
+            lambda largest, change: jnp.where(change.ends, largest, jnp.nan), totals.maxima[self.of], run.change
+        )
 
 
 @labelled
 class Metrics(NamedTuple):
-    """Scalars in SI; errors are those of the plant's true angle and stiffness from the setpoints."""
+    """Numbers in SI; errors are those of the plant's true angle and stiffness from the setpoints.
+
+    Those along joints are scalars of an unnamed joint, else tuples.
+    """
 
     angle_rmse: Annotated[
-        Array, RootMeanSquare("rad", "root mean square error of the angle", of="angle_error", shown="deg")
+        Array,
+        RootMeanSquare("rad", "root mean square error of the angle", of="angle_error", shown="deg", along="joint"),
     ]
-    angle_max: Annotated[Array, LargestError("rad", "largest error of the angle", of="angle_error", shown="deg")]
+    angle_max: Annotated[
+        Array, LargestError("rad", "largest error of the angle", of="angle_error", shown="deg", along="joint")
+    ]
     stiffness_rmse: Annotated[
-        Array, RootMeanSquare("N*m/rad", "root mean square error of the stiffness", of="stiffness_error")
+        Array, RootMeanSquare("N*m/rad", "root mean square error of the stiffness", of="stiffness_error", along="joint")
     ]
-    stiffness_max: Annotated[Array, LargestError("N*m/rad", "largest error of the stiffness", of="stiffness_error")]
+    stiffness_max: Annotated[
+        Array, LargestError("N*m/rad", "largest error of the stiffness", of="stiffness_error", along="joint")
+    ]
     stiffness_settling: Annotated[
         Array,
         SettlingTime(
             "s",
             "settling time of the stiffness",
             of="unsettled",
+            along="joint",
             note="from the last change of the desired stiffness, or from the start if it never changes; NaN if the "
             "stiffness is not in the settling band for at least the last tenth of the time since the change (a limit "
             "cycle, or an entry just before the end), or if the setpoint ends with a ramp or changes until the "
@@ -224,6 +238,7 @@ class Metrics(NamedTuple):
             "rad",
             "largest change of the angle by the last change of the desired stiffness",
             of="coupling",
+            along="joint",
             shown="deg",
             note="from the same run without that change; NaN if the desired stiffness never changes, ends with a ramp "
             "or changes until the very end",
@@ -235,6 +250,7 @@ class Metrics(NamedTuple):
             "N*m/rad",
             "root mean square error of the estimated stiffness",
             of="estimate_error",
+            along="joint",
             note="NaN if the controller has no estimate",
         ),
     ]
@@ -255,13 +271,28 @@ class Metrics(NamedTuple):
         ),
     ]
     oscillation_amplitude: Annotated[
-        Array, Tracked("rad", "amplitude of a limit cycle of the angle", of="angle", shown="deg", note="0 without one")
+        Array,
+        Tracked(
+            "rad",
+            "amplitude of a limit cycle of the angle",
+            of="angle",
+            along="joint",
+            shown="deg",
+            note="0 without one",
+        ),
     ]
     oscillation_period: Annotated[
-        Array, Tracked("s", "period of a limit cycle of the angle", of="period", note="NaN without one")
+        Array, Tracked("s", "period of a limit cycle of the angle", of="period", along="joint", note="NaN without one")
     ]
     stiffness_oscillation: Annotated[
-        Array, Tracked("N*m/rad", "amplitude of a limit cycle of the stiffness", of="stiffness", note="0 without one")
+        Array,
+        Tracked(
+            "N*m/rad",
+            "amplitude of a limit cycle of the stiffness",
+            of="stiffness",
+            along="joint",
+            note="0 without one",
+        ),
     ]
     command_oscillation: Annotated[
         Array, Tracked("Pa", "amplitude of a limit cycle of a command", of="command", shown="bar", note="0 without one")
@@ -309,16 +340,21 @@ def measure(
     change
         Last change of the desired stiffness, if it is known (`last_change`).
     """
-    change = last_change(moved.desired_stiffness) if change is None else change
-    moved = Trajectory(*map(jnp.asarray, moved))
-    periods = jnp.asarray(moved.angle.shape[0])
+    change = over_joints(last_change, moved.desired_stiffness) if change is None else change
+    moved = jax.tree.map(jnp.asarray, moved)
+    periods = jnp.asarray(moved.saturated.shape[0])
 
     def following(so_far: Accumulation, at: tuple[Array, Trajectory]) -> tuple[Accumulation, None]:
         return so_far.after(at[1], at[0], periods, change, angle_resolution), None
 
-    start = Accumulation.empty(jnp.zeros((), moved.stiffness.dtype))
-    so_far, _ = lax.scan(following, start, (lax.iota(int, moved.angle.shape[0]), moved))
+    start = Accumulation.empty(form_of_period(moved))
+    so_far, _ = lax.scan(following, start, (lax.iota(int, moved.saturated.shape[0]), moved))
     return values_of(Metrics, so_far.totals, so_far.run(periods, period, change))
+
+
+def form_of_period(values: PyTree) -> PyTree:
+    """Return shapes and types of one control period of arrays, whose elements are used one after the other alone."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), values)
 
 
 class Change(NamedTuple):
@@ -353,27 +389,21 @@ def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
 
 
 class MetricSample(NamedTuple):
-    """Quantities of a control period that metrics are made of; flags are 0 or 1."""
+    """Quantities of a control period that metrics are made of; flags are 0 or 1. The first six are by joint."""
 
-    angle_error: Array  # [rad]
-    angle_error_at_end: Array  # [rad], 0 before the end of the run
-    stiffness_error: Array  # [N*m/rad]
-    estimate_error: Array  # [N*m/rad]
-    unsettled: Array  # number of the period from 1, if the stiffness is outside its band; else 0
-    coupling: Array  # [rad], 0 before the change
+    angle_error: PyTree  # [rad]
+    angle_error_at_end: PyTree  # [rad], 0 before the end of the run
+    stiffness_error: PyTree  # [N*m/rad]
+    estimate_error: PyTree  # [N*m/rad]
+    unsettled: PyTree  # number of the period from 1, if the stiffness is outside its band; else 0
+    coupling: PyTree  # [rad], 0 before the change
     saturated: Array
     slack: Array
     outside_domain: Array
     overloaded: Array
     force: Array  # [N]
     inflow: Array  # [m^3]
-    travel1: Array  # of the commands [Pa]
-    travel2: Array
-
-    @classmethod
-    def empty(cls, like: Array) -> MetricSample:
-        """Sample of zeros, with the float type of `like`."""
-        return cls(*[jnp.zeros_like(like)] * len(cls._fields))
+    travel: tuple[Array, ...]  # of the commands [Pa]
 
     @classmethod
     def of(
@@ -381,39 +411,45 @@ class MetricSample(NamedTuple):
         moved: Trajectory,
         index: ArrayLike,
         periods: Array,
-        change: Change,
-        stiffness_at_change: ArrayLike,
-        before: Sequence[ArrayLike],
+        change: PyTree,
+        stiffness_at_change: PyTree,
+        before: Before,
     ) -> MetricSample:
-        """Samples of single control periods, elementwise: scalars or shape (periods,).
+        """Samples of single control periods, elementwise: scalars or shape (periods,)."""
+        index, error = jnp.asarray(index), functools.partial(over_joints, _difference)
+        angle_error, stiffness_error = (
+            error(moved.angle, moved.desired_angle),
+            error(moved.stiffness, moved.desired_stiffness),
+        )
 
-        `before` are air [m^3] and commands [Pa] of the two muscles a period earlier.
-        """
-        index = jnp.asarray(index)
-        angle_error = jnp.asarray(moved.angle) - moved.desired_angle
-        stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
-        since = index >= change.at
-        settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change)
-        coupling = jnp.abs(jnp.asarray(moved.angle) - moved.angle_without_step)
+        rises = map(_difference, moved.air, before.air)
 
         def number(flag: ArrayLike) -> Array:
-            return jnp.asarray(flag).astype(stiffness_error.dtype)
+            return jnp.asarray(flag).astype(jax.tree.leaves(stiffness_error)[0].dtype)
+
+        def unsettled(error: Array, change: Change, at_change: ArrayLike) -> Array:
+            settled = jnp.abs(error) <= _band(change, at_change)
+            return number(jnp.where((index >= change.at) & ~settled, index + 1, 0))
+
+        def coupling(angle: ArrayLike, without: ArrayLike, change: Change) -> Array:
+            return jnp.where(index >= change.at, jnp.abs(_difference(angle, without)), 0.0)
 
         return cls(
             angle_error=angle_error,
-            angle_error_at_end=jnp.where(index >= first_of_end(periods), angle_error, 0.0),
+            angle_error_at_end=over_joints(
+                lambda own: jnp.where(index >= first_of_end(periods), own, 0.0), angle_error
+            ),
             stiffness_error=stiffness_error,
-            estimate_error=jnp.asarray(moved.stiffness_estimate) - moved.stiffness,
-            unsettled=number(jnp.where(since & ~settled, index + 1, 0)),
-            coupling=jnp.where(since, coupling, 0.0),
+            estimate_error=error(moved.stiffness_estimate, moved.stiffness),
+            unsettled=over_joints(unsettled, stiffness_error, change, stiffness_at_change),
+            coupling=over_joints(coupling, moved.angle, moved.angle_without_step, change),
             saturated=number(moved.saturated),
             slack=number(moved.slack),
             outside_domain=number(moved.outside_domain),
             overloaded=number(moved.overloaded),
-            force=larger(moved.force1, moved.force2),
-            inflow=larger(moved.air1 - before[0], 0.0) + larger(moved.air2 - before[1], 0.0),
-            travel1=jnp.abs(jnp.asarray(moved.command1) - before[2]),
-            travel2=jnp.abs(jnp.asarray(moved.command2) - before[3]),
+            force=functools.reduce(larger, moved.force),
+            inflow=functools.reduce(operator.add, [larger(rise, 0.0) for rise in rises]),
+            travel=tuple(map(jnp.abs, map(_difference, moved.command, before.command))),
         )
 
     def totals(self) -> Totals:
@@ -421,33 +457,56 @@ class MetricSample(NamedTuple):
         return Totals.of((*metrics_of(Metrics).values(), _ANGLE_AT_END), self)
 
 
+class Before(NamedTuple):
+    """Air [m^3] and commands [Pa] of the muscles a period earlier."""
+
+    air: tuple[Array, ...]
+    command: tuple[Array, ...]
+
+
+def _difference(first: ArrayLike, other: ArrayLike) -> Array:
+    return jnp.asarray(first) - other
+
+
+def _signals(now: Trajectory) -> Signals:
+    return Signals(*(getattr(now, name) for name in Signals._fields))
+
+
 class Accumulation(NamedTuple):
     """Metrics of the control periods so far, before they are numbers of a run."""
 
     totals: Totals
-    before: tuple[Array, ...]  # air and commands of the last period
-    stiffness_at_change: Array
+    before: Before
+    stiffness_at_change: PyTree
     oscillation: Oscillation
 
     @classmethod
-    def empty(cls, like: Array) -> Accumulation:
-        """Return the state before the first period, with the float type of `like`."""
-        zero = jnp.zeros_like(like)
-        return cls(MetricSample.empty(zero).totals().empty(), (zero,) * 4, zero, Oscillation.empty(zero))
+    def empty(cls, like: Trajectory) -> Accumulation:
+        """Return the state before the first period, with the form and the float types of one."""
+        like = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
+        kind, before = jax.tree.leaves(like.stiffness)[0], Before(like.air, like.command)
+        change = over_joints(lambda own: Change(jnp.zeros((), int), own, own, jnp.asarray(False)), like.stiffness)
+        sample = MetricSample.of(like, 0, jnp.asarray(1), change, like.stiffness, before)
+        totals = jax.tree.map(lambda _: jnp.zeros_like(kind), sample.totals())
+        return cls(totals, before, like.stiffness, Oscillation.empty(_signals(like)))
 
     def after(
-        self, now: Trajectory, index: Array, periods: Array, change: Change, angle_resolution: ArrayLike
+        self, now: Trajectory, index: Array, periods: Array, change: PyTree, angle_resolution: ArrayLike
     ) -> Accumulation:
-        """Return the state after one more period of a run of so many."""
-        at_change = jnp.where(index == change.at, now.stiffness, self.stiffness_at_change)
-        values = now.air1, now.air2, now.command1, now.command2
-        before = [jnp.where(index == 0, new, old) for new, old in zip(values, self.before, strict=True)]
+        """Return the state after one more period of a run of so many, with the last `Change` of each joint."""
+        at_change = over_joints(
+            lambda new, old, change: jnp.where(index == change.at, new, old),
+            now.stiffness,
+            self.stiffness_at_change,
+            change,
+        )
+        values = Before(now.air, now.command)
+        before = jax.tree.map(lambda new, old: jnp.where(index == 0, new, old), values, self.before)
         sample = MetricSample.of(now, index, periods, change, at_change, before)
-        signals = Signals(*(getattr(now, name) for name in Signals._fields))
-        oscillation = self.oscillation.after(signals, index, angle_resolution)
+        oscillation = self.oscillation.after(_signals(now), index, angle_resolution)
         return Accumulation(self.totals.merge(sample.totals()), values, at_change, oscillation)
 
-    def run(self, periods: Array, period: ArrayLike, change: Change) -> Run:
+    def run(self, periods: Array, period: ArrayLike, change: PyTree) -> Run:
         """Return the run as a whole, with its oscillations."""
         return Run(periods, period, self.oscillation.found(periods, period), change)
 
@@ -455,8 +514,8 @@ class Accumulation(NamedTuple):
 _ANGLE_AT_END = RootMeanSquare("rad", "root mean square error of the angle at the end", of="angle_error_at_end")
 
 
-def angle_at_end(totals: Totals, run: Run) -> Array:
-    """Root mean square error of the angle [rad] over the end of a run."""
+def angle_at_end(totals: Totals, run: Run) -> PyTree:
+    """Root mean square error of the angle [rad] of each joint over the end of a run."""
     return _ANGLE_AT_END.value(totals, run._replace(periods=run.periods - first_of_end(run.periods)))
 
 

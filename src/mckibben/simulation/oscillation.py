@@ -8,12 +8,15 @@ valves and muscles resolve, see `least_swings`.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
+from mckibben.mechanism.base import joints_in, over_joints
 from mckibben.units import bar, deg
 
 Scalar = Float[Array, ""]
@@ -36,25 +39,35 @@ _FALLEN = 0.85  # of the mean size, at least, of this average in an oscillation 
 
 
 class Signals(NamedTuple):
-    """Signals of a control period [rad], [N*m/rad], [Pa], or of all, of shape (periods,)."""
+    """Signals of a control period [rad], [N*m/rad], [Pa], or of all, of shape (periods,).
 
-    angle: Array
-    desired_angle: Array
-    stiffness: Array
-    desired_stiffness: Array
-    command1: Array
-    command2: Array
+    Those of an unnamed joint, or tuples over joints; the commands are those of all muscles.
+    """
+
+    angle: PyTree
+    desired_angle: PyTree
+    stiffness: PyTree
+    desired_stiffness: PyTree
+    command: tuple[Array, ...]
 
 
-def least_swings(now: Signals, resolution: ArrayLike) -> tuple[ArrayLike, ...]:
-    """Least swings, from peak to peak, of angle [rad], stiffness [N*m/rad] and command [Pa].
+def least_swings(now: Signals, resolution: ArrayLike) -> tuple[PyTree, PyTree, ArrayLike]:
+    """Least swings, from peak to peak, of angle [rad], stiffness [N*m/rad] of each joint, and command [Pa].
 
     That of the angle is 0.2 deg, or four steps of its sensor [rad]; that of a command 0.1 bar, the hysteresis and
     repeatability of proportional pressure regulators (0.5 % each of 10 bar: Festo VPPE, SMC ITV), within which a valve
     need not move; that of the stiffness 2 % of it, its change by such a change of the pressure at 5 bar.
     """
     angle = 2 * jnp.maximum(_AMPLITUDE, _STEPS * jnp.asarray(resolution))
-    return angle, _STIFFNESS * jnp.maximum(jnp.abs(now.stiffness), jnp.abs(now.desired_stiffness)), _COMMAND
+
+    def of_stiffness(stiffness: ArrayLike, desired: ArrayLike) -> Array:
+        return _STIFFNESS * jnp.maximum(jnp.abs(jnp.asarray(stiffness)), jnp.abs(jnp.asarray(desired)))
+
+    return (
+        over_joints(lambda _: angle, now.angle),
+        over_joints(of_stiffness, now.stiffness, now.desired_stiffness),
+        _COMMAND,
+    )
 
 
 class Turns(NamedTuple):
@@ -158,9 +171,9 @@ class LimitCycle(NamedTuple):
 class Oscillations(NamedTuple):
     """Limit cycles of a run, and its reversals of commands."""
 
-    angle: Scalar  # amplitude [rad]; 0 without a limit cycle
-    period: Scalar  # of the angle [s]; NaN without one
-    stiffness: Scalar  # amplitude [N*m/rad]
+    angle: PyTree  # amplitude [rad] of each joint; 0 without a limit cycle
+    period: PyTree  # of the angle [s]; NaN without one
+    stiffness: PyTree  # amplitude [N*m/rad]
     command: Scalar  # larger amplitude [Pa]
     reversals: Scalar  # of the command that reverses more often [1/s]
 
@@ -168,44 +181,68 @@ class Oscillations(NamedTuple):
 class Oscillation(NamedTuple):
     """Swings of a run so far: of the errors of angle and stiffness and of the commands, and turns of the references."""
 
-    angle: Swings
-    stiffness: Swings
-    command1: Swings
-    command2: Swings
-    desired_angle: Turns
-    desired_stiffness: Turns
+    angle: PyTree  # `Swings` of each joint
+    stiffness: PyTree
+    command: tuple[Swings, ...]
+    desired_angle: PyTree  # `Turns` of each joint
+    desired_stiffness: PyTree
 
     @classmethod
-    def empty(cls, like: Array) -> Oscillation:
-        """Return the state before the first sample, with the float type of `like`."""
-        swings = Swings.empty(like)
-        return cls(swings, swings, swings, swings, swings.turns, swings.turns)
+    def empty(cls, first: Signals) -> Oscillation:
+        """Return the state before the first sample, with the float types of its signals."""
+        swings = Swings.empty(jax.tree.leaves(first.stiffness)[0])
+        swinging, turning = (over_joints(lambda _, own=own: own, first.angle) for own in (swings, swings.turns))
+        return cls(swinging, swinging, (swings,) * len(first.command), turning, turning)
 
     def after(self, now: Signals, index: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillation:
         """Return the state after the signals of a control period, and a resolution of the sensor of the angle [rad]."""
         angle, stiffness, command = least_swings(now, resolution)
+
+        def of_error(value: ArrayLike, desired: ArrayLike, swing: ArrayLike, swings: Swings) -> Swings:
+            return swings.after(jnp.asarray(value) - desired, index, swing)
+
+        def counted(value: ArrayLike, swing: ArrayLike, turns: Turns) -> Turns:
+            return turns.counted(value, index, swing)
+
         return Oscillation(
-            self.angle.after(jnp.asarray(now.angle) - now.desired_angle, index, angle),
-            self.stiffness.after(jnp.asarray(now.stiffness) - now.desired_stiffness, index, stiffness),
-            self.command1.after(now.command1, index, command),
-            self.command2.after(now.command2, index, command),
-            self.desired_angle.counted(now.desired_angle, index, 2 * _AMPLITUDE),
-            self.desired_stiffness.counted(now.desired_stiffness, index, stiffness),
+            over_joints(of_error, now.angle, now.desired_angle, angle, self.angle),
+            over_joints(of_error, now.stiffness, now.desired_stiffness, stiffness, self.stiffness),
+            tuple(swings.after(value, index, command) for swings, value in zip(self.command, now.command, strict=True)),
+            over_joints(
+                lambda x, turns: turns.counted(x, index, 2 * _AMPLITUDE), now.desired_angle, self.desired_angle
+            ),
+            over_joints(
+                lambda x, swing, turns: turns.counted(x, index, swing),
+                now.desired_stiffness,
+                stiffness,
+                self.desired_stiffness,
+            ),
         )
 
     def found(self, periods: ArrayLike, period: ArrayLike) -> Oscillations:
         """Return the oscillations of a run of so many control periods [s]."""
-        periods = jnp.asarray(periods)
-        angle = 2 * periods / jnp.maximum(self.desired_angle.total, 1e-9)
-        both = 2 * periods / jnp.maximum(jnp.maximum(self.desired_angle.total, self.desired_stiffness.total), 1e-9)
-        cycle = self.angle.cycle(_FASTER * angle)
-        stiffness, *commands = (
-            swings.cycle(_HARMONIC * both, _SHARE * periods).amplitude
-            for swings in (self.stiffness, self.command1, self.command2)
+        periods, angles, stiffnesses = jnp.asarray(periods), self.desired_angle, self.desired_stiffness
+
+        def mean_period(*turns: Turns) -> Array:
+            """Mean period [control periods] of references, of the one that turns most often."""
+            return 2 * periods / jnp.maximum(functools.reduce(jnp.maximum, [own.total for own in turns]), 1e-9)
+
+        cycles = over_joints(lambda own, to: own.cycle(_FASTER * mean_period(to)), self.angle, angles)
+        stiffness = over_joints(
+            lambda own, *to: own.cycle(_HARMONIC * mean_period(*to), _SHARE * periods).amplitude,
+            self.stiffness,
+            angles,
+            stiffnesses,
         )
-        reversals = jnp.maximum(self.command1.turns.total, self.command2.turns.total)
+        all_turns = mean_period(*joints_in(angles), *joints_in(stiffnesses))
+        commands = [own.cycle(_HARMONIC * all_turns, _SHARE * periods).amplitude for own in self.command]
+        reversals = functools.reduce(jnp.maximum, [own.turns.total for own in self.command])
         return Oscillations(
-            cycle.amplitude, cycle.period * period, stiffness, jnp.maximum(*commands), reversals / (periods * period)
+            over_joints(lambda cycle: cycle.amplitude, cycles),
+            over_joints(lambda cycle: cycle.period * period, cycles),
+            stiffness,
+            functools.reduce(jnp.maximum, commands),
+            reversals / (periods * period),
         )
 
 
@@ -228,17 +265,17 @@ def find_oscillations(signals: Signals, period: ArrayLike, resolution: ArrayLike
     >>> import numpy as np
     >>> rest = np.zeros(2000)
     >>> command = 3e5 + 0.5e5 * np.sin(2 * np.pi * 10 * 1e-3 * np.arange(2000))
-    >>> found = find_oscillations(Signals(rest, rest, rest + 70, rest + 70, command, rest), 1e-3)
+    >>> found = find_oscillations(Signals(rest, rest, rest + 70, rest + 70, (command, rest)), 1e-3)
     >>> float(found.angle), round(float(found.command) / 1e5, 2), round(float(found.reversals))
     (0.0, 0.5, 20)
     """
-    signals = Signals(*map(jnp.asarray, signals))
+    signals = jax.tree.map(jnp.asarray, signals)
 
     def following(so_far: Oscillation, at: tuple[Array, Signals]) -> tuple[Oscillation, None]:
         return so_far.after(at[1], at[0], resolution), None
 
-    count = signals.angle.size
-    so_far, _ = lax.scan(following, Oscillation.empty(signals.angle[0]), (jnp.arange(count), signals))
+    count, first = jax.tree.leaves(signals)[0].size, jax.tree.map(lambda values: values[0], signals)
+    so_far, _ = lax.scan(following, Oscillation.empty(first), (jnp.arange(count), signals))
     return so_far.found(count, period)
 
 
@@ -248,5 +285,5 @@ def find_limit_cycle(
     """Return the limit cycle of the angle, from angle and reference [rad] of each control period [s]."""
     angle = jnp.asarray(angle)
     still = jnp.zeros_like(angle)
-    oscillations = find_oscillations(Signals(angle, jnp.asarray(desired), *[still] * 4), period, resolution)
+    oscillations = find_oscillations(Signals(angle, jnp.asarray(desired), still, still, (still,)), period, resolution)
     return LimitCycle(oscillations.angle, oscillations.period)

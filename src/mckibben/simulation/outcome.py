@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import ArrayLike, PyTree
 from numpy.typing import NDArray
 
+from mckibben.mechanism.base import joints_in
+from mckibben.simulation.accuracy import Positions, Runs
 from mckibben.units import deg
+
+Mask = NDArray[np.bool_]
 
 SWUNG_OVER_AT = 90 * deg
 """Angle error beyond which a run has diverged."""
@@ -58,12 +62,35 @@ class Outcome(enum.Enum):
         return not self.failed and not self.oscillates
 
 
+def near_reference(
+    setpoints: PyTree, rows: Callable[[PyTree, Runs], NDArray[np.float64]]
+) -> Callable[[Positions, Runs], Mask]:
+    """Return a function of positions and indices of runs: mask of the times and runs that have not swung over.
+
+    `rows` gives values of setpoints along times and these runs.
+    """
+
+    def near(positions: Positions, which: Runs) -> Mask:
+        follows = [] if hasattr(setpoints, "dtype") else joints_in(setpoints)
+        masks = [
+            np.abs(x - rows(own.angle, which)) <= SWUNG_OVER_AT for x, own in zip(positions, follows, strict=False)
+        ]
+        return np.all(masks, axis=0) if masks else np.ones(positions.shape[1:], bool)
+
+    return near
+
+
 OUTCOMES = tuple(Outcome)
 """In the order of the codes of `outcomes`."""
 
 
 def outcomes(
-    metrics: Mapping[str, ArrayLike], *, angle_at_end: ArrayLike = 0.0, span: ArrayLike = 0.0, started: ArrayLike = True
+    metrics: Mapping[str, ArrayLike],
+    *,
+    angle_at_end: ArrayLike = 0.0,
+    span: ArrayLike = 0.0,
+    started: ArrayLike = True,
+    by_joint: bool = False,
 ) -> NDArray[np.int8]:
     """Return the index of each run's outcome in `OUTCOMES`: the worst that applies.
 
@@ -78,6 +105,8 @@ def outcomes(
         RMS error of the angle over the last tenth of the run, and range of the reference [rad].
     started
         Whether the run could start.
+    by_joint
+        Whether the numbers of angles and stiffness have the joints along their first axis.
 
     Examples
     --------
@@ -87,16 +116,19 @@ def outcomes(
     """
     angle_max = np.asarray(metrics["angle_max"])
 
-    def positive(*names: str) -> NDArray[np.bool_]:
+    def positive(*names: str) -> Mask:
         return np.any(np.broadcast_arrays(*(np.asarray(metrics.get(name, 0.0)) > 0 for name in names)), axis=0)
+
+    def in_any(of_joints: Mask) -> Mask:
+        return np.any(of_joints, axis=0) if by_joint else of_joints
 
     worst_first = [
         (~np.asarray(started, bool), Outcome.NO_START),
-        (~np.isfinite(angle_max), Outcome.DIVERGED),
-        (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
-        (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
-        (positive("oscillation_amplitude"), Outcome.LIMIT_CYCLE),
-        (positive("stiffness_oscillation", "command_oscillation"), Outcome.CHATTER),
+        (in_any(~np.isfinite(angle_max)), Outcome.DIVERGED),
+        (in_any(angle_max > SWUNG_OVER_AT), Outcome.SWUNG_OVER),
+        (in_any(np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT)), Outcome.LEFT_REFERENCE),
+        (in_any(positive("oscillation_amplitude")), Outcome.LIMIT_CYCLE),
+        (in_any(positive("stiffness_oscillation")) | positive("command_oscillation"), Outcome.CHATTER),
         (positive("time_outside_domain", "time_overloaded"), Outcome.LEFT_DOMAIN),
         (positive("time_saturated"), Outcome.SATURATED),
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple, TypeVar, cast
@@ -19,9 +20,11 @@ from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.base import Component
 from mckibben.component.checks import whole_periods
-from mckibben.control.base import Controller, DiscreteTimeSystem, Reference, Setpoint
+from mckibben.control.base import DiscreteTimeSystem, Reference, Setpoint
 from mckibben.control.reference import Signal
+from mckibben.control.robot_control import check_pairs
 from mckibben.errors import ParameterError, SimulationError, described
+from mckibben.mechanism.base import joints_in, over_joints
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
@@ -35,33 +38,69 @@ class AtRest(NamedTuple):
     angle: ArrayLike
     stiffness: ArrayLike = math.nan
 
-    def state(self, plant: JointPlant, angles: Sequence[ArrayLike]) -> tuple[PlantState, Array]:
-        """Return the state of a plant, and whether it exists; `angles` are the first desired ones [rad], of a joint."""
-        (desired,) = angles
-        angle = jnp.where(jnp.isnan(self.angle), desired, self.angle)
+    def state(self, plant: JointPlant, setpoints: Setpoint) -> tuple[PlantState, Array]:
+        """Return the state of a plant, and whether it exists, before the first of setpoints, of shape (periods,)."""
+        angle = jnp.where(jnp.isnan(self.angle), setpoints.angle[0], self.angle)
         return plant.find_equilibrium(angle, jnp.asarray(self.stiffness))
 
 
 class SimulationProblem(NamedTuple):
-    """All parts of a run; leaves are numbers, or arrays over runs."""
+    """All parts of a run; leaves are numbers, or arrays over runs.
 
-    plant: JointPlant
-    controller: Controller
-    reference: Reference
-    initial: PlantState | AtRest
+    The reference is that of an unnamed joint, those of named joints by their names, or None for a controller that
+    follows none.
+    """
+
+    plant: Plant
+    controller: DiscreteTimeSystem
+    reference: PyTree
+    initial: PyTree  # `PlantState`, `AtRest` or `RobotStart`
 
     @classmethod
-    def of(
-        cls, plant: JointPlant, controller: Controller, reference: Reference, initial: PlantState | AtRest | None
-    ) -> SimulationProblem:
-        """The problem, by default with a start at rest at the first desired angle."""
-        return cls(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
+    def of(cls, plant: PyTree, controller: PyTree, reference: PyTree, initial: PyTree) -> SimulationProblem:
+        """The problem, by default with a start at rest at the first desired angle.
 
-    def start(self, setpoints: Setpoint) -> tuple[PlantState, Array]:
+        Raises `SimulationError` if there is not a reference of each joint.
+        """
+        if not isinstance(plant, Plant) or not isinstance(controller, DiscreteTimeSystem):
+            raise TypeError("plant and controller")  # `checked_call` says what is there instead
+        names = plant.mechanism.joint_names
+        if names:
+            check_pairs(plant.mechanism.robot, controller)  # type: ignore[attr-defined]
+        if controller.follows_reference:
+            known = reference if isinstance(reference, Mapping) else {}
+            if (names and {*known} != {*names}) or not (names or isinstance(reference, Reference)):
+                text = f"a reference of each joint is needed: {', '.join(names)}" if names else "a reference is needed"
+                remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
+                raise SimulationError(text, field="reference", remedy=remedy)
+        if initial is None and names:
+            remedy = "give initial=RobotStart(angles, pressures), or use scenario.simulate()"
+            raise SimulationError("a start is needed", field="initial", remedy=remedy)
+        followed = reference if controller.follows_reference else None
+        return cls(plant, controller, followed, AtRest(math.nan) if initial is None else initial)
+
+    def setpoints(self, times: ArrayLike) -> PyTree:
+        """The setpoints at times [s], traced, of their shape."""
+        return in_order(self.plant, sample_reference(self.reference, times))
+
+    def start(self, setpoints: PyTree) -> tuple[PlantState, Array]:
         """The initial state for setpoints of shape (periods,), and whether it exists."""
         if isinstance(self.initial, PlantState):
             return self.plant.complete_state(jax.tree.map(floating, self.initial)), jnp.asarray(True)
-        return self.initial.state(self.plant, [setpoints.angle[0]])
+        state, exists = self.initial.state(self.plant, setpoints)
+        return state, jnp.asarray(exists)
+
+
+def in_order(plant: Plant, setpoints: PyTree) -> PyTree:
+    """Return setpoints, those of named joints as a tuple in the order of the joints."""
+    return tuple(map(setpoints.get, plant.mechanism.joint_names)) if isinstance(setpoints, dict) else setpoints
+
+
+def resolved_at(plant: Plant, setpoints: PyTree, start: PlantState) -> tuple[PyTree, PyTree]:
+    """Return the angles [rad] and the stiffness [N*m/rad] near which integration steps are resolved."""
+    if isinstance(setpoints, Setpoint):
+        return setpoints.angle, setpoints.stiffness
+    return tuple(float(angle) for angle in joints_in(start.angle)), None
 
 
 Problem = TypeVar("Problem", bound=tuple)
@@ -90,12 +129,10 @@ def split_problem(
         If a number is NaN, or a frequency of the reference is at or above half the control rate.
     """
     whole: Any = problem
-    if not isinstance(whole.plant, Plant) or not isinstance(whole.controller, DiscreteTimeSystem):
-        raise TypeError("plant and controller")  # `checked_call` says what is there instead
     if over:  # else each object has checked its values when it was made
         whole = type(whole)(**with_leaves(whole._asdict(), over))
     _check_numbers(whole)
-    check_frequencies(getattr(whole, "reference", None), control_period)
+    check_frequencies(whole.reference, control_period)
     plant, controller = whole.plant, whole.controller  # called unbound: equinox takes 0.1 ms to bind a method
     plant = type(plant).with_period(plant, control_period)
     whole = whole._replace(plant=plant, controller=type(controller).with_period(controller, control_period))
@@ -201,12 +238,16 @@ def float_type(precision: int) -> np.dtype:
     return np.dtype(f"float{precision}")
 
 
-def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
-    """Return the setpoints at times [s], of their shape, in rad and N*m/rad.
+def sample_reference(reference: PyTree, times: ArrayLike) -> PyTree:
+    """Return the setpoints of a reference, or of each one by name, at times [s], of their shape, in rad and N*m/rad.
 
-    They are strongly typed: weakly typed ones would compile everything anew. Raises `SimulationError` for a signal
-    that is a function of NumPy, which cannot be compiled.
+    Without a reference these are the times. Setpoints are strongly typed: weakly typed ones would compile everything
+    anew. Raises `SimulationError` for a signal that is a function of NumPy, which cannot be compiled.
     """
+    if reference is None:
+        return jnp.asarray(times, float)
+    if isinstance(reference, Mapping):
+        return {name: sample_reference(own, times) for name, own in reference.items()}
     try:
         return Setpoint(*(jnp.asarray(setpoint, float) for setpoint in reference(times)))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
@@ -220,18 +261,27 @@ _each_sample = compiled(sample_reference)
 _all_samples = jit(sample_reference)
 
 
-def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:
-    """Setpoints at times [s], computed by a compiled program."""
+def sampled_reference(reference: PyTree, times: NDArray[np.float64]) -> PyTree:
+    """Setpoints at times [s] as of `sample_reference`, computed by a compiled program."""
+    if reference is None:
+        return times
+    if isinstance(reference, Mapping):
+        return {name: sampled_reference(own, times) for name, own in reference.items()}
     if _is_pointwise(reference):
         return _each_sample(reference, times)
     return jax.tree.map(np.asarray, _all_samples(reference, times))  # another function may be one of all times
 
 
-def sampled_runs(lanes: Reference, shared: Reference, times: NDArray[np.float64]) -> Setpoint:
+def sampled_runs(lanes: PyTree, shared: PyTree, times: NDArray[np.float64]) -> PyTree:
     """Setpoints of many runs at times [s], shape (periods, runs), or (periods,) if no number of theirs varies.
 
     The references are parts that vary, with the runs along the last axis, and parts that do not.
     """
+    if isinstance(shared, Mapping) and jax.tree.leaves(lanes):
+        setpoints = {name: sampled_runs(lanes[name], own, times) for name, own in shared.items()}
+        leaves = jax.tree.leaves(setpoints)
+        whole = np.broadcast_shapes(*[leaf.shape if leaf.ndim > 1 else (*leaf.shape, 1) for leaf in leaves])
+        return jax.tree.map(lambda leaf: np.broadcast_to(leaf if leaf.ndim > 1 else leaf[:, None], whole), setpoints)
     if not jax.tree.leaves(lanes):
         return sampled_reference(shared, times)
     if _is_pointwise(eqx.combine(lanes, shared)):
@@ -257,7 +307,7 @@ def _sampled_all(lanes: Reference, shared: Reference, times: ArrayLike) -> Setpo
 
 
 def starts_of(
-    lanes: SimulationProblem | None, shared: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto"
+    lanes: SimulationProblem | None, shared: SimulationProblem, setpoints: PyTree, *, engine: str = "auto"
 ) -> tuple[PlantState, Array]:
     """Return the initial states of runs, and whether they exist, with the runs along the last axis.
 
@@ -270,7 +320,7 @@ def starts_of(
     """
     first = jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)
     unused: Any = {"controller": None, "reference": None}  # others compile nothing new
-    varies, shared = first.angle.ndim > 1, shared._replace(**unused)
+    varies, shared = vary(first), shared._replace(**unused)
     if lanes is None:
         return _start(engine, (shared, first))[0]
     counted = np.zeros(jax.tree.leaves(lanes)[0].shape[-1])  # the starts may be the same
@@ -283,6 +333,11 @@ def _start(shared: PyTree, lane: PyTree) -> tuple[PlantState, Array]:
     (problem, setpoints), (own, varied, _) = shared, (None, None, None) if lane is None else lane
     run = problem if own is None else eqx.combine(own, problem)
     return run.start(setpoints if varied is None else varied)
+
+
+def vary(setpoints: PyTree) -> bool:
+    """Whether setpoints differ between runs."""
+    return jax.tree.leaves(setpoints)[0].ndim > 1
 
 
 def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
@@ -313,9 +368,14 @@ def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
     return np.arange(periods, dtype=float) * period
 
 
-def without_last_change(setpoints: Setpoint) -> Setpoint | None:
-    """The setpoints without the last step of stiffness; None if there is none, or it changes otherwise at the end."""
-    stiffness = np.asarray(setpoints.stiffness)
-    change = last_change(stiffness, np)
-    constant = np.where(np.arange(stiffness.size) >= change.at, change.before, stiffness)
-    return setpoints._replace(stiffness=constant) if change.ends else None  # type: ignore[arg-type]
+def without_last_change(setpoints: PyTree) -> PyTree:
+    """The setpoints without the last step of stiffness of each joint; None if there is none, or none ends with one."""
+
+    def unchanged(own: Setpoint) -> Setpoint:
+        stiffness = np.asarray(own.stiffness)
+        change = last_change(stiffness, np)
+        constant = np.where(np.arange(stiffness.size) >= change.at, change.before, stiffness)
+        return own._replace(stiffness=constant) if change.ends else own  # type: ignore[arg-type]
+
+    constant = over_joints(unchanged, setpoints)
+    return None if all(map(operator.is_, joints_in(constant), joints_in(setpoints))) else constant

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import functools
 import importlib.util
 import io
@@ -17,13 +16,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
-from mckibben.binding import call
 from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.columns import Label, attributes, declare, labels_of
+from mckibben.config.model import DocumentModel
 from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
 from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
 from mckibben.joint.geometry import Pressures
+from mckibben.mechanism.base import angles_of, over_joints
 from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark, Result, TableColumns
@@ -31,7 +31,16 @@ from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
-from mckibben.simulation.trajectories import Trajectory, trajectory
+from mckibben.simulation.robot_metrics import BODY, RobotMetrics, body_columns
+from mckibben.simulation.trajectories import (
+    LABELS,
+    REFERENCES,
+    Trajectory,
+    column_names,
+    column_of,
+    trajectory,
+    trajectory_of,
+)
 from mckibben.storage.files import atomic_write
 from mckibben.storage.mcap import write_samples
 from mckibben.units import bar, deg, percent
@@ -39,8 +48,7 @@ from mckibben.units import bar, deg, percent
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mckibben.control.base import Setpoint
-    from mckibben.plant import JointPlant, PlantState
+    from mckibben.plant import Plant, PlantState
     from mckibben.simulation.trajectories import Record
 
 _CHATTER = "stiffness_oscillation", "command_oscillation", "command_reversals", "command_travel"
@@ -86,10 +94,18 @@ def unknown_column(name: str, known: Iterable[object]) -> SimulationError:
     return SimulationError(f"the result has no {name!r}", value=name, remedy=remedy)
 
 
-class RunResult(Result, abc.ABC):
+def metric_columns(kind: type, metrics: Mapping[str, Any]) -> dict[str, tuple[Column, Any]]:
+    """Columns of metrics with their values [SI], by name; `kind` is the class that declares them."""
+    return {name: (label, metrics[name]) for name, label in labels_of(kind).items() if name in metrics}
+
+
+class SimulationResult(Result):
     """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
 
-    Columns have shape (periods,), those of several joints or muscles (joints, periods) or (muscles, periods), in SI.
+    Columns are in SI: the quantities of `Trajectory`, of a joint the attainable stiffness (``lowest_stiffness``,
+    ``highest_stiffness``), of a robot those of `BodySample`, and the controller's telemetry. Of an unnamed joint they
+    have shape (periods,), and ``result["pressure"]`` is ``pressure1`` and ``pressure2``, shape (2, periods); those of
+    named joints and muscles have shape (joints, periods) and (muscles, periods).
 
     Attributes
     ----------
@@ -102,21 +118,63 @@ class RunResult(Result, abc.ABC):
     engine
         Engine that computed the run, "native" or "xla", or empty.
     resolution
-        Integration steps per control period with the estimated error of the angle; None if unknown.
+        Integration steps per control period with the estimated error of the positions; None if unknown.
+    angle_resolution
+        Step of the sensor of the angle [rad], 0 for none.
+    domains
+        Function of the domains of the two muscles, as boxes if read from a file; of none if unknown.
+    known_outcome
+        Outcome of a stored run; None to derive it from the columns.
+    feasibility
+        Static feasibility of the reference; None if unknown.
+    notes
+        Function of the remarks on the plant, which take longer than a run.
+    joints, muscles
+        Names of the joints and muscles of a robot.
+    document
+        The scenario that `write` writes, None for none.
+    landing
+        Function of the metrics of a run that follows no references; None for others.
     """
 
-    kind: ClassVar[type]
-    """Class of the metrics."""
+    figures: ClassVar = ("tracking",)
+    files: ClassVar = ("result.nc", "result.mcap", "scenario.yaml")
 
     columns: Mapping[str, Any]
     control_period: float
     scenario: str = ""
     engine: str = ""
     resolution: Resolution | None = None
+    angle_resolution: float = 0.0
+    domains: Callable[[], tuple[Domain, ...]] = tuple
+    known_outcome: Outcome | None = None
+    feasibility: Feasibility | None = None
+    notes: Callable[[], list[Remark]] = list
+    joints: tuple[str, ...] = ()
+    muscles: tuple[str, ...] = ()
+    document: DocumentModel | None = None
+    landing: Callable[[], RobotMetrics] | None = None
 
-    @abc.abstractmethod
-    def _measure(self) -> Any:
-        """Return the metrics, of the class `kind`."""
+    @classmethod
+    def of(
+        cls,
+        moved: Trajectory,
+        control_period: float,
+        *,
+        band: tuple[np.ndarray, np.ndarray],
+        telemetry: Mapping[str, Any],
+        scenario: str = "",
+        angle_resolution: float = 0.0,
+    ) -> Self:
+        """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
+        known = {name: column_of(moved, name) for name in column_names(())} | dict(zip(BAND, band, strict=True))
+        columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
+        return cls(columns, control_period, scenario, angle_resolution=angle_resolution)
+
+    @property
+    def kind(self) -> type:
+        """Class of the metrics: `Metrics` of a run that follows references, else `RobotMetrics`."""
+        return Metrics if self.landing is None else RobotMetrics
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -127,8 +185,7 @@ class RunResult(Result, abc.ABC):
     @property
     def times(self) -> NDArray[np.float64]:
         """Start of each control period [s], shape (periods,)."""
-        first = next(iter(self.columns))
-        return np.arange(np.shape(self.columns[first])[-1]) * self.control_period
+        return np.arange(np.shape(self.columns["angle"])[-1]) * self.control_period
 
     @property
     def duration(self) -> float:
@@ -136,27 +193,28 @@ class RunResult(Result, abc.ABC):
         return self.times.size * self.control_period
 
     def declared(self) -> TableColumns:
-        """The metrics, with their units."""
-        return metric_columns(self.kind, self.metrics)
-
-    def remarks(self) -> Iterable[Remark]:
-        """The integration error: a warning if the run is not resolved, else a note."""
-        if self.resolution:
-            remark = Remark.note if self.resolution.resolved else Remark.warning
-            yield remark("accuracy", self.resolution.describe())
+        """The metrics, with their units, and the joints that they are of."""
+        joints = {"joint": (Column(), list(self.joints))} if self.joints and self.landing is None else {}
+        return joints | metric_columns(self.kind, self.metrics)
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name == "time":
             return self.times
-        if name not in self.columns:
-            raise unknown_column(name, self.columns)
-        return self.columns[name]
+        if name in self.columns:
+            return self.columns[name]
+        names = column_names(())
+        if not self.joints and f"{name}2" in names:
+            return np.stack([self.columns[f"{name}{number}"] for number in (1, 2)])
+        if self.joints and name in names and name[:-1] in self.columns:
+            return self.columns[name[:-1]][int(name[-1]) - 1]
+        raise unknown_column(name, self.columns)
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 
     def __getattr__(self, name: str) -> Any:
-        metrics, columns = labels_of(self.kind), self.__dict__.get("columns", ())
+        columns = self.__dict__.get("columns", ())
+        metrics = labels_of(Metrics)
         meant = {key: f'result.metrics["{key}"]' for key in metrics} | {key: f'result["{key}"]' for key in columns}
         if name not in meant and not name.startswith("_") and (metric := f"angle_{name}") in metrics:
             meant[name] = meant[metric]
@@ -198,84 +256,35 @@ class RunResult(Result, abc.ABC):
         variables |= {name: ((*self._rows_of(name), "time"), self[name], attributes(name)) for name in self.columns}
         return variables
 
-    def _attributes(self) -> dict[str, Any]:
-        """Attributes of the dataset."""
-        own = {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
-        return own | (self.resolution.attributes if self.resolution else {})
-
     def _rows_of(self, name: str) -> tuple[str, ...]:
         """Dimensions of a column other than time."""
-        return ()
+        label = LABELS.get(name) or BODY.get(name)
+        return (label.along if label else "joint",) if np.ndim(self.columns[name]) > 1 else ()
 
     def _coordinates(self) -> dict[str, list[str]]:
         """Names along these dimensions."""
-        return {}
-
-
-def metric_columns(kind: type, metrics: Mapping[str, Any]) -> dict[str, tuple[Column, Any]]:
-    """Columns of metrics with their values [SI], by name; `kind` is the class that declares them."""
-    return {name: (label, metrics[name]) for name, label in labels_of(kind).items() if name in metrics}
-
-
-class SimulationResult(RunResult):
-    """A simulated run of a joint; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
-
-    Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
-    ``highest_stiffness``), and the controller's telemetry.
-
-    Attributes
-    ----------
-    angle_resolution
-        Step of the sensor of the angle [rad], 0 for none.
-    domains
-        Function of the domains of the two muscles, as boxes if read from a file; of none if unknown.
-    known_outcome
-        Outcome of a stored run; None to derive it from the columns.
-    feasibility
-        Static feasibility of the reference; None if unknown.
-    notes
-        Function of the remarks on the plant, which take longer than a run.
-    """
-
-    kind = Metrics
-    figures: ClassVar = ("tracking",)
-    files: ClassVar = ("result.nc", "result.mcap", "scenario.yaml")
-
-    angle_resolution: float = 0.0
-    domains: Callable[[], tuple[Domain, ...]] = tuple
-    known_outcome: Outcome | None = None
-    feasibility: Feasibility | None = None
-    notes: Callable[[], list[Remark]] = list
-
-    @classmethod
-    def of(
-        cls,
-        moved: Trajectory,
-        control_period: float,
-        *,
-        band: tuple[np.ndarray, np.ndarray],
-        telemetry: Mapping[str, Any],
-        scenario: str = "",
-        angle_resolution: float = 0.0,
-    ) -> Self:
-        """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
-        known = moved._asdict() | dict(zip(BAND, band, strict=True))
-        columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
-        return cls(columns, control_period, scenario, angle_resolution=angle_resolution)
+        return {"joint": list(self.joints), "muscle": list(self.muscles)} if self.joints else {}
 
     @functools.cached_property
     def outcome(self) -> Outcome:
         """Outcome of the run."""
         if self.known_outcome is not None:
             return self.known_outcome
+        if self.kind is not Metrics:
+            worst = np.max([0.0 * self.metrics["peak_force"], 0.0 * self.metrics["peak_trunk_force"]])
+            return OUTCOMES[int(outcomes(self.metrics | {"angle_max": worst}))]
         desired = self["desired_angle"]
-        end = slice(first_of_end(desired.size), None)
-        at_end = np.sqrt(np.mean((self["angle"] - desired)[end] ** 2))
-        return OUTCOMES[int(outcomes(self.metrics, angle_at_end=at_end, span=np.ptp(desired)))]
+        end = slice(first_of_end(desired.shape[-1]), None)
+        at_end = np.sqrt(np.mean((self["angle"] - desired)[..., end] ** 2, axis=-1))
+        span = np.ptp(desired, axis=-1)
+        return OUTCOMES[int(outcomes(self.metrics, angle_at_end=at_end, span=span, by_joint=bool(self.joints)))]
 
-    def _measure(self) -> Metrics:
-        moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        rest = self.control_period, self.angle_resolution, last_change(moved.desired_stiffness, np)
+    def _measure(self) -> Any:
+        if self.landing is not None:
+            return self.landing()
+        moved = trajectory_of(self, self.joints)
+        change = over_joints(lambda own: last_change(own, np), moved.desired_stiffness)
+        rest = self.control_period, self.angle_resolution, change
         return _metrics((over_periods(moved), *jax.tree.map(np.asarray, rest)))
 
     @property
@@ -286,34 +295,62 @@ class SimulationResult(RunResult):
     @property
     def poor_tracking(self) -> str:
         """Remark on an angle that follows its reference worse than a joint at rest; empty if it does not, or failed."""
-        desired = self["desired_angle"]
-        if not self.outcome.usable or np.ptp(desired) < 1e-9:
+        if self.landing is not None or not self.outcome.usable:
             return ""
-        error, resting = (np.sqrt(np.mean((angle - desired) ** 2)) / deg for angle in (self["angle"], self["angle"][0]))
-        if error <= resting:
-            return ""
-        rmse = f"RMSE {error:.3g} instead of {resting:.3g} deg"
-        return f"the angle follows the reference worse than a joint at rest ({rmse})"
+        for name, angles, desired in zip(
+            self.joints or ("the angle",), *map(self._rows, ("angle", "desired_angle")), strict=True
+        ):
+            if np.ptp(desired) < 1e-9:
+                continue
+            error, resting = (np.sqrt(np.mean((angle - desired) ** 2)) / deg for angle in (angles, angles[0]))
+            if error > resting:
+                rmse = f"RMSE {error:.3g} instead of {resting:.3g} deg"
+                return f"{name} follows the reference worse than a joint at rest ({rmse})"
+        return ""
+
+    def _rows(self, name: str) -> NDArray[np.float64]:
+        """Column with a row for each joint, also for an unnamed one."""
+        return self[name].reshape(-1, self.times.size)
+
+    @property
+    def size(self) -> str:
+        """Duration, and numbers of named joints and muscles, in words."""
+        counts = ((len(self.joints), "joint"), (len(self.muscles), "muscle"))
+        return ", ".join([f"{self.duration:g} s", *(f"{count} {noun}{'s' * (count != 1)}" for count, noun in counts)])
 
     def verdict(self) -> str:
+        """The outcome with the time saturated, slack or outside the domain; of a robot its size and errors, too."""
+        if self.landing is not None:
+            return f"{self.size}, ground force up to {self['ground_up'].max():.4g} N"
+        if not self.joints:
+            return self._sentence()
+        angle, stiffness = self.metrics["angle_rmse"] / deg, self.metrics["stiffness_rmse"]
+        errors = (
+            f"RMS errors up to {angle.max():.3g} deg ({self.joints[angle.argmax()]}) and "
+            f"{stiffness.max():.3g} N*m/rad ({self.joints[stiffness.argmax()]})"
+        )
+        return f"{self.size}; {self._sentence()}; {errors}"
+
+    def _sentence(self) -> str:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""
         sentence, times = self.outcome.value, self.times
         if self.outcome is Outcome.DIVERGED:
             # Pressures within limits cannot drive the true motion to infinity.
-            last = max(np.flatnonzero(np.isfinite(self["angle"])), default=0)
-            commanded = np.isfinite(self["command1"][last]) and np.isfinite(self["command2"][last])
+            last = max(np.flatnonzero(np.isfinite(self._rows("angle")).all(axis=0)), default=0)
+            commanded = np.isfinite(self["command"][:, last]).all()
             cause = "too few substeps for this plant" if commanded else "commands of the controller that are not finite"
             return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
         if self.outcome is Outcome.LIMIT_CYCLE:
-            amplitude, period = self.metrics["oscillation_amplitude"] / deg, self.metrics["oscillation_period"]
+            amplitude, period = np.max(self.metrics["oscillation_amplitude"]) / deg, self.metrics["oscillation_period"]
+            period = np.nanmax(period)
             sentence = f"{sentence}, with an amplitude of {amplitude:.3g} deg and a period of {period:.3g} s"
         if self.outcome is Outcome.CHATTER:
-            stiffness, command, rate, travel = (self.metrics[name] for name in _CHATTER)
+            stiffness, command, rate, travel = (np.max(self.metrics[name]) for name in _CHATTER)
             sentence = (
                 f"{sentence}, with amplitudes of {stiffness:.3g} N*m/rad and {command / bar:.3g} bar; "
                 f"a command reverses {rate:.3g} times per second and travels {travel / bar:.3g} bar/s"
             )
-        peak = max(self["force1"].max(), self["force2"].max())
+        peak = self["force"].max()
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
@@ -328,7 +365,7 @@ class SimulationResult(RunResult):
 
     def _outside(self) -> str:
         """Quantities that left the domain, by how much, and the domain."""
-        furthest, pressures = float(self["excursion"].max()), (self["pressure1"], self["pressure2"])
+        furthest, pressures = float(self["excursion"].max()), self["pressure"]
         parts = [f"contraction by up to {furthest / percent:.3g} %"] if furthest > 0 else []
         limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in self.domains()]
         beyond = [
@@ -342,14 +379,18 @@ class SimulationResult(RunResult):
         return f"outside the domain ({' and '.join(parts)}{f' outside {known}' if known else ''})"
 
     def remarks(self) -> Iterable[Remark]:
-        """Infeasible reference, poor tracking and integration error; notes on the plant and on friction."""
+        """Infeasible reference, poor tracking and integration error; notes on the plant, its domains, and friction."""
         if self.feasibility and not self.feasibility.feasible:
             yield Remark.warning("reference", self.feasibility.verdict())
         if self.poor_tracking:
             remedy = "check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
             yield Remark.warning("controller", self.poor_tracking, remedy)
-        yield from super().remarks()
+        if self.resolution:
+            remark = Remark.note if self.resolution.resolved else Remark.warning
+            yield remark("accuracy", self.resolution.describe())
         yield from self.notes()
+        if self.joints and (left := self.metrics["time_outside_domain"]):
+            yield Remark.warning("domain", f"a muscle is outside its domain for {left:.4g} s")
         if "small_motion_stiffness" in self.columns and not self.outcome.failed:
             small, isobaric = (
                 f"{self[name].min():.3g}..{self[name].max():.3g} N*m/rad"
@@ -367,13 +408,18 @@ class SimulationResult(RunResult):
                 if dims == ("time",)
             }
             write_samples(folder / "result.mcap", columns, {"scenario.yaml": self.scenario.encode()})
-        if self.scenario:
-            call("write_scenario", folder / "scenario.yaml", self.scenario)
+        if self.document is not None:
+            self.document.to_yaml(folder / "scenario.yaml")
+        elif self.scenario:
+            (folder / "scenario.yaml").write_text(self.scenario, encoding="utf-8")
 
     def _attributes(self) -> dict[str, Any]:
-        own = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
+        """Attributes of the dataset."""
+        own: dict[str, Any] = {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
+        own |= self.resolution.attributes if self.resolution else {}
+        own |= {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
         boxes = [(d.contraction_min, d.contraction_max, d.pressure_min, d.pressure_max) for d in self.domains()]
-        return super()._attributes() | own | ({"domains": np.ravel(np.array(boxes, float))} if boxes else {})
+        return own | ({"domains": np.ravel(np.array(boxes, float))} if boxes else {})
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
@@ -383,8 +429,11 @@ class SimulationResult(RunResult):
         table = load_netcdf(Path(path))
         period: Any = table.attrs.get("control_period")
         boxes: Any = table.attrs.get("domains", ())
-        columns = (*Trajectory._fields, *BAND)
-        wrong = [name for name in columns if name not in table or table[name].dims != ("time",)]
+        joints, muscles = (
+            tuple(map(str, table[axis].to_numpy())) if axis in table else () for axis in ("joint", "muscle")
+        )
+        columns = column_names(joints) if joints else (*column_names(()), *BAND)
+        wrong = [name for name in columns if name not in table or table[name].dims[-1:] != ("time",)]
         wrong += [] if str(table.attrs.get("outcome")) in Outcome.__members__ else ["outcome"]
         wrong += [] if isinstance(period, float | np.floating) and period > 0 else ["control_period"]
         if wrong:
@@ -397,20 +446,22 @@ class SimulationResult(RunResult):
             angle_resolution=float(table.attrs.get("angle_resolution", 0.0)),
             domains=functools.partial(tuple, [Domain(*bounds) for bounds in np.reshape(boxes, (-1, 4)).tolist()]),
             known_outcome=Outcome[str(table.attrs["outcome"])],
+            joints=joints,
+            muscles=muscles,
         )
 
 
 @BatchFunction
-def _trajectories(shared: tuple[JointPlant, ArrayLike | None], lane: tuple[Setpoint, Record, Array]) -> Trajectory:
+def _trajectories(shared: tuple[Plant, ArrayLike | None], lane: tuple[PyTree, Record, PyTree]) -> Trajectory:
     """Trajectory at one control period."""
     return trajectory(shared[0], *lane, shared[1])
 
 
 def compute_trajectory(
-    plant: JointPlant,
-    setpoints: Setpoint,
+    plant: Plant,
+    setpoints: PyTree,
     record: Record,
-    angle_without_step: ArrayLike,
+    angle_without_step: PyTree,
     stiffness_amplitude: ArrayLike | None = None,
     *,
     engine: str = "auto",
@@ -424,7 +475,7 @@ def compute_trajectory(
     setpoints, record
         Setpoints and record of all control periods.
     angle_without_step
-        Angle [rad] of the same run without the last change of the desired stiffness.
+        Angles [rad] of the same run without the last changes of the desired stiffness.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is meant; None for the isobaric stiffness.
     engine
@@ -459,8 +510,61 @@ def path_columns(
 
     The stiffness of small motion is one of them unless the controller has a `stiffness_amplitude`.
     """
-    lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), state[:4])
+    parts = state.position, state.velocity, state.pressures, state.muscles
+    lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), parts)
     computed = functools.cache(lambda: _path_columns(joint, lanes))
     names = ["friction_torque"] * joint.has_friction + ["creep_torque"] * joint.has_creep
     names += ["small_motion_stiffness"] * (joint.has_friction and stiffness_amplitude is None)
     return {name: functools.partial(lambda name: computed()[name], name) for name in names}
+
+
+def columns_of_run(
+    plant: PyTree,
+    setpoints: PyTree,
+    record: Record,
+    without_step: Callable[[], PyTree],
+    stiffness_amplitude: ArrayLike | None,
+    reach: Feasibility | None,
+    engine: str,
+) -> Columns:
+    """Return the columns of a run, of which those that its record lacks are computed when they are first asked for."""
+    mechanism, state, follows = plant.mechanism, record.state, not hasattr(setpoints, "dtype")
+    joints = mechanism.joint_names
+
+    @functools.cache
+    def derived() -> Trajectory:
+        return compute_trajectory(plant, setpoints, record, state.angle, stiffness_amplitude, engine=engine)
+
+    @functools.cache
+    def bodies() -> dict[str, PyTree]:
+        return body_columns(plant, state)
+
+    def stacked(value: PyTree) -> PyTree:
+        return np.stack(value) if isinstance(value, tuple) else value
+
+    def column(name: str) -> Callable[[], PyTree]:
+        return functools.partial(lambda name: stacked(column_of(derived(), name)), name)
+
+    known: dict[str, PyTree] = {"angle": state.angle, "velocity": angles_of(state.velocity)}
+    recorded = {"pressure": state.pressures, "command": record.commands}
+    if joints:
+        known |= recorded
+    else:
+        known |= {f"{name}{number}": value for name, pair in recorded.items() for number, value in enumerate(pair, 1)}
+    columns: dict[str, PyTree] = {name: column(name) for name in column_names(joints)}
+    columns |= dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
+    columns |= {name: stacked(value) for name, value in record.telemetry.items() if name != "saturated"}
+    if joints:
+        columns |= {name: functools.partial(lambda name: stacked(bodies()[name]), name) for name in BODY}
+    else:
+        columns |= path_columns(plant.joint, state, stiffness_amplitude)
+    columns |= {name: stacked(value) for name, value in known.items()}
+    if follows:
+        columns |= {
+            "desired_angle": stacked(over_joints(lambda own: own.angle, setpoints)),
+            "desired_stiffness": stacked(over_joints(lambda own: own.stiffness, setpoints)),
+            "angle_without_step": lambda: stacked(without_step()),
+        }
+    else:
+        columns = {name: value for name, value in columns.items() if name not in REFERENCES}
+    return Columns(columns)

@@ -1,4 +1,4 @@
-"""Metrics of a robot that are accumulated along a run."""
+"""Motion of the bodies of a robot, and metrics of landings and jumps that are accumulated along a run."""
 
 from __future__ import annotations
 
@@ -11,18 +11,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from mckibben.component.columns import labelled
+from mckibben.actuator.base import at_room_temperature
+from mckibben.codegen.engine import BatchFunction
+from mckibben.component.columns import Label, labelled, labels_of
+from mckibben.control.base import DiscreteTimeSystem
+from mckibben.mechanism.dynamics import motion
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
-from mckibben.plant.robot_plant import RobotPlant, RobotSample
+from mckibben.numerics.compiled import jit, numeric
+from mckibben.plant import PlantState
+from mckibben.plant.robot_plant import RobotPlant
+from mckibben.simulation.loop import begun, control_period
 from mckibben.simulation.metrics import (
     Duration,
     Largest,
     LargestError,
-    RootMeanSquare,
     Run,
-    Total,
     Totals,
     Tracked,
     metrics_of,
@@ -30,6 +35,104 @@ from mckibben.simulation.metrics import (
 )
 
 Scalar = Float[Array, ""]
+
+
+@labelled
+class BodySample(NamedTuple):
+    """Bodies of a robot at the start of a control period; tuples are over joints or muscles."""
+
+    x: Annotated[Scalar, Label("m", "position of the base, forwards")]
+    y: Annotated[Scalar, Label("m", "position of the base, to the left")]
+    z: Annotated[Scalar, Label("m", "height of the base")]
+    speed: Annotated[Scalar, Label("m/s", "upward speed of the base")]
+    pitch: Annotated[Scalar, Label("rad", "pitch of the base")]
+    yaw: Annotated[Scalar, Label("rad", "yaw of the base")]
+    roll: Annotated[Scalar, Label("rad", "roll of the base")]
+    stop_torque: Annotated[tuple[Scalar, ...], Label("N*m", "torque of the stops", along="joint")]
+    ground_forward: Annotated[Scalar, Label("N", "force of the ground on the foot, forwards")]
+    ground_left: Annotated[Scalar, Label("N", "force of the ground on the foot, to the left")]
+    ground_up: Annotated[Scalar, Label("N", "force of the ground on the foot, upwards")]
+    mass_height: Annotated[Scalar, Label("m", "height of the centre of mass")]
+    mass_speed: Annotated[Scalar, Label("m/s", "upward speed of the centre of mass")]
+    kinetic: Annotated[Scalar, Label("J", "kinetic energy")]
+    muscle_power: Annotated[Scalar, Label("W", "power of the muscles")]
+    stop_power: Annotated[Scalar, Label("W", "power of the stops")]
+    air_mass: Annotated[tuple[Scalar, ...], Label("kg", "mass of the air", along="muscle")]
+    outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
+
+
+BODY = labels_of(BodySample)
+
+
+def body_sample(plant: RobotPlant, state: PlantState) -> BodySample:
+    """Return the motion of the bodies in a state, with forces and powers."""
+    forces, volumes = plant.forces(state), plant.air_volumes(state)
+    stops = plant.mechanism.stop_torques(state.position, state.velocity)
+    moving = motion(plant.robot, state.position, state.velocity, plant.gravity)
+    inside = map(lambda muscle, at: muscle.domain.contains_contraction(at), plant.muscles, forces.contractions)
+    zero, ground = jnp.zeros_like(state.position.x), plant.ground_force(state)
+    base = {name: getattr(state.position, name) for name in ("x", "y", "z", "pitch", "yaw", "roll")}
+    return BodySample(
+        **{name: zero if value is None else value for name, value in base.items()},
+        speed=state.velocity.z,
+        stop_torque=stops,
+        ground_forward=ground.x,
+        ground_left=ground.y,
+        ground_up=ground.z,
+        mass_height=moving.height,
+        mass_speed=moving.upward_speed,
+        kinetic=moving.kinetic,
+        muscle_power=-_power(forces.tensions, forces.path_rates),
+        stop_power=_power(stops, state.velocity.angles),
+        air_mass=tuple(
+            at_room_temperature((pressure + ATMOSPHERE) * air.volume / ENERGY, state.air, i)
+            for i, (pressure, air) in enumerate(zip(state.pressures, volumes, strict=True))
+        ),
+        outside=~functools.reduce(operator.and_, inside),
+    )
+
+
+def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
+    """Power [W] of forces at the rates of their coordinates."""
+    return jnp.asarray(sum(force * rate for force, rate in zip(forces, rates, strict=True)))
+
+
+@BatchFunction
+def _bodies(plant: RobotPlant, state: PlantState) -> BodySample:
+    return body_sample(plant, state)
+
+
+def body_columns(plant: RobotPlant, states: PlantState) -> dict[str, PyTree]:
+    """Return the quantities of `BodySample` in states over time, by name; those of joints and muscles as tuples."""
+    lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), states)
+    return jax.tree.map(np.asarray, _bodies("auto", numeric(plant), lanes)[0]._asdict())
+
+
+def measure_landing(plant: PyTree, states: PlantState, final: PlantState, period: float) -> RobotMetrics:
+    """Return the metrics of a finished run, from its states of shape (periods,) and that at its end."""
+    samples = BodySample(**body_columns(plant, states))
+    return _measured(samples, final, np.asarray(period), plant)
+
+
+@jit
+def _measured(samples: BodySample, final: PlantState, period: ArrayLike, plant: RobotPlant) -> RobotMetrics:
+    return measure(samples, body_sample(plant, final), period, plant)
+
+
+def landing_metrics(
+    plant: RobotPlant, controller: DiscreteTimeSystem, times: PyTree, start: PyTree, period: ArrayLike, substeps: int
+) -> RobotMetrics:
+    """Run a robot and return its metrics alone; a pure function, whose memory does not grow with the duration."""
+
+    def advance(carry: tuple[PyTree, MetricSums], time: Array) -> tuple[PyTree, None]:
+        state, sums = carry
+        state, _ = control_period(plant, controller, state, time, period, substeps)
+        return (state, sums.after(body_sample(plant, state[0]), period, plant)), None
+
+    loop, times = begun(plant, controller, times, start, period)
+    sums = MetricSums.of(body_sample(plant, loop[0]))
+    count = jax.tree.leaves(times)[0].shape[0]
+    return lax.scan(advance, (loop, sums), times)[0][1].finished(jnp.asarray(count), period)
 
 
 @labelled
@@ -97,53 +200,6 @@ class RobotMetrics(NamedTuple):
     time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
 
 
-@labelled
-class TrackingMetrics(NamedTuple):
-    """Metrics of a robot whose joints follow references, in SI: those of `Metrics` of each joint, or of all."""
-
-    angle_rmse: Annotated[
-        tuple[Scalar, ...], RootMeanSquare("rad", "angle error (RMS)", of="angle_error", shown="deg", along="joint")
-    ]
-    angle_max: Annotated[
-        tuple[Scalar, ...], LargestError("rad", "largest angle error", of="angle_error", shown="deg", along="joint")
-    ]
-    stiffness_rmse: Annotated[
-        tuple[Scalar, ...], RootMeanSquare("N*m/rad", "stiffness error (RMS)", of="stiffness_error", along="joint")
-    ]
-    time_saturated: Annotated[Scalar, Duration("s", "time saturated", of="saturated")]
-    time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
-    air: Annotated[Scalar, Total("m^3", "air consumption, as a volume at atmospheric pressure", of="inflow", shown="L")]
-
-    @classmethod
-    def of(cls, samples: TrackingSample, period: ArrayLike) -> TrackingMetrics:
-        """Return the metrics of samples of shape (periods,)."""
-        sums, maxima = samples.totals
-        sums = jax.tree.map(lambda terms: np.sum(terms, axis=-1), sums)
-        maxima = jax.tree.map(lambda terms: np.max(terms, axis=-1), maxima)
-        return values_of(cls, Totals(sums, maxima), Run(jnp.asarray(len(samples.saturated)), period))
-
-
-class TrackingSample(NamedTuple):
-    """Quantities of a control period that `TrackingMetrics` are made of; flags are 0 or 1."""
-
-    angle_error: tuple[Array, ...]  # [rad]
-    stiffness_error: tuple[Array, ...]  # [N*m/rad]
-    saturated: Array
-    outside: Array
-    inflow: Array  # of air into all muscles since the period before, as a volume at atmospheric pressure [m^3]
-
-    @property
-    def totals(self) -> Totals:
-        """Terms of the metrics."""
-        return Totals.of(metrics_of(TrackingMetrics).values(), self)
-
-
-def inflow(air: Sequence[Array], before: Sequence[Array]) -> Array:
-    """Return the air [m^3 at atmospheric pressure] that flows into muscles, from their contents [kg] a period apart."""
-    rises = [jnp.maximum(new - old, 0.0) for new, old in zip(air, before, strict=True)]
-    return functools.reduce(operator.add, rises) * (ENERGY / ATMOSPHERE)
-
-
 class RobotMetricSample(NamedTuple):
     """Quantities of a sample that metrics are made of; flags are 0 or 1."""
 
@@ -171,12 +227,12 @@ class Flight(NamedTuple):
     air_mass: Scalar
 
     @classmethod
-    def of(cls, first: RobotSample) -> Flight:
+    def of(cls, first: BodySample) -> Flight:
         zero = jnp.zeros_like(first.z)
         none = zero - jnp.inf
         return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, *[zero] * 4)
 
-    def after(self, sample: RobotSample, period: ArrayLike, plant: RobotPlant) -> tuple[Flight, RobotMetricSample]:
+    def after(self, sample: BodySample, period: ArrayLike, plant: RobotPlant) -> tuple[Flight, RobotMetricSample]:
         """Return the state after a further sample, a period [s] later, and what metrics are made of."""
         gravity, force = plant.gravity, sample.ground_up
         before = self.touched < 0
@@ -220,12 +276,12 @@ class MetricSums(NamedTuple):
     flight: Flight
 
     @classmethod
-    def of(cls, first: RobotSample) -> MetricSums:
+    def of(cls, first: BodySample) -> MetricSums:
         zero = jnp.zeros_like(first.z)
         nothing = RobotMetricSample(zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
         return cls(_totals(nothing).empty(), Flight.of(first))
 
-    def after(self, sample: RobotSample, period: ArrayLike, plant: RobotPlant) -> MetricSums:
+    def after(self, sample: BodySample, period: ArrayLike, plant: RobotPlant) -> MetricSums:
         """Return the sums with a further sample, a period [s] later."""
         flight, quantities = self.flight.after(sample, period, plant)
         return MetricSums(self.totals.merge(_totals(quantities)), flight)
@@ -236,10 +292,10 @@ class MetricSums(NamedTuple):
         return values_of(RobotMetrics, self.totals, Run(periods, period, self.flight._replace(apex=apex)))
 
 
-def measure(samples: RobotSample, last: RobotSample, period: ArrayLike, plant: RobotPlant) -> RobotMetrics:
+def measure(samples: BodySample, last: BodySample, period: ArrayLike, plant: RobotPlant) -> RobotMetrics:
     """Return the metrics of a finished run, from its samples of shape (periods,) and that at its end."""
 
-    def advance(sums: MetricSums, sample: RobotSample) -> tuple[MetricSums, None]:
+    def advance(sums: MetricSums, sample: BodySample) -> tuple[MetricSums, None]:
         return sums.after(sample, period, plant), None
 
     first, rest = (jax.tree.map(lambda x, at=at: x[at], samples) for at in (0, slice(1, None)))

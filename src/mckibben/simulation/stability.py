@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -19,17 +19,19 @@ from numpy.typing import NDArray
 
 from mckibben.codegen.engine import BatchFunction
 from mckibben.component.checks import check_positive
-from mckibben.control.base import Controller, Reference, Setpoint, extended
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import Plant, PlantState
+from mckibben.plant.robot_plant import RobotStart
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
+    in_order,
     sampled_reference,
     sampled_runs,
     sampling_times,
@@ -37,6 +39,7 @@ from mckibben.simulation.problem import (
     split_runs,
     starts_of,
 )
+from mckibben.simulation.simulate import existing_start
 from mckibben.units import deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
@@ -184,10 +187,10 @@ class Margins(Result):
 
 
 def margins(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    initial: PlantState,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    reference: PyTree,
+    initial: PlantState | AtRest | RobotStart,
     *,
     duration: float,
     control_period: float = 1e-3,
@@ -205,43 +208,28 @@ def margins(
     check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
     chosen = evenly_spaced(times.size, int(points))
-    problem = _problem(plant, controller, reference, initial, control_period)
-    problem, setpoints = single_run(problem, control_period, "disk_margins"), sampled_reference(reference, times)
-    start = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], starts_of(None, problem, setpoints)[0])
-    found = margins_along(problem, start, setpoints, times[chosen], chosen, control_period, substeps)
-    return dataclasses.replace(found, friction=plant.friction is not None or plant.joint.has_friction)
-
-
-def margins_along(
-    problem: PyTree,
-    start: PyTree,
-    setpoints: PyTree,
-    times: NDArray[np.float64],
-    chosen: NDArray[np.int64],
-    control_period: float,
-    substeps: int,
-    muscles: tuple[str, ...] = (),
-) -> Margins:
-    """Return the margins of the plant and controller of a problem at chosen control periods, which begin at times [s].
-
-    The start has one run along the last axis; setpoints are those of all periods, for a robot the times.
-    """
+    problem = single_run(
+        _problem(plant, controller, reference, initial, control_period), control_period, "disk_margins"
+    )
+    setpoints, muscles = in_order(plant, sampled_reference(problem.reference, times)), plant.mechanism.muscle_names
+    start = existing_start(plant, problem, setpoints, initial)
+    start, times = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], start), times[chosen]
     loops, oscillations = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    points = [
+    parts = [
         _margins_of(LinearLoop(*(leaf[:, i] for leaf in loops)), control_period, muscles) for i in range(len(times))
     ]
-    columns: dict[str, Any] = {name: np.concatenate([point[name] for point in points]) for name in points[0]}
-    columns |= {"oscillation": float(oscillations[0]), "muscles": muscles}
+    columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns |= {"oscillation": float(oscillations[0]), "muscles": muscles, "friction": plant.has_friction}
     return Margins(time=times, frequency=_frequencies(control_period), **columns)
 
 
 def disk_margins(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    initial: AtRest | PlantState | None = None,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    reference: PyTree,
+    initial: AtRest | RobotStart | PlantState | None = None,
     *,
     duration: float,
     control_period: float = 1e-3,
@@ -261,32 +249,12 @@ def disk_margins(
     problem = _problem(plant, controller, reference, initial, control_period)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
 
-    def starting(some: SimulationProblem) -> tuple[PlantState, Array, Setpoint]:
-        setpoints = sampled_runs(some.reference, shared.reference, times)
-        return *starts_of(some, shared, setpoints), setpoints
-
-    return least_disk_margins(
-        lanes, shared, count, starting, evenly_spaced(times.size, points), control_period, substeps
-    )
-
-
-def least_disk_margins(
-    lanes: PyTree,
-    shared: PyTree,
-    count: int,
-    starting: Callable[[PyTree], tuple[PyTree, PyTree, PyTree]],
-    chosen: NDArray[np.int64],
-    control_period: float,
-    substeps: int,
-) -> NDArray[np.float64]:
-    """Return what `disk_margins` does, of runs of a problem that is split into lanes and what they share.
-
-    `starting` gives, of some lanes, with the runs along the last axis: starts, whether they exist, and setpoints.
-    """
+    chosen = evenly_spaced(times.size, points)
 
     def of_chunk(piece: slice) -> NDArray[np.float64]:
         some = jax.tree.map(lambda leaf: np.moveaxis(leaf, 0, -1), pad_chunk(lanes, piece, _LANES))
-        start, exists, setpoints = starting(some)
+        setpoints = in_order(plant, sampled_runs(some.reference, shared.reference, times))
+        start, exists = starts_of(some, shared, setpoints)
         loops, oscillation = _linearised(some, shared, start, setpoints, control_period, chosen, substeps)
         asked = slice(piece.stop - piece.start)
         flat = LinearLoop(*(leaf[asked].reshape(-1, *leaf.shape[2:]) for leaf in loops))
@@ -297,7 +265,7 @@ def least_disk_margins(
 
 
 def _problem(
-    plant: JointPlant, controller: Controller, reference: Reference, initial: AtRest | PlantState | None, period: float
+    plant: PyTree, controller: DiscreteTimeSystem, reference: PyTree, initial: PyTree, period: float
 ) -> SimulationProblem:
     """The problem without noise.
 
@@ -342,8 +310,7 @@ def _linearised(
     runs = jax.tree.leaves(start)[0].shape[-1]
     setpoints = jax.tree.map(lambda leaf: np.broadcast_to(leaf.reshape(len(leaf), -1), (len(leaf), runs)), setpoints)
     visited, oscillation = map(np.asarray, _visited("auto", constant, (own, start, setpoints))[0])
-    if early := getattr(shared.controller, "samples_ahead", 0):
-        setpoints = jax.tree.map(lambda leaf: np.asarray(leaf[early:]), extended(setpoints, early, control_period))
+    setpoints = jax.tree.map(np.asarray, shared.controller.ahead(setpoints, control_period))
     states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
     directions = np.eye(count + inputs)

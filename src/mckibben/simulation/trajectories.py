@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+import functools
+import operator
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.actuator.base import at_room_temperature
-from mckibben.component.columns import Label, labelled
-from mckibben.control.base import Setpoint
-from mckibben.joint.antagonistic import NO_STATES
-from mckibben.numerics.batching import fusion_barrier
-from mckibben.plant import JointPlant
+from mckibben.component.columns import Label, declare, labelled, labels_of
+from mckibben.mechanism.base import angles_of, over_joints
+from mckibben.plant import Plant
 from mckibben.units import atm
 
 
@@ -29,95 +29,127 @@ class Record(NamedTuple):
 class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
+    Quantities of joints are those of the unnamed joint, or tuples over the joints, and those of muscles tuples. In
+    results they are columns: of an unnamed joint each has shape (periods,), such as ``angle``, ``pressure1`` and
+    ``pressure2``; else (joints, periods) or (muscles, periods).
+
     Stiffness, torque, forces and contractions are those of the plant. Torque and forces include the muscles' friction
     and creep; stiffness is that of the force laws, or of the controller's `stiffness_amplitude` if it has one.
     """
 
-    angle: Annotated[Array, Label("rad", "joint angle")]
-    velocity: Annotated[Array, Label("rad/s", "angular velocity")]
-    desired_angle: Annotated[Array, Label("rad", "desired joint angle")]
+    angle: Annotated[PyTree, Label("rad", "joint angle", along="joint")]
+    velocity: Annotated[PyTree, Label("rad/s", "angular velocity", along="joint")]
+    desired_angle: Annotated[PyTree, Label("rad", "desired joint angle", along="joint")]
     angle_without_step: Annotated[
-        Array, Label("rad", "joint angle of the same run without the last change of the desired stiffness")
+        PyTree,
+        Label("rad", "joint angle of the same run without the last change of the desired stiffness", along="joint"),
     ]
-    desired_stiffness: Annotated[Array, Label("N*m/rad", "desired joint stiffness")]
-    stiffness: Annotated[Array, Label("N*m/rad", "isobaric joint stiffness of the plant's muscles")]
-    total_stiffness: Annotated[Array, Label("N*m/rad", "joint stiffness of the plant's muscles and gravity")]
-    stiffness_estimate: Annotated[Array, Label("N*m/rad", "controller's estimate of the joint stiffness")]
-    torque: Annotated[Array, Label("N*m", "torque of the muscles")]
-    pressure1: Annotated[Array, Label("Pa", "gauge pressure in muscle 1")]
-    pressure2: Annotated[Array, Label("Pa", "gauge pressure in muscle 2")]
-    command1: Annotated[Array, Label("Pa", "commanded pressure of muscle 1")]
-    command2: Annotated[Array, Label("Pa", "commanded pressure of muscle 2")]
-    force1: Annotated[Array, Label("N", "tension of muscle 1")]
-    force2: Annotated[Array, Label("N", "tension of muscle 2")]
-    contraction1: Annotated[Array, Label("1", "contraction of muscle 1")]
-    contraction2: Annotated[Array, Label("1", "contraction of muscle 2")]
+    desired_stiffness: Annotated[PyTree, Label("N*m/rad", "desired joint stiffness", along="joint")]
+    stiffness: Annotated[PyTree, Label("N*m/rad", "isobaric joint stiffness of the plant's muscles", along="joint")]
+    total_stiffness: Annotated[
+        PyTree, Label("N*m/rad", "joint stiffness of the plant's muscles and gravity", along="joint")
+    ]
+    stiffness_estimate: Annotated[
+        PyTree, Label("N*m/rad", "controller's estimate of the joint stiffness", along="joint")
+    ]
+    torque: Annotated[PyTree, Label("N*m", "torque of the muscles", along="joint")]
+    pressure: Annotated[tuple[Array, ...], Label("Pa", "gauge pressure", along="muscle")]
+    command: Annotated[tuple[Array, ...], Label("Pa", "commanded pressure", along="muscle")]
+    force: Annotated[tuple[Array, ...], Label("N", "tension", along="muscle")]
+    contraction: Annotated[tuple[Array, ...], Label("1", "contraction", along="muscle")]
     saturated: Annotated[Array, Label("1", "a command is at a pressure limit")]
     slack: Annotated[Array, Label("1", "a muscle is slack")]
     outside_domain: Annotated[Array, Label("1", "a muscle's contraction or pressure is outside its domain")]
     overloaded: Annotated[Array, Label("1", "a muscle's tension is above its rating")]
     excursion: Annotated[Array, Label("1", "distance of a contraction from its domain")]
-    air1: Annotated[Array, Label("m^3", "air in muscle 1, as a volume at atmospheric pressure")]
-    air2: Annotated[Array, Label("m^3", "air in muscle 2, as a volume at atmospheric pressure")]
+    air: Annotated[tuple[Array, ...], Label("m^3", "air, as a volume at atmospheric pressure", along="muscle")]
+
+
+LABELS = labels_of(Trajectory)
+_PAIR = {
+    f"{name}{number}": Label(label.unit, f"{label.title} of muscle {number}")
+    for name, label in LABELS.items()
+    if label.along == "muscle"
+    for number in (1, 2)
+}
+declare(__name__, _PAIR)
+REFERENCES = ("desired_angle", "desired_stiffness", "angle_without_step")
+"""Columns of runs that follow references."""
+
+
+def column_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the columns of a trajectory in results: those of an unnamed joint have one for each of its two muscles."""
+    each = {name: [f"{name}1", f"{name}2"] if label.along == "muscle" else [name] for name, label in LABELS.items()}
+    return tuple(LABELS) if joints else tuple(name for names in each.values() for name in names)
+
+
+def column_of(moved: Trajectory, name: str) -> Any:
+    """Return a column of results; a tuple has a value for each joint or muscle."""
+    return getattr(moved, name) if name in LABELS else getattr(moved, name[:-1])[int(name[-1]) - 1]
+
+
+def trajectory_of(columns: Any, joints: tuple[str, ...]) -> Trajectory:
+    """Return the trajectory of columns in results."""
+
+    def values(name: str, label: Label) -> PyTree:
+        if label.along == "muscle" and not joints:
+            return columns[f"{name}1"], columns[f"{name}2"]
+        return tuple(columns[name]) if label.along and joints else columns[name]
+
+    return Trajectory(**{name: values(name, label) for name, label in LABELS.items()})
 
 
 def trajectory(
-    plant: JointPlant,
-    setpoints: Setpoint,
+    plant: Plant,
+    setpoints: PyTree,
     record: Record,
-    angle_without_step: Array,
+    angle_without_step: PyTree,
     stiffness_amplitude: ArrayLike | None = None,
 ) -> Trajectory:
-    """Trajectory of a record; elementwise, of one control period or of all."""
-    state, joint = record.state, plant.joint
-    torque, stiffness = fusion_barrier(joint.torque_and_stiffness, state.angle, state.pressures)
-    if stiffness_amplitude is not None:
-        stiffness = fusion_barrier(joint.secant_stiffness, state.angle, state.pressures, stiffness_amplitude)
-    pressure1, pressure2 = state.pressures
-    if state.muscles != NO_STATES:
-        forces = fusion_barrier(joint.forces, state.angle, state.velocity, state.pressures, state.muscles)
-        (force1, force2), torque, (contraction1, contraction2) = forces
-    else:
-        contraction1, contraction2 = fusion_barrier(joint.contractions, state.angle, state.pressures)
-        force1 = joint.muscle1.tension(contraction1, pressure1)
-        force2 = joint.muscle2.tension(contraction2, pressure2)
-    muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
-    dead = [plant.valve.for_muscle(i).dead_volume for i in (0, 1)]
-    air1, air2 = (
-        at_room_temperature((m.specimen.volume(contraction) + dead[i]) * (pressure + atm) / atm, state.air, i)
-        if m.specimen.has_volume
-        else jnp.full_like(stiffness, jnp.nan)
-        for i, (m, contraction, pressure) in enumerate(muscles)
+    """Trajectory of a record; elementwise, of one control period or of all.
+
+    Setpoints are those of the joint, a tuple of those of the joints, or, of runs without reference, the times.
+    """
+    state, mechanism = record.state, plant.mechanism
+    muscles = state.muscles
+    torque, stiffness, forces, contractions = mechanism.statics(
+        state.position, state.velocity, state.pressures, muscles, stiffness_amplitude
     )
-    inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
+    nothing = over_joints(lambda own: jnp.full_like(own, jnp.nan), stiffness)
+    follows = not hasattr(setpoints, "dtype")
+    states = list(zip(plant.muscles, contractions, state.pressures, strict=True))
+    air = tuple(
+        at_room_temperature(
+            (muscle.specimen.volume(contraction) + plant.valve_of(i).dead_volume) * (pressure + atm) / atm, state.air, i
+        )
+        if muscle.specimen.has_volume
+        else jnp.full_like(contraction, jnp.nan)
+        for i, (muscle, contraction, pressure) in enumerate(states)
+    )
+    inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in states]
     beyond = [
         jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)
-        for muscle, contraction, _ in muscles
+        for muscle, contraction, _ in states
     ]
-    rated1, rated2 = joint.muscle1.specimen.force_limit, joint.muscle2.specimen.force_limit
+    over = [force > muscle.specimen.force_limit for muscle, force in zip(plant.muscles, forces, strict=True)]
     return Trajectory(
         angle=state.angle,
-        velocity=state.velocity,
-        desired_angle=setpoints.angle,
+        velocity=angles_of(state.velocity),
+        desired_angle=over_joints(lambda own: own.angle, setpoints) if follows else nothing,
         angle_without_step=angle_without_step,
-        desired_stiffness=setpoints.stiffness,
+        desired_stiffness=over_joints(lambda own: own.stiffness, setpoints) if follows else nothing,
         stiffness=stiffness,
-        total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),
-        stiffness_estimate=record.telemetry.get("stiffness_estimate", jnp.full_like(stiffness, jnp.nan)),
+        total_stiffness=over_joints(operator.add, stiffness, mechanism.gravity_stiffness(state.position)),
+        stiffness_estimate=record.telemetry.get("stiffness_estimate", nothing),
         torque=torque,
-        pressure1=pressure1,
-        pressure2=pressure2,
-        command1=record.commands[0],
-        command2=record.commands[1],
-        force1=force1,
-        force2=force2,
-        contraction1=contraction1,
-        contraction2=contraction2,
+        pressure=tuple(state.pressures),
+        command=record.commands,
+        force=tuple(forces),
+        contraction=tuple(contractions),
         saturated=record.limited | record.telemetry.get("saturated", False),
-        slack=(force1 <= 0) | (force2 <= 0),
-        outside_domain=~(inside[0] & inside[1]),
-        overloaded=(force1 > rated1) | (force2 > rated2),
-        excursion=jnp.maximum(jnp.maximum(beyond[0], beyond[1]), 0.0),
-        air1=air1,
-        air2=air2,
+        slack=functools.reduce(operator.or_, [force <= 0 for force in forces]),
+        outside_domain=~functools.reduce(operator.and_, inside),
+        overloaded=functools.reduce(operator.or_, over),
+        excursion=jnp.maximum(functools.reduce(jnp.maximum, beyond), 0.0),
+        air=air,
     )

@@ -17,7 +17,6 @@ from mckibben.control import Reference
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.mechanism.disturbance import Disturbance
-from mckibben.mechanism.robot import Robot
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
@@ -25,7 +24,6 @@ from mckibben.result import Column, TableColumns
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import simulate
-from mckibben.simulation.robots import simulate_robot
 from mckibben.statics.attainable import attainable_statics
 from mckibben.statics.posture import holding_torques
 
@@ -234,15 +232,14 @@ def _loop_of_robot(scenario: RobotScenario) -> _Loop:
     joints = tuple(dataclasses.replace(joint, disturbance=_Push()) for joint in robot.joints)
     update = {"reference": constant, "robot": dataclasses.replace(robot, joints=joints)}
     held = scenario.with_model(fixed=True).model_copy(update=update)
-    plant, controller, start = held.plant(), held.control(), held.initial()
+    plant, controller, references, start = held.plant(), held.control(), held.references(), held.starts()
     substeps = scenario.needed_substeps()
 
     def run(joint: int, torque: float, frequency: float, duration: float) -> _Run:
         pushed = eqx.tree_at(lambda plant: plant.robot.joints[joint].disturbance, plant, _Push(torque, frequency))
         times = {"duration": duration, "control_period": held.control_period, "substeps": substeps}
-        result = simulate_robot(pushed, controller, start, **times)
-        stiffness = np.stack(_stiffness(robot, tuple(result["angle"]), tuple(result["pressure"])))
-        return _Run(result["angle"], stiffness, tuple(result["pressure"][:, -1].tolist()))
+        result = simulate(pushed, controller, references, initial=start, warn_infeasible=False, **times)
+        return _Run(result["angle"], result["stiffness"], tuple(result["pressure"][:, -1].tolist()))
 
     angles, ranges = [angle for angle, _ in setpoints], {}
     pairs = {index: robot.pair(index) for index in robot.pairs} if robot.has_disjoint_pairs else {}
@@ -258,11 +255,6 @@ def _loop_of_robot(scenario: RobotScenario) -> _Loop:
 def _push_of(low: float, high: float) -> float:
     """Amplitude of a push [N*m] from a range of torque, to one digit."""
     return float(f"{_SHARE * (high - low) / 2:.1g}")
-
-
-@jit
-def _stiffness(robot: Robot, angles: tuple[Array, ...], pressures: tuple[Array, ...]) -> tuple[Array, ...]:
-    return robot.stiffness(angles, pressures)
 
 
 @jit

@@ -25,8 +25,8 @@ from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Column, Listing, Result, TableColumns, table
 from mckibben.scenario.robot import RobotScenario
+from mckibben.simulation import SimulationResult, simulate, simulate_many
 from mckibben.simulation.batch import Batch
-from mckibben.simulation.robots import RobotResult, simulate_robot, simulate_robots
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.statics.posture import holding_torques
 from mckibben.storage.store import STUDY, Job, open_store
@@ -89,7 +89,7 @@ class JumpRuns(NamedTuple):
         """Metrics of jumps for columns of variables, of the nominal plant or of one per column."""
         steps = {"control_period": self.step, "substeps": self.substeps, "engine": self.engine}
         schedule = self.variables.schedule(np.asarray(variables))
-        return simulate_robots(plant or self.plant, schedule, self.start, duration=self.duration, **steps)
+        return simulate_many(plant or self.plant, schedule, initial=self.start, duration=self.duration, **steps)
 
     def heights(self, variables: Floats) -> Floats:
         """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
@@ -148,7 +148,7 @@ class Jump:
     """A jump with its controller, time traces, and results over the draws, of which the first is nominal."""
 
     controller: PressureSchedule
-    run: RobotResult  # of the nominal jump, with its `resolution`
+    run: SimulationResult  # of the nominal jump, with its `resolution`
     substeps: int  # of the jumps of the draws
     heights: Floats  # of the centre of mass at the apex above that of the standing robot of the same draw [m]
     push_force: float  # largest force of the ground before the apex [weight of the robot]; nominal
@@ -354,7 +354,7 @@ def _squat(scenario: RobotScenario, angles: tuple[float, ...], plant: RobotPlant
 def _batch_substeps(scenario: RobotScenario, runs: JumpRuns) -> int:
     """Integration steps that the first schedule needs, for all jumps of a search."""
     schedule = runs.variables.schedule([0.5] * runs.variables.size)
-    nominal = simulate_robot(runs.plant, schedule, runs.start, **scenario.timing_over(runs.duration))
+    nominal = simulate(runs.plant, schedule, initial=runs.start, **scenario.timing_over(runs.duration))
     assert nominal.resolution is not None
     return nominal.resolution.batch_substeps(
         runs.plant.needed_substeps(runs.start.angles, None, scenario.control_period)
@@ -365,8 +365,8 @@ def _jump(scenario: RobotScenario, runs: JumpRuns, controller: PressureSchedule,
     """A jump with its traces, and its results for plants that differ."""
     plant, drawn, start = runs.plant, runs.drawn, runs.start
     timing = scenario.timing_over(runs.duration + _LANDING)
-    run = simulate_robot(plant, controller, start, **timing)
-    table = simulate_robots(drawn, controller, start, **timing | {"substeps": runs.substeps})
+    run = simulate(plant, controller, initial=start, **timing)
+    table = simulate_many(drawn, controller, initial=start, **timing | {"substeps": runs.substeps})
     heights, apex = run["mass_height"], int(run["mass_height"].argmax())
     before, bottom = run["ground_up"][:apex], int(heights[: apex + 1].argmin())
     ends = zip(run["angle"][:, bottom], plant.robot.joints, strict=True)

@@ -22,10 +22,10 @@ from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Column, Result, TableColumns
 from mckibben.scenario.robot import RobotScenario
+from mckibben.simulation import simulate_many
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.robot_metrics import RobotMetrics
-from mckibben.simulation.robots import simulate_robots
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.robot_draws import drawn_plant, quantile_interval, take
 from mckibben.study.study import Study, Table, select
@@ -182,7 +182,7 @@ def study_landing(
     Parameters
     ----------
     scenario, source, engine
-        File of the robot, its name for errors, and the engine, as for `simulate_robots`.
+        File of the robot, its name for errors, and the engine, as for `simulate_many`.
     out, resume
         Folder of the study, and whether to continue the one in it, as for `Study.run`.
 
@@ -320,10 +320,10 @@ class Landings(Study):
         valve = list(self.valves.values())[int(rows["valve"][0])]
         commands = tuple(self.pressures[rows["stiffness"]].T)
         speeds = -np.sqrt(2 * self.drawn.gravity * np.array(self._landing.drop)[rows["drop"]])
-        return simulate_robots(
+        return simulate_many(
             take(eqx.tree_at(lambda x: x.valve, self.drawn, valve), rows["draw"]),
             PressureSchedule(tuple((command,) for command in commands)),
-            RobotStart(self.scenario.robot.posture_angles(self._landing.touchdown), commands, 0.0, speeds),
+            initial=RobotStart(self.scenario.robot.posture_angles(self._landing.touchdown), commands, 0.0, speeds),
             **self.scenario.timing_over(self._landing.duration),
             engine=engine,
             workers=1,

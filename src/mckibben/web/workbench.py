@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
-from mckibben.scenario import UNKNOWN, StudiedScenario, starting_stiffness, starting_text
-from mckibben.scenario.files import scenario_class
-from mckibben.simulation import RunResult
+from mckibben.scenario import UNKNOWN, Scenario, StudiedScenario, starting_stiffness, starting_text
+from mckibben.simulation import SimulationResult
 from mckibben.web import resource
 from mckibben.web.results import Presented, Repetition
 from mckibben.web.session import JobState
@@ -29,7 +28,7 @@ START, LEG = resource("starts/knee.yaml"), resource("starts/leg.yaml")
 """Scenarios of the paper: its knee, and its leg."""
 OFFERED: dict[str, dict[str, str]] = plain(read_document(resource("starts/choices.yaml")).data)
 """What the selects put into a scenario, as YAML by part and label."""
-READ = 'mk.read_scenario("scenario.yaml")'
+READ = 'mk.Scenario.read("scenario.yaml")'
 """Python that reads the scenario of a download."""
 SMALL_MOTION = "small_motion_stiffness"
 """Column of results whose muscles have friction."""
@@ -44,7 +43,7 @@ class ScenarioRun(NamedTuple):
     text: str
     joints: tuple[str, ...]
     muscles: tuple[str, ...]
-    result: RunResult
+    result: SimulationResult
     presented: Presented
 
     def of_joint(self, values: Mapping[str, Any], name: str, joint: str) -> NDArray[np.float64]:
@@ -113,12 +112,12 @@ class Workbench(JobState):
 
 def read_text(text: str) -> StudiedScenario:
     """Scenario of a text of ours."""
-    return scenario_class(read_document(text).data).parse(text)
+    return Scenario.parse(text)
 
 
 def parse(text: str, folder: Path) -> StudiedScenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
-    kind = scenario_class(read_document(text).data)
+    kind = Scenario.class_of(text)
     scenario = parse_model(kind, text, source="scenario", folder=folder, confined=True)[0]
     steps = (scenario.timing["duration"] or 0.0) / scenario.control_period * (scenario.substeps or 1 + 2)
     if steps > MOST_STEPS:

@@ -14,7 +14,6 @@ from mckibben.rig.compiled import probing_torques, vented_state
 from mckibben.rig.control_loop import ChannelProbe, control
 from mckibben.rig.record import read_record
 from mckibben.robot import RobotScenario
-from mckibben.scenario.tracking import run_tracking
 from mckibben.units import bar, deg
 from tests.rig.faults import FaultyJoint, disconnected, samples_stopped
 from tests.robot.test_control import ONE, TORQUE
@@ -44,7 +43,7 @@ def test_unpaced_and_ideal_it_is_the_simulation(scenario, tmp_path):
         else one(command_delay=4e-3, **ideal)
     )
     ran = prepare(read, paced=False, ideal=True).run(tmp_path)
-    simulated = run_tracking(read)
+    simulated = read.run_once()
     assert ran.outcome.completed and ran.outcome.vented_after < 0.2
     for name in ("angle", "pressure", "command", "stiffness", "desired_angle", "tension", "stiffness_estimate"):
         np.testing.assert_allclose(ran.result[name], simulated[name], rtol=1e-7, atol=1e-9, err_msg=name)

@@ -9,15 +9,16 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import compiled
 from mckibben.config.model import ConfigModel
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError, SimulationError
 from mckibben.export.containment import Containment, ControlSample
 from mckibben.joint import Measurement
 from mckibben.mechanism.base import RobotMeasurement
+from mckibben.mechanism.robot import Robot
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
-from mckibben.scenario.tracking import joint_stiffness
 from mckibben.simulation.problem import sampled
 from mckibben.units import Angle, PositiveTime, Pressure, Share, Stiffness, deg, ms
 
@@ -141,7 +142,13 @@ def _stiffest(scenario: RobotScenario, limits: Limits) -> NDArray[np.float64]:
     rated = tuple(np.full(shape[1], muscle.domain.pressure_max) for muscle in scenario.robot.all_muscles)
     times = scenario.run_duration, scenario.control_period
     wanted = [np.max(np.asarray(sampled(references[joint.name], *times)[1].stiffness)) for joint in joints]
-    return np.fmax(np.nanmax(joint_stiffness(scenario.robot, (tuple(angles), rated)), axis=1), wanted)
+    return np.fmax(np.nanmax(_stiffness_of_joints(scenario.robot, (tuple(angles), rated)), axis=1), wanted)
+
+
+@compiled
+def _stiffness_of_joints(robot: Robot, lane: tuple[tuple[Array, ...], tuple[Array, ...]]) -> tuple[Array, ...]:
+    """Stiffness [N*m/rad] of the joints at angles [rad] and pressures [Pa], many along the last axis."""
+    return robot.stiffness(*lane)
 
 
 def _robot_bounds(
