@@ -108,7 +108,7 @@ def body_columns(plant: RobotPlant, states: PlantState) -> dict[str, PyTree]:
     return jax.tree.map(np.asarray, _bodies("auto", numeric(plant), lanes)[0]._asdict())
 
 
-def measure_landing(plant: RobotPlant, states: PlantState, final: PlantState, period: float) -> RobotMetrics:
+def measure_landing(plant: PyTree, states: PlantState, final: PlantState, period: float) -> RobotMetrics:
     """Return the metrics of a finished run, from its states of shape (periods,) and that at its end."""
     samples = BodySample(**body_columns(plant, states))
     return _measured(samples, final, np.asarray(period), plant)
