@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import mckibben as mk
 from mckibben.cli import app
 from mckibben.control.bounded_allocation import BoundedSolution, bounded_least_squares
-from mckibben.errors import ParameterError, RangeError, ScenarioError, UnreachableError
+from mckibben.errors import RangeError, ScenarioError, UnreachableError
 from mckibben.export import export
 from mckibben.export.mujoco import load_mujoco
 from mckibben.mechanism.dynamics import joint_equations, joint_load
@@ -30,7 +30,6 @@ from mckibben.study.compare import compare, draw, evaluate
 from mckibben.study.compare.robots import RobotSuite
 from mckibben.study.compare.runs import started
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
-from mckibben.study.tune import tune
 from mckibben.units import bar, deg
 
 ONE = Path(__file__).with_name("one-joint.yaml").read_text(encoding="utf-8")
@@ -252,12 +251,6 @@ def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
     with pytest.raises(ScenarioError) as caught:
         RobotSuite.parse(suite.dumps().replace("kp: ", "kpp: ", 1))
     assert caught.value.problems[0].field.startswith("controllers.PID.controllers.knee.position")
-
-
-def test_the_cost_of_a_robot_has_its_metrics():
-    with pytest.raises(ParameterError) as caught:
-        tune(RobotScenario.parse(ONE + TORQUE), ["controller.feedback.bandwidth=5..40 rad/s"], "peak_force")
-    assert caught.value.field == "cost"
 
 
 @pytest.mark.slow

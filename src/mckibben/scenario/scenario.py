@@ -47,7 +47,6 @@ from mckibben.simulation import (
     AtRest,
     Batch,
     Margins,
-    Metrics,
     SimulationResult,
     disk_margins,
     margins,
@@ -149,8 +148,6 @@ class StudiedScenario(RunSettings):
 
     section: ClassVar[str] = ""
     """Section of a file that makes it one of this class."""
-    metrics: ClassVar[type] = Metrics
-    """Class of the metrics of its runs."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:

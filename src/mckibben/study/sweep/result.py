@@ -19,7 +19,7 @@ from mckibben.result import Column, Listing, Remark, TableColumns, table
 from mckibben.scenario import ModelFollows, StudiedScenario, with_values
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import RunTable, outcome_variable
-from mckibben.simulation.metrics import Metric, metrics_of
+from mckibben.simulation.metrics import Metric, Metrics, metrics_of
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import SweptParameter
 from mckibben.study.study import Table
@@ -95,7 +95,7 @@ class SweepResult(RunTable):
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the computed metrics; of those along the joints of a robot, with the joint: ``angle_rmse.hip``."""
-        order = list(self.nominal.metrics._fields)
+        order = list(Metrics._fields)
         names = [str(name) for name in self.table if str(name).partition(".")[0] in order and name not in self.inputs]
         return tuple(sorted(names, key=lambda name: order.index(name.partition(".")[0])))
 
@@ -107,7 +107,7 @@ class SweepResult(RunTable):
 
     def label(self, metric: str) -> Metric:
         """Return unit and meaning of a metric."""
-        return metrics_of(self.nominal.metrics)[metric.partition(".")[0]]
+        return metrics_of(Metrics)[metric.partition(".")[0]]
 
     def values(self, metric: str) -> NDArray[np.float64]:
         """Return a metric [SI] of the runs that did not fail and have a value of it."""

@@ -17,7 +17,7 @@ from mckibben.scenario import ModelFollows, StudiedScenario, batched, followed_n
 from mckibben.simulation import Batch
 from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
-from mckibben.simulation.metrics import usual_metrics
+from mckibben.simulation.metrics import Metrics, usual_metrics
 from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.cluster import check_cluster
@@ -53,8 +53,8 @@ class Sweep(ScenarioStudy):
     ) -> Sweep:
         """Return a sweep with the arguments of `sweep`; raises `ParameterError` for invalid ones."""
         begun = begun or {}
-        chosen = begun.get("metrics", usual_metrics(scenario.metrics)) if metrics is None else metrics
-        check_names("metric", chosen, scenario.metrics._fields)
+        chosen = begun.get("metrics", usual_metrics(Metrics)) if metrics is None else metrics
+        check_names("metric", chosen, Metrics._fields)
         follows = begun.get("model_follows", ()) if model_follows is None else model_follows
         engine = engine_of_job(set, begun["software"], engine) if begun else engine
         settings: dict[str, Any] = {"metrics": tuple(chosen), "model_follows": (), "software": software(engine)}

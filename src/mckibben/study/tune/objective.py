@@ -100,7 +100,6 @@ class TuningProblem:
         pairs = zip(swept, find_parameters(scenarios[0], names), strict=True)
         space = SearchSpace(tuple(replace(tuned, parameter=parameter) for tuned, parameter in pairs))
         for scenario in scenarios:
-            check_metrics(cost, scenario)
             try:
                 followed_names(scenario, model_follows, [*names, *drawn])
             except ParameterError as error:
@@ -233,15 +232,6 @@ class TuningProblem:
         margins = np.where(good, many.disk_margins(points), 0.0).reshape(-1, len(values))
         started = np.fmax.reduce(margins, axis=0)
         return np.where(np.isnan(margins), np.nan_to_num(started), margins)
-
-
-def check_metrics(cost: Cost, scenario: StudiedScenario) -> None:
-    """Raise `ParameterError` if a metric of a cost is none of a scenario's runs."""
-    for metric in cost.metrics:
-        if metric not in scenario.metrics._fields:
-            message = f"{metric} is not a metric of {scenario.name!r}, a robot"
-            remedy = f"give some of {', '.join(scenario.metrics._fields)}"
-            raise ParameterError(message, field="cost", value=metric, remedy=remedy)
 
 
 def with_valid(table: Mapping[str, NDArray], good: NDArray[np.bool_]) -> Table:
