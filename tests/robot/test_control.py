@@ -335,7 +335,7 @@ def test_the_arm_of_the_documentation_reaches(tmp_path):
             (tmp_path / "arm" / "reach.yaml").write_text(text, encoding="utf-8")
         assert CliRunner().invoke(app, arguments[1:]).exit_code == 0, command
     results = json.loads((tmp_path / "arm" / "run" / "results.json").read_text())
-    assert max(results["columns"]["angle_rmse"]["values"]) < 2 * deg
+    assert max(results["columns"]["angle_rmse"]["values"]) < 0.1 * deg
     assert (tmp_path / "arm" / "c" / "controller.c").exists()
 
 

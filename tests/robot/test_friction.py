@@ -64,9 +64,9 @@ def test_friction_of_a_robot_of_one_joint_is_that_of_the_joint():
         **{name: getattr(apart, name) for name in ("valve", "sensors", "command_delay")},
         **{key: value for key, value in apart.timing.items() if key != "accuracy"},
     ).simulate()
-    np.testing.assert_allclose(whole["angle"][0], joint["angle"], atol=6e-4)  # lags differ by a part of a period
+    np.testing.assert_allclose(whole["angle"][0], joint["angle"], atol=1e-4)
     assert np.abs(whole["friction_compensation"][0]).max() > 0.2
-    np.testing.assert_allclose(whole["friction_compensation"][0], joint["friction_compensation"], atol=2e-3)
+    np.testing.assert_allclose(whole["friction_compensation"][0], joint["friction_compensation"], atol=1e-3)
 
 
 def test_friction_of_a_joint_is_compensated_along_its_reference():

@@ -329,7 +329,7 @@ def largest_pole(slower, stiffness, damping):
         angle_ += first * innovation
         velocity_ += PERIOD * acceleration + second * innovation
         disturbance += third * innovation
-        ahead = angle_ + velocity_ / (3 * POLES)
+        ahead = angle_ + velocity_ * PERIOD / (1 - np.exp(-3 * POLES * PERIOD))
         wanted = -POLES * velocity_ - POLES**2 / 3 * angle - disturbance + stiffness * ahead + damping * velocity_
         command = torque_ + lead * (wanted - torque_)
         for _ in range(100):

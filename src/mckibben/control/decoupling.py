@@ -101,6 +101,3 @@ class DecouplingControl(ModelBasedControl[LinearisedState], LinearisingControl):
     ) -> tuple[LinearisedState, Pair]:
         state, commands = self.steer(state, (setpoint,), (measurement.angle,), measurement.pressures, period)
         return state, cast(Pair, commands)
-
-    def _lead(self, period: ArrayLike) -> ArrayLike:
-        return self.feedback.lag
