@@ -124,8 +124,8 @@ BUDGET = {
     "web": 3120,
 }
 
-MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 446  # numbers at module level, to come to 500
+MOST_ANY = 690  # uses of `Any`
+MOST_CONSTANTS = 456  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

@@ -147,7 +147,7 @@ class JointCalibration(Calibration):
         return bool(after < before)
 
     @table()
-    def errors_of_recordings(self) -> Listing:
+    def errors_of_recordings(self) -> list[Listing]:
         """Errors of each recording by the model before and after."""
         recordings = (*self.recordings, *self.held_out)
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
@@ -158,7 +158,7 @@ class JointCalibration(Calibration):
             "model before": (error, before),
             "calibrated": (error, after),
         }
-        return Listing("root mean square error", columns)
+        return [Listing("root mean square error", columns)]
 
     def verdict(self) -> str:
         """Mean stiffness along the recordings, after and before with 95 % intervals, and the determined quantities."""
