@@ -13,13 +13,15 @@ from mckibben.calibration import (
     JointPrior,
     JointRecording,
     calibrate_joint,
+    calibrate_robot,
     read_joint_recording,
 )
 from mckibben.calibration.equations import linearised, problem_of, samples_of
-from mckibben.calibration.models import HingeModel
+from mckibben.calibration.models import HingeModel, RobotModel, Weight
 from mckibben.dataset import Recipe
 from mckibben.errors import DatasetError, IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
+from mckibben.mechanism import Body, Joint, MusclePair, Place, Robot
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
 from mckibben.units import deg
@@ -311,3 +313,29 @@ def test_a_recording_of_uneven_samples_with_named_columns_is_read(tmp_path):
     changes = {name: getattr(recording, name)[rest] for name in ("time", "angle", "pressures")}
     with pytest.raises(IdentificationError, match=r"ms apart at 4\.9"):
         samples_of(model, dataclasses.replace(recording, **changes))
+
+
+def robot_of(joint, load):
+    """The joint as a robot with one hinge."""
+    mass = float(load.mass1 + load.mass2)
+    arm = float(load.gravity_moment) / GRAVITY / mass
+    shank = Body("shank", mass, Place(z=-arm), (float(load.total_inertia) - mass * arm**2, 1e-4))
+    hinge = Joint("knee", (0, -1, 0), -0.3, 0.3, "shank", offset=-float(load.hanging_angle), damping=load.damping)
+    return Robot((Body("base", 1.0), shank), (hinge,), (MusclePair("knee", joint.geometry, *joint.muscles),))
+
+
+@pytest.mark.slow
+def test_a_robot_of_one_hinge_gives_what_the_joint_gives(recorded):
+    motion = (0.1,), (0.3,), (2.0,), Weight()
+    torques = [model.required(*motion) for model in (HingeModel(knee(), LOAD), RobotModel(robot_of(knee(), LOAD)))]
+    np.testing.assert_allclose(*torques, rtol=1e-12)
+    prior, recordings = JointPrior(arm_scale=1e-6), [recorded[0][0]]
+    joint, robot = (
+        calibrate_joint(knee(), LOAD, recordings, prior),
+        calibrate_robot(robot_of(knee(), LOAD), recordings, prior),
+    )
+    at = np.array([-0.1, 0.0, 0.1]), (np.full(3, 4.8e5), np.full(3, 4.5e5))
+    np.testing.assert_allclose(robot.stiffness(*at)[0], joint.stiffness(*at)[0], rtol=5e-3)  # of mass2, of the shank
+    assert robot.quantities["knee.zero"].value == pytest.approx(joint.quantities["zero"].value, abs=0.2 * deg)
+    with pytest.raises(IdentificationError):
+        calibrate_robot(robot_of(knee(), LOAD), [recorded[1][0]], prior)

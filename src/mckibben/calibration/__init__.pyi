@@ -1,5 +1,6 @@
 from .estimation import JointCalibration as JointCalibration
 from .estimation import calibrate_joint as calibrate_joint
+from .estimation import calibrate_robot as calibrate_robot
 from .experiment import Sweeps as Sweeps
 from .experiment import calibrate_scenario as calibrate_scenario
 from .experiment import calibrated_model as calibrated_model

@@ -34,11 +34,12 @@ from mckibben.calibration.equations import (
     swings_of,
 )
 from mckibben.calibration.fitting import Calibration, JointEstimate, LocalMinimum, draws, root_mean_square
-from mckibben.calibration.models import HingeModel, Moved
+from mckibben.calibration.models import HingeModel, Moved, RobotModel
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
 from mckibben.codegen.engine import compiled
 from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
+from mckibben.mechanism import Robot
 from mckibben.numerics.batching import recheck
 from mckibben.result import Column, Listing, Remark, column, table
 
@@ -147,7 +148,7 @@ class JointCalibration(Calibration):
         return bool(after < before)
 
     @table()
-    def errors_of_recordings(self) -> Listing:
+    def errors_of_recordings(self) -> list[Listing]:
         """Errors of each recording by the model before and after."""
         recordings = (*self.recordings, *self.held_out)
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
@@ -158,7 +159,7 @@ class JointCalibration(Calibration):
             "model before": (error, before),
             "calibrated": (error, after),
         }
-        return Listing("root mean square error", columns)
+        return [Listing("root mean square error", columns)]
 
     def verdict(self) -> str:
         """Mean stiffness along the recordings, after and before with 95 % intervals, and the determined quantities."""
@@ -233,6 +234,21 @@ def calibrate_joint(
     Robotics and Automation 6 (1990) 368-373 (equation error of the inverse dynamics); the procedure is this project's.
     """
     return calibrate_model(HingeModel(joint, load), recordings, prior)
+
+
+def calibrate_robot(
+    robot: Robot, recordings: Sequence[JointRecording], prior: JointPrior | None = None
+) -> JointCalibration:
+    """Identify a robot on a fixed base as `calibrate_joint` does, by an equation of motion for each joint.
+
+    Angles of the recordings have shape (samples, joints), pressures (samples, muscles). Quantities have the names of
+    joints, muscles and bodies. Raises `IdentificationError` also for locked joints, and for an added weight.
+    """
+    if locked := [joint.name for joint in robot.joints if joint.locked is not None]:
+        raise IdentificationError(f"{', '.join(locked)}: locked", remedy="give the robot without locked joints")
+    if any(recording.added_mass for recording in recordings):
+        raise IdentificationError("a weight on a robot has no place", remedy="give it as a body of the robot")
+    return calibrate_model(RobotModel(robot), recordings, prior)
 
 
 def calibrate_model(

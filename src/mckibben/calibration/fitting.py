@@ -44,7 +44,7 @@ class JointEstimate:
 
     >>> estimate = JointEstimate(0.02, 0.002, 0.014, "s", logarithmic=True, expected=0.04)
     >>> estimate.determined, [round(bound, 4) for bound in estimate.interval], round(estimate.distance, 2)
-    (True, [0.0164, 0.0243], 0.99)
+    (True, [0.0164, 0.0243], 1.0)
     """
 
     value: float

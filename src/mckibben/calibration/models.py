@@ -11,7 +11,10 @@ from jaxtyping import Array
 
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.joint.route import Route
+from mckibben.mechanism import Robot
+from mckibben.mechanism.dynamics import joint_equations
 from mckibben.muscle import Muscle
+from mckibben.units import GRAVITY
 
 Number = Any  # float | Array
 
@@ -132,3 +135,73 @@ class HingeModel(NamedTuple):
             return self._replace(load=load)
         load = dataclasses.replace(load, inertia=jnp.maximum(load.inertia + inertia, 0.0))
         return self._replace(load=load, inertia=0.0)
+
+
+class RobotModel(NamedTuple):
+    """A robot on a fixed base: mass and inertia of each body on a joint are estimated; no weight is added."""
+
+    robot: Robot
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(f"{name}." for name in self.robot.joint_names)
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        return self.robot.muscle_names
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return self.robot.all_muscles
+
+    def priors(self, prior: Any) -> dict[str, float]:
+        widths = {"mass": prior.mass, "inertia": prior.inertia}
+        return {f"{body.name}.{name}": width for body in self.robot.bodies[1:] for name, width in widths.items()}
+
+    @property
+    def absolute(self) -> dict[str, Number]:
+        return {f"{body.name}.mass": body.mass for body in self.robot.bodies[1:]}
+
+    def changed(self, muscles: Sequence[Muscle], values: Mapping[str, Number]) -> RobotModel:
+        """Return the model with other muscles, in their order, and changed bodies and dampings."""
+        rest = iter(muscles)
+        units: list[Any] = []
+        for unit in self.robot.muscles:
+            names = ("muscle1", "muscle2") if len(unit.names) > 1 else ("muscle",)
+            units.append(dataclasses.replace(unit, **{name: next(rest) for name in names}))
+        bodies = [
+            dataclasses.replace(
+                body,
+                mass=body.mass * values[f"{body.name}.mass"],
+                inertia=tuple(number * values[f"{body.name}.inertia"] for number in body.inertia),
+            )
+            for body in self.robot.bodies[1:]
+        ]
+        joints = [
+            dataclasses.replace(joint, damping=joint.damping + values[f"{joint.name}.damping"])
+            for joint in self.robot.joints
+        ]
+        parts = {"bodies": (self.robot.bodies[0], *bodies), "joints": tuple(joints), "muscles": tuple(units)}
+        return RobotModel(dataclasses.replace(self.robot, **parts))
+
+    @property
+    def physical(self) -> RobotModel:
+        joints: list[Any] = list(self.robot.joints)
+        joints = [dataclasses.replace(joint, damping=jnp.maximum(joint.damping, 0.0)) for joint in joints]
+        return RobotModel(dataclasses.replace(self.robot, joints=tuple(joints)))
+
+    def routes(self, angles: Sequence[Number]) -> Sequence[Route]:
+        return self.robot.routed_muscles(angles)
+
+    def required(
+        self, angles: Sequence[Number], rates: Sequence[Number], accelerations: Sequence[Number], weight: Weight
+    ) -> list[Number]:
+        matrix, bias = joint_equations(self.robot, angles, rates, GRAVITY)
+        rows = zip(matrix, bias, self.robot.joints, rates, strict=True)
+        return [
+            sum((m * a for m, a in zip(row, accelerations, strict=True)), torque + joint.damping * rate)
+            for row, torque, joint, rate in rows
+        ]
+
+    def stiffness(self, angles: Sequence[Number], pressures: Sequence[Number]) -> Sequence[Array]:
+        return self.robot.stiffness(angles, pressures)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -105,10 +106,12 @@ def calibrate(
     ]
     if valves:
         steps = calibration.ValveExperiment(low, high, seconds)
+        _check_empty(out, () if recordings else steps.instructions)
         recordings = recordings or _measured(read, steps, out, rig, quiet=json)
         return calibration.calibrate_scenario_valves(read, recordings, deviations)
     if not recordings:
         sweeps = calibration.Sweeps(low, high, seconds, **load, **lag)
+        _check_empty(out, sweeps.instructions)
         for row in sweeps.prediction(read, deviations).rows():
             echo("with {} kg the stiffness is expected to a standard deviation of {} %".format(*row), err=True)
         recordings = _measured(read, sweeps, out, rig, quiet=json)
@@ -164,6 +167,15 @@ def _tube(scenario: Scenario, text: str, *, simulated: bool) -> float:
     return parse_quantity("--tube", text or "0 s", "s")
 
 
+def _check_empty(out: Path, names: Iterable[str]) -> None:
+    """Refuse a folder that contains records of an experiment, with the command that uses them."""
+    if recorded := [name for name in names if (out / name).is_dir() and any((out / name).iterdir())]:
+        results = [out / name / "result.nc" for name in recorded if (out / name / "result.nc").is_file()]
+        use = " ".join(f"--recording {path}" for path in results)
+        remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
+        raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
+
+
 def _measured(
     scenario: Scenario, experiment: Sweeps | ValveExperiment, out: Path, rig: Path | None, *, quiet: bool
 ) -> list[JointRecording]:
@@ -172,12 +184,6 @@ def _measured(
     from mckibben.rig import JointRig
 
     device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
-    if recorded := [name for name in instructions if (out / name).is_dir() and any((out / name).iterdir())]:
-        results = [out / name / "result.nc" for name in recorded if (out / name / "result.nc").is_file()]
-        use = " ".join(f"--recording {path}" for path in results)
-        remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
-        raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
-
     confirmed: list[str] = []
 
     def ready(name: str) -> None:
