@@ -34,7 +34,7 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, robot, session, tune, wording, workbench
+from mckibben.web import app, design, identify, layout, rig, robot, session, start, tune, wording, workbench
 from mckibben.web.reading import Read
 from mckibben.web.results import Presented, Repetition
 
@@ -655,6 +655,29 @@ def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_befor
 
     expected, took = asyncio.run(visit())
     assert expected == took > 0
+
+
+def test_curves_of_a_fit_are_its_law_and_both_ways_with_its_friction(tmp_path):
+    (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
+    data = read_dataset(tmp_path / "rig.csv")
+    fit = identify_with_friction(ExponentialLaw, data)
+    curves = identify.fit_curves(fit, data, most=2)
+    assert [one["name"] for one in curves] == [
+        f"{level} bar{way}" for level in (1, 6) for way in ("", ", loading", ", unloading")
+    ]
+    law, loading, unloading = (np.array(one["data"], float) for one in curves[3:])
+    np.testing.assert_allclose(law[:60, 1], fit.law.force(law[:60, 0] / 100, 6 * bar), rtol=1e-4)
+    np.testing.assert_allclose(loading[:60, 1] - law[:60, 1], float(fit.friction.half_width), atol=0.02)
+    np.testing.assert_allclose(law[:60, 1] - unloading[:60, 1], float(fit.friction.half_width), atol=0.02)
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_joint_moves_through_its_drawings_and_returns():
+    _, moving, _ = start.step_pictures()
+    values = [re.findall(r"\S+", part) for part in re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)]
+    assert values and all(len("".join(one).split(";")) == 17 for one in values)
+    first = re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)[0].split(";")
+    assert first[0] == first[-1] != first[4]
 
 
 def test_an_upload_has_one_scenario_and_names_stay_in_its_folder(tmp_path):
