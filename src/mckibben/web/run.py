@@ -136,7 +136,7 @@ class _Page(JobPage[Workbench]):
                 self.change(lambda: choice.choose(scenario, event.value))
 
         made = select(list(choice.options), label, label, value=self.state.options[label], on_change=changed)
-        self.selects[label] = made
+        self.selects[label] = made.classes("wide" if " of " in label else "")
 
     def example(self, event: events.ValueChangeEventArguments) -> None:
         """Run an example."""
