@@ -34,7 +34,7 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, robot, session, tune, wording, workbench
+from mckibben.web import app, design, identify, layout, rig, robot, session, start, tune, wording, workbench
 from mckibben.web.reading import Read
 from mckibben.web.results import Presented, Repetition
 
@@ -210,7 +210,7 @@ def test_points_are_uploaded_fitted_downloaded_and_give_a_joint(tmp_path):
             user.find(marker="fit").click()
             await user.should_see("ExponentialLaw describes", retries=400)
             user.find(marker="download-fit").click()
-            answer = await user.download.next()
+            answer = await user.download.next(timeout=30)
             kept = state(identify.IdentificationState)
             await user.open("/identify")  # a reload
             await user.should_see("ExponentialLaw describes", retries=100)
@@ -486,7 +486,7 @@ def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
         async with visitor() as user:
             await user.open("/run")
             bench = state(workbench.Workbench)
-            await until(lambda: there(user, "controller.position.ki"), 60)
+            await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
             first, field = bench.current, the(user, ui.number, "controller.position.ki")
             field.set_value(wrong)
             assert field.error
@@ -516,7 +516,7 @@ def test_a_part_of_the_plant_is_chosen_and_its_numbers_are_fields():
         async with visitor() as user:
             await user.open("/run")
             bench = state(workbench.Workbench)
-            await until(lambda: there(user, "controller.position.ki"), 60)
+            await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
             the(user, ui.select, "sensors").set_value("encoder and noise")
             await until(lambda: there(user, "sensors.encoder") and not bench.jobs.busy, 60)
             first = bench.current
@@ -645,7 +645,6 @@ def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_befor
             await until(lambda: looks(user) == {"stale"})
             the(user, ui.number, "controller.position.ki").set_value(70)
             await until(lambda: looks(user) == {"waiting"})
-            assert bench.jobs.expected is None  # the first run of its kind
             await until(lambda: not looks(user), 60)
             took = bench.jobs.took["numbers"]
             the(user, ui.number, "controller.position.ki").set_value(80)
@@ -656,6 +655,29 @@ def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_befor
 
     expected, took = asyncio.run(visit())
     assert expected == took > 0
+
+
+def test_curves_of_a_fit_are_its_law_and_both_ways_with_its_friction(tmp_path):
+    (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
+    data = read_dataset(tmp_path / "rig.csv")
+    fit = identify_with_friction(ExponentialLaw, data)
+    curves = identify.fit_curves(fit, data, most=2)
+    assert [one["name"] for one in curves] == [
+        f"{level} bar{way}" for level in (1, 6) for way in ("", ", loading", ", unloading")
+    ]
+    law, loading, unloading = (np.array(one["data"], float) for one in curves[3:])
+    np.testing.assert_allclose(law[:60, 1], fit.law.force(law[:60, 0] / 100, 6 * bar), rtol=1e-4)
+    np.testing.assert_allclose(loading[:60, 1] - law[:60, 1], float(fit.friction.half_width), atol=0.02)
+    np.testing.assert_allclose(law[:60, 1] - unloading[:60, 1], float(fit.friction.half_width), atol=0.02)
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_joint_moves_through_its_drawings_and_returns():
+    _, moving, _ = start.step_pictures()
+    values = [re.findall(r"\S+", part) for part in re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)]
+    assert values and all(len("".join(one).split(";")) == 17 for one in values)
+    first = re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)[0].split(";")
+    assert first[0] == first[-1] != first[4]
 
 
 def test_an_upload_has_one_scenario_and_names_stay_in_its_folder(tmp_path):

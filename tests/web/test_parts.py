@@ -66,7 +66,7 @@ def test_a_signal_of_a_robot_begins_about_the_mean_of_the_one_before_and_leaves_
 
 
 def test_a_reference_of_a_point_has_no_select():
-    text = with_section(
-        LEG, "{position: [-90 mm, 0 mm, -700 mm], principal: [20 N/m, 90 N/m, 900 N/m]}\n", ("reference",)
-    )
+    planar = LEG.replace("lei-leg,", "lei-leg-planar,")
+    point = "{position: [-90 mm, -700 mm], principal: [23 N/m, 890 N/m], direction: -12 deg}"
+    text = with_section(planar, point, ("reference",))
     assert list(control_choices(read_text(text))) == ["controller"]

@@ -481,9 +481,8 @@ def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
     if finite.any():
         triangular = _Triangular.of(LinearLoop(*(leaf[finite] for leaf in loops)))
         if (stable := _radii(triangular.poles) < 1).any():
-            margins[np.flatnonzero(finite)[stable]] = _Triangular(*(leaf[stable] for leaf in triangular)).peaks(period)[
-                0
-            ]
+            some = _Triangular(*(leaf[stable] for leaf in triangular))
+            margins[np.flatnonzero(finite)[stable]] = some.peaks(period)[0]
     return margins
 
 

@@ -407,7 +407,8 @@ class _Page(JobPage[IdentificationState]):
 
     def show_points(self, data: IsobaricDataset) -> None:
         """The points as measured, with the curves of a fit, and remarks from reading."""
-        pressure, loading = data.pressure / bar, data.table["direction"].values == "loading"
+        pressure, known = data.pressure / bar, data.table.get("direction")
+        loading = np.zeros(len(data), bool) if known is None else known.values == "loading"
         points = chart("contraction [%]", "force [N]", height=360, scale="pressure [bar]", span=_span(data))
         clouds = [
             cloud(name, data.contraction[rows] / percent, data.force[rows], pressure[rows], symbol)

@@ -136,7 +136,7 @@ class _Page(JobPage[Workbench]):
                 self.change(lambda: choice.choose(scenario, event.value))
 
         made = select(list(choice.options), label, label, value=self.state.options[label], on_change=changed)
-        self.selects[label] = made
+        self.selects[label] = made.classes("wide" if " of " in label else "")
 
     def example(self, event: events.ValueChangeEventArguments) -> None:
         """Run an example."""
@@ -227,11 +227,11 @@ class _Page(JobPage[Workbench]):
             return scenario, options, compute(scenario, folder)
 
         def done(ran: tuple[StudiedScenario, dict[str, str | None], ScenarioRun], heard: list[str]) -> None:
+            state.form += form and ran[0] is not state.scenario
             state.scenario, state.options, state.current = ran
             state.studies = {}
             state.text, state.error = state.current.text, None
             state.note, state.notes = note, state.current.presented.others(heard)
-            state.form += form
 
         kind = "structure" if form else "numbers"
         self.start_job(run, done, scroll=scroll, kind=kind)  # not from a field or a select: it may be changed again

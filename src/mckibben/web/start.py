@@ -24,8 +24,6 @@ _STEPS = {
     "2 Joint": "Two muscles turn a joint, with a torque and a stiffness.",
     "3 Run": "A controller moves it; gains are tuned for your tolerances.",
 }
-_SECONDS, _SWING = 4.0, 25 * deg
-"""Period and amplitude of the motion."""
 _SHAPE = re.compile(r"<(polyline|polygon|circle) [^>]*/>")
 
 
@@ -79,12 +77,12 @@ def _way(title: str, text: str, label: str, path: str, before: Callable[[], obje
 
 
 @functools.cache
-def step_pictures(frames: int = 16) -> tuple[str, str, str]:
+def step_pictures(frames: int = 16, swing: float = 25 * deg) -> tuple[str, str, str]:
     """The three steps as SVG: a force law, the joint of the page Joint in motion, and its angle over time."""
     muscle = next(iter(muscles(None).values()))
     joint, phases = joint_of(JointDesign(), muscle), np.linspace(0.0, 2 * np.pi, frames + 1)
     poses = []
-    for angle in _SWING * np.sin(phases):
+    for angle in swing * np.sin(phases):
         first, second = map(muscle.specimen.contraction_at, joint.geometry.path_lengths(angle))
         poses.append(drawing(joint, angle, (first, second)))
     contraction, levels = np.linspace(-0.03, 0.25, 40), np.arange(1.0, 7.0)
@@ -117,8 +115,8 @@ def _svg(title: str, shapes: list[str]) -> str:
     return f'<svg {look} role="img" aria-label="{title}">{"".join(shapes)}</svg>'
 
 
-def moving(poses: list[str]) -> str:
-    """One SVG that moves through others of the same shapes, at the end of which it begins again.
+def moving(poses: list[str], seconds: float = 4.0) -> str:
+    """One SVG that moves through others of the same shapes, again and again, in a time [s].
 
     >>> moving(['<circle cx="1" r="2"/>', '<circle cx="3" r="2"/>'])
     '<circle cx="1" r="2"><animate attributeName="cx" dur="4s" repeatCount="indefinite" values="1;3"/></circle>'
@@ -131,7 +129,7 @@ def moving(poses: list[str]) -> str:
             name: ";".join(tag[name] for tag in over) for name in over[0] if len({tag[name] for tag in over}) > 1
         }
         inner = "".join(
-            f'<animate attributeName="{name}" dur="{_SECONDS:g}s" repeatCount="indefinite" values="{values}"/>'
+            f'<animate attributeName="{name}" dur="{seconds:g}s" repeatCount="indefinite" values="{values}"/>'
             for name, values in changes.items()
         )
         return f"{match[0][:-2]}>{inner}</{match[1]}>"
