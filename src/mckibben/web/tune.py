@@ -143,7 +143,7 @@ class _Page(JobPage[StudyState]):
                 self.name = quiet("").mark("scenario-name")
                 quiet("An error of this size counts as 1 in the cost:")
                 self.tolerances = ui.element("div").classes("fields")
-                measured = (bench.scenario.metrics if bench.scenario else Metrics)._fields
+                measured = Metrics._fields
                 metrics = {name: label.title for name, label in METRICS.items() if name in measured}
                 chosen = list(request.tolerances)
                 select(metrics, "errors in the cost", "metrics", value=chosen, multiple=True, on_change=self.weigh)
