@@ -34,7 +34,7 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, robot, session, start, tune, wording, workbench
+from mckibben.web import app, design, identify, layout, rig, robot, run, session, start, tune, wording, workbench
 from mckibben.web.reading import Read
 from mckibben.web.results import Presented, Repetition
 
@@ -625,7 +625,9 @@ def test_a_joint_gets_the_controller_of_a_new_file_also_after_another_run():
 
 
 @pytest.mark.slow
-def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_before_a_run_are_dimmed():
+def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_before_a_run_are_dimmed(monkeypatch):
+    monkeypatch.setattr(run, "compute", lambda *given: (time.sleep(0.5), workbench.compute(*given))[1])
+
     def looks(user):
         around = [one for one in user.find(ui.column).elements if charts(user)[1] in one.descendants()]
         return {"stale", "waiting"} & {name for one in around for name in one.classes}
