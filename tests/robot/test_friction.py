@@ -79,7 +79,7 @@ def test_friction_of_a_joint_is_compensated_along_its_reference():
     control = ComputedTorque(mk.PolePlacement(30.0), robot=sticking, valve=VALVE, friction_compensation=True)
     here = RobotMeasurement((jnp.asarray(0.0),), (jnp.asarray(2e5), jnp.asarray(2e5)), jnp.asarray(0.0))
     state = control.init_linearised(here.angles, here.pressures)
-    state, _ = control.step_toward(state, (Setpoint(jnp.asarray(5 * deg), jnp.asarray(14.0)),), here, 2e-3)
+    state, _ = control.step(state, (Setpoint(jnp.asarray(5 * deg), jnp.asarray(14.0)),), here, 2e-3)
     assert float(control.telemetry(state)["friction_compensation"][0]) == pytest.approx(-0.3, rel=1e-6)
 
 
