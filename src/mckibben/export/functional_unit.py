@@ -107,10 +107,10 @@ def _short(path: str) -> str:
 
     Examples
     --------
-    >>> [_short(path) for path in ("measurement.pressures.0", "air.temperatures.1", "posture.angles.0")]
-    ['measurement.pressure1', 'temperature2', 'angles.0']
+    >>> [_short(path) for path in ("measurement.pressures.0", "air.temperatures.1", "position.angles.0", "position")]
+    ['measurement.pressure1', 'temperature2', 'angles.0', 'angle']
     """
-    path = re.sub(r"^(air\.(?=temperatures)|posture\.)", "", path)
+    path = re.sub(r"^(air\.(?=temperatures)|position\.)", "", re.sub(r"^position$", "angle", path))
     path = re.sub(r"^velocity\.angles\.", "velocities.", re.sub(r"^torque\.", "torques.", path))
     return re.sub(r"(pressure|temperature)s\.(\d+)$", lambda match: f"{match[1]}{int(match[2]) + 1}", path)
 
