@@ -20,7 +20,7 @@ IMPORT = "python -c 'import jax'"
 UNSET = ("JAX_PLATFORMS", "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
 COMMANDS = [["--help"], ["catalog"]]
 COMMANDS += [[name, file, *out] for name, file in (("simulate", PID), ("identify", DATA)) for out in ([], ["--out"])]
-COMMANDS += [["envelope", PID], ["calibrate", KNEE, "--weight", "0.5 kg, 200 mm", "--out"]]
+COMMANDS += [["envelope", PID], ["calibrate", KNEE, "--weight", "0.5 kg, 200 mm", "--limb", "estimated", "--out"]]
 """Commands of which all programs are in the user's cache; `--out` gets a new folder."""
 
 

@@ -325,7 +325,7 @@ def main():
     kind, folder = given.valves, given.out.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     lab = VALVES[kind].lab
-    weight = ("--weight", f"{lab.weight} g, {lab.distance}", "--angles", "-14..14 deg")
+    weight = ("--weight", f"{lab.weight} g, {lab.distance}", "--limb", "estimated", "--angles", "-14..14 deg")
     length, diameter = (f"{1e3 * lab.plant.SPECIMEN[name]:g} mm" for name in ("length", "diameter"))
     size = ("--initial-length", length, "--inner", diameter)
 

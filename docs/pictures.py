@@ -15,6 +15,8 @@ import mckibben as mk
 from mckibben.report.style import save
 from mckibben.scenario import run_scenario
 from mckibben.scenario.statics import solve_statics
+from mckibben.study.felt import felt_stiffness
+from mckibben.study.stiffness import FeltStiffness
 from mckibben.units import bar, deg, mm
 
 ROOT = Path(__file__).parents[1]
@@ -57,6 +59,7 @@ def main() -> None:
         png.unlink()
     _results(scenario)
     _size()
+    _stiffness()
     _robot()
     _gallery()
 
@@ -99,6 +102,13 @@ def _size() -> None:
     """Pictures of the page on sizing."""
     found = mk.size(mk.Requirement.read(ROOT / "examples" / "sizing" / "pulleys.yaml"))
     _, svg = save(found.plot(), IMAGES, "size")
+    svg.unlink()  # larger than the PNG
+
+
+def _stiffness() -> None:
+    """Picture of what a push feels."""
+    scenario = mk.Scenario.read(ROOT / "examples" / "stiffness" / "push.yaml")
+    _, svg = save(mk.report.felt_stiffness(FeltStiffness(scenario, felt_stiffness(scenario))), IMAGES, "felt-stiffness")
     svg.unlink()  # larger than the PNG
 
 

@@ -1,4 +1,5 @@
 import ast
+import dataclasses
 import functools
 import importlib
 import inspect
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import pytest
 
 import mckibben
+import mckibben.result
 
 ROOT = Path(__file__).parents[1]
 MODULES = [m.name for m in pkgutil.walk_packages(mckibben.__path__, "mckibben.") if not m.name.endswith("__main__")]
@@ -89,41 +91,41 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 860,
+    "top": 992,
     "actuator": 1000,
-    "calibration": 1620,
+    "calibration": 1780,
     "catalog": 230,
-    "cli": 1500,
+    "cli": 1520,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
-    "contract": 650,
-    "control": 2570,
-    "dataset": 4020,
+    "contract": 660,
+    "control": 2650,
+    "dataset": 4030,
     "experiment_design": 720,
-    "export": 2450,
-    "identification": 3710,
-    "joint": 1240,
+    "export": 2560,
+    "identification": 3730,
+    "joint": 1260,
     "robot": 80,
     "mechanism": 1690,
-    "muscle": 1580,
+    "muscle": 1590,
     "numerics": 810,
-    "paper": 1110,
+    "paper": 1180,
     "plant": 780,
-    "reachability": 850,
-    "report": 1975,
-    "rig": 4650,
-    "scenario": 1730,
-    "serial_protocol": 160,
-    "simulation": 3415,
-    "statics": 450,
-    "storage": 590,
-    "study": 3440,
-    "web": 2830,
+    "reachability": 1140,
+    "report": 1990,
+    "rig": 4980,
+    "scenario": 1740,
+    "serial_protocol": 170,
+    "simulation": 3420,
+    "statics": 570,
+    "storage": 600,
+    "study": 3740,
+    "web": 3130,
 }
 
-MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 440  # numbers at module level, to come to 500
+MOST_ANY = 700  # uses of `Any`
+MOST_CONSTANTS = 457  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
@@ -205,25 +207,65 @@ def test_no_function_is_of_grade_d():
     assert not found
 
 
+@functools.cache
 def imported(module: str) -> set[str]:
-    """Modules of its package that a module imports, also within functions, but not for types alone."""
+    """Modules that a module imports, also within functions and for types alone."""
     names: set[str] = set()
-
-    def visit(node: ast.AST) -> None:
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            return
+    for node in ast.walk(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom):
-            names.update({node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)})
-        for child in ast.iter_child_nodes(node):
-            visit(child)
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= whole & SOURCES.keys() or {node.module or ""}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return (names & SOURCES.keys()) - {module}
 
-    visit(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8")))
-    return {name for name in names & SOURCES.keys() if package_of(name) == package_of(module)} - {module}
+
+def test_no_circle_of_imports():
+    """Of modules, packages with their facades included; `mckibben.methods` has the calls of what is above a class."""
+    TopologicalSorter({module: imported(module) for module in SOURCES}).prepare()
 
 
-def test_no_circle_of_imports_within_a_package():
-    packages = {module for module in SOURCES if Path(SOURCES[module]).name == "__init__.py"}  # they re-export
-    TopologicalSorter({module: imported(module) - packages for module in SOURCES.keys() - packages}).prepare()
+TEXT_IMPORTS = {"mckibben.export.targets", "mckibben.export.gym"}
+"""A table of its own package, so that a target loads alone; and entry points of Gymnasium."""
+
+
+def test_no_import_by_text():
+    """A module named in a text is an arrow that no linter sees."""
+    reference = re.compile(r"mckibben(\.\w+)+(:\w+)?")
+    homes = set()
+    for name, path in SOURCES.items():
+        for node in ast.walk(ast.parse(Path(path).read_text(encoding="utf-8"))):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+            texts = [arg.value for arg in node.args if isinstance(arg, ast.Constant)] if called else []
+            by_name = called.endswith("import_module") and any(reference.fullmatch(str(text)) for text in texts)
+            entry = isinstance(node, ast.Constant) and re.fullmatch(r"mckibben(\.\w+)+:\w+", str(node.value))
+            if by_name or entry:
+                homes.add(name)
+    assert homes <= TEXT_IMPORTS
+
+
+def test_a_result_declares_and_does_not_write_itself():
+    for name in MODULES:
+        importlib.import_module(name)
+
+    def below(kind: type) -> list[type]:
+        return [kind, *(further for child in kind.__subclasses__() for further in below(child))]
+
+    results = {kind for kind in below(mckibben.result.Result)[1:] if kind.__module__.startswith("mckibben.")}
+    assert [kind for kind in results if {"listings", "to_dict", "describe"} & vars(kind).keys()] == []
+    assert [kind for kind in results if not (kind.__subclasses__() or declares(kind))] == []
+
+
+def declares(kind: type) -> bool:
+    """Whether a result has a number or a table: a declared field or property, marked method, or own `declared`."""
+    columns = any("column" in item.metadata for item in dataclasses.fields(kind))
+    marks = {"_number", "_table"}
+    members = [getattr(member, "fget", None) or member for base in kind.__mro__ for member in vars(base).values()]
+    return (
+        columns
+        or kind.declared is not mckibben.result.Result.declared
+        or any(marks & set(vars(member)) for member in members if inspect.isfunction(member))
+    )
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ pytest.importorskip("hatchling", reason="the package hatchling is not installed 
 
 ROOT = Path(__file__).parents[1]
 DEPENDENCIES = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
-VERSION = re.search(r'__version__ = "(.*)"', (ROOT / "src/mckibben/__init__.py").read_text(encoding="utf-8"))[1]
+VERSION = re.search(r'__version__ = "(.*)"', (ROOT / "src/mckibben/version.py").read_text(encoding="utf-8"))[1]
 
 # Third-party packages are imported first; then nothing of ours may need what Windows lacks.
 IMPORT_ALL = """

@@ -1,5 +1,6 @@
 """A result declares; texts, JSON, notebook, NetCDF, files and the exit code follow."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -9,7 +10,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.command import command
 from mckibben.errors import FileError
-from mckibben.result import Column, Listing, Remark, Result, Severity, WritingResult, column
+from mckibben.result import Column, Listing, Remark, Result, Severity, column, number, table
 from mckibben.storage.store import STUDY
 
 
@@ -35,9 +36,18 @@ class Swing(Result):
         if self.severe:
             yield Remark.severe("angle", "the pendulum falls")
 
-    def listings(self):
-        yield from super().listings()
-        yield Listing("Samples by hand", {"law": (Column(), ["Chou", "Lei"])}, detail=True)
+    @property
+    @number("J", "energy")
+    def energy(self):
+        return None if self.severe else 1.5
+
+    @table("Samples by hand", detail=True)
+    def samples(self):
+        return {"law": (Column(), ["Chou", "Lei"])}
+
+    @table("Nothing")
+    def nothing(self):
+        return {}
 
     def write(self, folder):
         (folder / "angles.csv").write_text("angle\n")
@@ -55,6 +65,12 @@ def test_the_text_begins_with_the_verdict_and_has_shown_units(swing):
     assert "the mass is an estimate" not in swing.to_text()
     assert lines[-3].split() == ["500", "90"]  # ms and deg
     assert "Chou" not in swing.to_text()
+
+
+def test_a_number_of_a_property_is_a_scalar_unless_it_is_none(swing):
+    assert swing.to_dict()["scalars"]["energy"] == {"title": "energy", "unit": "J", "value": 1.5}
+    assert "energy" not in dataclasses.replace(swing, severe=True).to_dict()["scalars"]
+    assert [listing.title for listing in swing.listings()] == ["", "", "Samples by hand"]
 
 
 def test_details_add_notes_and_further_tables(swing):
@@ -127,12 +143,12 @@ def test_existing_files_are_kept_unless_forced(swing, tmp_path):
     swing.save(tmp_path, force=True)
 
 
-class Parts(WritingResult):
+class Parts(Result):
     """Files that the object knows."""
 
 
 def parts(*names):
-    return Parts(writers={name: lambda path: path.write_text("new") for name in names})
+    return Parts().with_files({name: lambda path: path.write_text("new") for name in names})
 
 
 def test_force_leaves_what_this_run_wrote_and_what_others_did(tmp_path):
@@ -148,7 +164,7 @@ def test_force_leaves_what_this_run_wrote_and_what_others_did(tmp_path):
 
 
 def test_a_file_that_stays_is_not_listed_as_written(tmp_path):
-    silent = Parts(writers={"muscle.yaml": lambda path: None})
+    silent = Parts().with_files({"muscle.yaml": lambda path: None})
     (tmp_path / "muscle.yaml").write_text("mine")
     assert silent.save(tmp_path, force=True) == ["results.json"]
     parts("fit.yaml").save(tmp_path, force=True)

@@ -31,7 +31,7 @@ def test_the_muscle_of_the_scenario_is_that_of_the_data():
     data = read_dataset(FOLDER / "rig.csv", columns=columns, initial_length=300 * mm)
     friction = identify_hysteresis(ExponentialLaw, data)
     assert friction.friction.half_width == pytest.approx(7.0, abs=0.3)
-    fresh = fit_law(ExponentialLaw, friction.corrected(data))
+    fresh = fit_law(ExponentialLaw, friction.corrected_points)
     kept = Fit.from_yaml(FOLDER / "fit" / "fit.yaml")
     for name, value in fresh.estimates.items():
         assert kept.estimates[name] == pytest.approx(value, rel=1e-4)

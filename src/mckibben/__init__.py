@@ -9,9 +9,10 @@ from importlib import import_module
 
 import lazy_loader
 
+import mckibben.methods  # noqa: F401, binds methods that need higher packages
 from mckibben.numerics import runtime as _runtime
+from mckibben.version import __version__ as __version__
 
-__version__ = "0.1.0"
 _PACKAGES = "muscle", "control", "joint", "actuator", "plant", "dataset", "identification", "simulation", "reachability"
 
 _runtime.configure()

@@ -61,7 +61,7 @@ def described(value: object, *, of_file: bool = False) -> str:
     return with_article("array" if name == "ndarray" else name)
 
 
-def closest(name: str, known: Sequence[str]) -> str:
+def closest(name: str, candidates: Sequence[str]) -> str:
     """Closest known name to an unknown one, or one of which it is the beginning or end; empty if none is close.
 
     >>> closest("MAS10", ["DMSP-10-250", "MAS-10-180N-AA-MC-O"])
@@ -69,7 +69,7 @@ def closest(name: str, known: Sequence[str]) -> str:
     >>> closest("encoder_resolution", ["encoder", "encoder_offset"])
     'encoder'
     """
-    word, names = plain_name(name)[:LONGEST_VALUE], {plain_name(other): other for other in reversed(known)}
+    word, names = plain_name(name)[:LONGEST_VALUE], {plain_name(other): other for other in reversed(candidates)}
     short = len(word) < 3
     nearest = [
         *sorted((other for other in names if other.startswith(word) and not short), key=len),
@@ -84,8 +84,8 @@ def closest(name: str, known: Sequence[str]) -> str:
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
     private = name.startswith("_")  # asked for by copy, JAX and others, often
-    known: list[str] = [] if private else [*meant, *(other for other in dir(owner) if not other.startswith("_"))]
-    nearest = name if name in meant else closest(name, known)
+    attributes: list[str] = [] if private else [*meant, *(other for other in dir(owner) if not other.startswith("_"))]
+    nearest = name if name in meant else closest(name, attributes)
     hint = f"; did you mean {meant.get(nearest, nearest)}?" if nearest else ""
     return AttributeError(f"{with_article(type(owner).__name__)} has no {name!r}{hint}", name=name, obj=owner)
 
@@ -109,14 +109,14 @@ def plain_name(name: str) -> str:
     return name.lower().replace("-", "").replace("_", "").replace(" ", "")
 
 
-def suggest(name: str, known: Sequence[str]) -> str:
+def suggest(name: str, names: Sequence[str]) -> str:
     """Remedy for an unknown name: the closest known one, or all.
 
     >>> suggest("dampnig", ["mass", "damping"]), suggest("x", ["mass", "damping"])
     ("did you mean 'damping'?", 'known are mass, damping')
     """
-    close = closest(name, known)
-    return f"did you mean {close!r}?" if close else f"known are {', '.join(known)}"
+    close = closest(name, names)
+    return f"did you mean {close!r}?" if close else f"known are {', '.join(names)}"
 
 
 class McKibbenWarning(UserWarning):
@@ -281,9 +281,9 @@ def _lines(lines: Sequence[int]) -> str:
             spans[-1][1] = line
         else:
             spans.append([line, line])
-    shown = [str(first) if first == last else f"{first}-{last}" for first, last in spans[:_MOST_SPANS]]
+    texts = [str(first) if first == last else f"{first}-{last}" for first, last in spans[:_MOST_SPANS]]
     more = ", ..." if len(spans) > _MOST_SPANS else ""
-    return f"line{'s' if len(lines) > 1 else ''} {', '.join(shown)}{more}"
+    return f"line{'s' if len(lines) > 1 else ''} {', '.join(texts)}{more}"
 
 
 class FileError(McKibbenError, ValueError):
@@ -306,12 +306,12 @@ class FileError(McKibbenError, ValueError):
         for problem in self.problems:
             alike = (problem.field, problem.message, problem.remedy)
             groups.setdefault(alike if problem.line is not None else id(problem), []).append(problem)
-        shown = list(groups.values())[: self.shown]
+        listed = list(groups.values())[: self.shown]
         lines += [
-            f"  {group[0].text([problem.line for problem in group if problem.line is not None])}" for group in shown
+            f"  {group[0].text([problem.line for problem in group if problem.line is not None])}" for group in listed
         ]
-        if rest := count - sum(map(len, shown)):
-            lines.append(f"  ... and {rest} more")
+        if more := count - sum(map(len, listed)):
+            lines.append(f"  ... and {more} more")
         super().__init__("\n".join(lines))
 
     def __reduce__(self) -> tuple[type[FileError], tuple[str, tuple[Problem, ...]]]:

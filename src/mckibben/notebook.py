@@ -18,7 +18,7 @@ stop_check: ContextVar[Callable[[], None]] = ContextVar("stop_check", default=la
 """Called at each evaluation of a fit in this thread; raises to interrupt it from outside."""
 
 
-def silent(step: str, part: float) -> None:
+def silent(step: str, fraction: float) -> None:
     """Progress callback of a computation within another."""
 
 
@@ -32,16 +32,16 @@ def notebook_progress(*, interval: float = 0.2, longest: int = 120) -> Progress 
         return None
     from IPython.display import HTML, display
 
-    shown: Any = display(HTML(""), display_id=True)
+    cell: Any = display(HTML(""), display_id=True)
     last = 0.0
 
-    def update(step: str, part: float) -> None:
+    def update(step: str, fraction: float) -> None:
         nonlocal last
         now = time.monotonic()
-        if part < 1 and now < last + interval:
+        if fraction < 1 and now < last + interval:
             return
         last = now
-        bar = f"<progress max='1' value='{part:.3f}'></progress> {part:.0%} {escape(printable(step, longest))}"
-        shown.update(HTML(bar if part < 1 else ""))
+        bar = f"<progress max='1' value='{fraction:.3f}'></progress> {fraction:.0%} {escape(printable(step, longest))}"
+        cell.update(HTML(bar if fraction < 1 else ""))
 
     return update

@@ -29,8 +29,8 @@ stiffness  natural frequency
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-import importlib
 import itertools
 import math
 import os
@@ -40,10 +40,13 @@ from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, dataclass_transform
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias, TypeVar, dataclass_transform
 
+from mckibben.binding import call
 from mckibben.errors import McKibbenError, ParameterError, Suggesting, printable
 from mckibben.storage.files import check_free, json_ready, make_folder, remove_results, write_json
 from mckibben.units import factor
@@ -55,6 +58,9 @@ if TYPE_CHECKING:
 
 Values: TypeAlias = "np.ndarray | Sequence[object]"
 """Values of a column, numbers in SI or texts."""
+TableColumns: TypeAlias = "dict[str, tuple[Column, Any]]"
+"""Columns with their values, by name: arrays or sequences, and of scalars numbers or texts."""
+F = TypeVar("F", bound=Callable[..., object])
 
 _LONGEST_CELL = 500  # characters
 _MOST_ROWS = 30  # of samples in a text
@@ -119,6 +125,63 @@ def column(
 ) -> Any:  # any type of field
     """Return a field of a `Result` that is one of its numbers, see `Column`."""
     return field(default=default, metadata={"column": Column(unit, title, shown, digits, dims)})
+
+
+def number(unit: str = "", title: str = "", shown: str = "", *, digits: int = 4) -> Callable[[F], F]:
+    """Mark the function of a property as one of the numbers of its `Result`, see `Column`; None is left out.
+
+    >>> class Circle(Result):
+    ...     "A circle."
+    ...     radius: float = column("m", "radius", "mm")
+    ...
+    ...     @property
+    ...     @number("m^2", "area", "mm^2", digits=3)
+    ...     def area(self):
+    ...         return math.pi * self.radius**2
+    >>> print(Circle(0.001).to_text())
+    radius      1 mm
+    area     3.14 mm^2
+    """
+    return _marking("_number", Column(unit, title, shown, digits))
+
+
+def table(title: str = "", *, detail: bool = False) -> Callable[[F], F]:
+    """Mark a method of a `Result` as one of its further tables.
+
+    The method returns the columns, no columns for no table, or listings, such as those of results within.
+    """
+    return _marking("_table", Listing(title, {}, detail))
+
+
+def row_columns(kind: type, rows: Iterable[object]) -> TableColumns:
+    """Return the columns of rows of one class, whose fields with a `column` and `number` properties declare them."""
+    rows = list(rows)
+    return {name: (mark, [getattr(row, name) for row in rows]) for name, mark in _declarations(kind).items()}
+
+
+def _declarations(kind: type) -> dict[str, Column]:
+    """Columns of a class by name: those of fields, then of properties."""
+    fields = {item.name: item.metadata.get("column") for item in dataclasses.fields(kind)}
+    return {name: mark for name, mark in fields.items() if mark is not None} | _marked(kind, "_number")
+
+
+def _marking(kind: str, mark: object) -> Callable[[F], F]:
+    def marking(function: F) -> F:
+        setattr(function, kind, mark)
+        return function
+
+    return marking
+
+
+def _marked(cls: type, kind: str) -> dict[str, Any]:
+    """Marks of the methods and properties of a class, those of its bases first."""
+    marks = {}
+    for base in reversed(cls.__mro__):
+        for name, member in vars(base).items():
+            function = getattr(member, "fget", None) or getattr(member, "func", member)  # cached_property has `func`
+            if (mark := getattr(function, kind, None)) is not None:
+                marks[name] = mark
+    return marks
 
 
 class Severity(Enum):
@@ -248,8 +311,8 @@ class Listing:
             return "\n".join(lines + _pairs(self.header(), [cell for row in rows for cell in row], width))
         samples = bool(rows) and _NUMBER.fullmatch(rows[0][0])
         omitted = max(len(rows) - _MOST_ROWS, 0) if samples else 0  # a list of names is shown whole
-        shown = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
-        cells = list(zip(*shown, strict=True)) if shown else [()] * len(self.columns)
+        displayed = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
+        cells = list(zip(*displayed, strict=True)) if displayed else [()] * len(self.columns)
         columns = [_TextColumn(*title, column, width) for title, column in zip(self.header(), cells, strict=True)]
         for block in _blocks(columns, width):
             lines += _lines(block, width)
@@ -299,8 +362,8 @@ def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
     """Lines of columns side by side; what is left of the width goes to headings and sentences that need it."""
     needs = {c: max(map(len, (c.title, *c.cells))) - c.width for c in block}
     spare = width - sum(c.width + 2 for c in block) + 2
-    for rest, (column, need) in enumerate(sorted(needs.items(), key=lambda item: item[1]), start=-len(block)):
-        share = max(min(need, spare // -rest), 0)
+    for remaining, (column, need) in enumerate(sorted(needs.items(), key=lambda item: item[1]), start=-len(block)):
+        share = max(min(need, spare // -remaining), 0)
         column.width, spare = column.width + share, spare - share
     headings = [column.wrapped(column.title) for column in block]
     deepest = max(map(len, headings))
@@ -313,8 +376,8 @@ def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
     ]
     lines = []
     for row in rows:
-        parts = itertools.zip_longest(*row, fillvalue="")
-        lines += ["  ".join(map(_TextColumn.aligned, block, part)).rstrip() for part in parts]
+        cells = itertools.zip_longest(*row, fillvalue="")
+        lines += ["  ".join(map(_TextColumn.aligned, block, line)).rstrip() for line in cells]
     return lines
 
 
@@ -327,8 +390,10 @@ def _pairs(header: Sequence[tuple[str, str]], values: Sequence[str], width: int)
     widest = min(max((len(title) for title, _ in header), default=0), room)
     lines = []
     for (title, _), text in zip(header, texts, strict=True):
-        parts = textwrap.wrap(title, widest), textwrap.wrap(text, width - widest - 3)
-        lines += [f"{left:{widest}}   {right}".rstrip() for left, right in itertools.zip_longest(*parts, fillvalue="")]
+        columns = textwrap.wrap(title, widest), textwrap.wrap(text, width - widest - 3)
+        lines += [
+            f"{left:{widest}}   {right}".rstrip() for left, right in itertools.zip_longest(*columns, fillvalue="")
+        ]
     return lines
 
 
@@ -366,9 +431,9 @@ def figure_files(*figures: str) -> list[str]:
     return [f"{name}.{end}" for name in figures for end in ("png", "svg")]
 
 
-def draw(figure: str, *shown: object) -> Figure:
-    """Return a figure of `mckibben.report`, which is above all objects that it draws."""
-    return getattr(importlib.import_module("mckibben.report"), figure)(*shown)
+def draw(figure: str, *results: object) -> Figure:
+    """Return a figure of `mckibben.report`."""
+    return call("draw", figure, *results)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column, field))
@@ -377,13 +442,21 @@ class Result(Suggesting):
 
     Subclasses declare fields as ``gain: np.ndarray = column("1", "gain margin")``: a number or text is a
     scalar, an array of one dimension a column of the table, an array of more dimensions only in NetCDF and JSON. Other
-    fields are not shown. They override `verdict`, `remarks`, `listings` for further tables, and name their `figures`.
+    fields are not shown. Properties may be a `number`, methods a further `table`; numbers whose names are known to the
+    object alone are added by overriding `declared`. Subclasses override `verdict` and `remarks`, and name `figures`.
     """
 
     figures: ClassVar[tuple[str, ...]] = ()
     """Functions of `mckibben.report` that draw the result; the names of their files, too."""
+    heading: ClassVar[str] = ""
+    """Title of the table of the declared columns."""
     files: ClassVar[tuple[str, ...]] = ()
     """Names of further files that `write` may write."""
+
+    writers: ClassVar[Mapping[str, Callable[[Path], None]]] = MappingProxyType({})
+    """Functions that write further files of this object alone, by their path in the folder; see `with_files`."""
+    drawings: ClassVar[Mapping[str, Callable[[], Figure]]] = MappingProxyType({})
+    """Functions that draw further figures of this object alone, by name."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -403,7 +476,7 @@ class Result(Suggesting):
         return all(remark.severity is not Severity.SEVERE for remark in self.remarks())
 
     def listings(self) -> Iterable[Listing]:
-        """Return the tables: first the declared scalars, then the declared columns."""
+        """Return the tables: the declared scalars, the declared columns, then each `table`."""
         scalars, columns = {}, {}
         for name, (column, value) in self.declared().items():
             if _dimensions(value) == 0:
@@ -411,18 +484,44 @@ class Result(Suggesting):
             elif not column.dims:
                 columns[name] = column, value
         yield from [Listing("", scalars, vertical=True)] if scalars else []
-        yield from [Listing("", columns)] if columns else []
+        yield from [Listing(self.heading, columns)] if columns else []
+        yield from self._tables()
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
-        """Columns and values of the fields that declare one."""
-        fields = {item.name: item.metadata.get("column") for item in dataclasses.fields(self)}  # type: ignore[arg-type]
-        return {name: (mark, getattr(self, name)) for name, mark in fields.items() if mark is not None}
+    def _tables(self) -> Iterator[Listing]:
+        for name, listing in _marked(type(self), "_table").items():
+            content = getattr(self, name)()
+            if not isinstance(content, Mapping):
+                yield from content
+            elif content:
+                yield dataclasses.replace(listing, columns=content)
+
+    def declared(self) -> TableColumns:
+        """Columns and values of the fields that declare one, then of the properties that are a `number`."""
+        values = {name: (mark, getattr(self, name)) for name, mark in _declarations(type(self)).items()}
+        missing = [name for name, (_, value) in values.items() if value is None and name not in vars(self)]
+        return {name: value for name, value in values.items() if name not in missing}
 
     def plot(self) -> Figure:
         """Return the first of the `figures`; `ParameterError` if there is none."""
         if not self.figures:
             raise ParameterError(f"a {type(self).__name__} has no figure", remedy="use its columns")
         return draw(self.figures[0], self)
+
+    def with_files(
+        self, writers: Mapping[str, Callable[[Path], None]], drawings: Mapping[str, Callable[[], Figure]] | None = None
+    ) -> Self:
+        """Return the result with functions that write and draw further files of this object alone.
+
+        Parameters
+        ----------
+        writers
+            Functions that write a file, by its path in the folder.
+        drawings
+            Functions that draw a figure, by its name.
+        """
+        result = copy.copy(self)
+        vars(result).update(writers=writers, drawings=drawings or {})
+        return result
 
     def write(self, folder: Path) -> None:
         """Write further files, named in `files`, to a folder."""
@@ -437,7 +536,7 @@ class Result(Suggesting):
         tables = "".join(listing.to_html() for listing in self.listings() if not listing.detail)
         text = f"<p>{escape(self.verdict())}</p>{f'<ul>{remarks}</ul>' if remarks else ''}{tables}"
         try:
-            image = importlib.import_module("mckibben.report").png_of(self.plot())
+            image = call("png_of", self.plot())
         except McKibbenError:  # without a figure, or without what it shows
             return text
         return (
@@ -471,7 +570,6 @@ class Result(Suggesting):
                 scalars[name] = {**entry, "value": json_ready(_plain(value))}
             else:
                 columns[name] = {**entry, "values": json_ready(_plain(value))}
-        own = [listing for listing in self.listings() if listing.title]
         return {
             "result": type(self).__name__,
             "ok": self.ok,
@@ -482,7 +580,7 @@ class Result(Suggesting):
             ],
             "scalars": scalars,
             "columns": columns,
-            "tables": [listing.to_dict() for listing in own],
+            "tables": [listing.to_dict() for listing in self._tables()],
         }
 
     def to_dataset(self) -> xarray.Dataset:
@@ -507,18 +605,23 @@ class Result(Suggesting):
         Raises `FileError` if a file exists and `force` is not set; otherwise the files of an earlier result, which its
         results.json lists, are removed.
         """
-        folder, names, drawings = make_folder(folder), self.saved_names(), figure_files(*self.figures)
+        folder, names = make_folder(folder), self.saved_names()
+        drawings = figure_files(*self.figures, *self.drawings)
         if force:
             remove_results(folder)
         else:
             check_free(folder, names)
         before = {name: _modified(folder / name) for name in names}
         self.write(folder)
+        for name, write in self.writers.items():
+            make_folder((folder / name).parent)
+            write(folder / name)
         certain = "results.json", *drawings
         names = [name for name in names if name in certain or _modified(folder / name) != before[name]]
         write_json(folder / "results.json", self.saved(names))
-        for name in self.figures:  # last: they need the most time
-            importlib.import_module("mckibben.report").save(draw(name, self), folder, name)
+        figures = {name: partial(draw, name, self) for name in self.figures} | dict(self.drawings)
+        for name, figure in figures.items():  # last: they need the most time
+            call("save_figure", figure(), folder, name)
         return names
 
     def saved(self, names: Sequence[str]) -> dict[str, object]:
@@ -527,7 +630,7 @@ class Result(Suggesting):
 
     def saved_names(self) -> list[str]:
         """Names of the files that `save` may write for this object."""
-        return self.file_names()
+        return list(dict.fromkeys([*self.file_names(), *self.writers, *figure_files(*self.drawings)]))
 
     @classmethod
     def file_names(cls) -> list[str]:
@@ -537,22 +640,5 @@ class Result(Suggesting):
     def _sorted_remarks(self, *, details: bool) -> list[Remark]:
         """Remarks by severity, without notes unless details are shown."""
         order = list(Severity)
-        shown = [r for r in self.remarks() if details or r.severity is not Severity.NOTE]
-        return sorted(shown, key=lambda remark: order.index(remark.severity))
-
-
-class WritingResult(Result):
-    """Base of results with files that are known to the object alone."""
-
-    writers: Mapping[str, Callable[[Path], None]] = field(default_factory=dict, kw_only=True)
-    """Functions that write further files, by their path in the folder."""
-
-    def write(self, folder: Path) -> None:
-        """Write the files."""
-        for name, write in self.writers.items():
-            make_folder((folder / name).parent)
-            write(folder / name)
-
-    def saved_names(self) -> list[str]:
-        """Names of the files that `save` writes."""
-        return ["results.json", *self.writers, *figure_files(*self.figures)]
+        remarks = [r for r in self.remarks() if details or r.severity is not Severity.NOTE]
+        return sorted(remarks, key=lambda remark: order.index(remark.severity))

@@ -70,6 +70,9 @@ kg, g = _SIZES["mass"].values()
 s, ms = (_SIZES["time"][name] for name in ("s", "ms"))
 N, Hz, litre, percent = (_VOCABULARY[name][0] for name in ("N", "Hz", "L", "percent"))
 
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s^2], as in the paper."""
+
 _NAME = r"(?:[A-Za-z]+(?:\^-?(?:[1-9](?:\.[0-9]+)?|0\.[0-9]+))?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
@@ -128,20 +131,22 @@ def factor(unit: str, to: str = "") -> float:
     return math.prod(_VOCABULARY[name][0] ** power for name, power in powers.items())
 
 
-def _split(text: object, unit: str, shown: str) -> tuple[str, str]:
+def _split(text: object, unit: str, unit_in_files: str) -> tuple[str, str]:
     """Number and unit of a quantity as texts; `UnitError` where it is not both."""
-    stripped, asked = str(text).strip(), shown or {"m": "mm", "Pa": "bar"}.get(unit, unit)
+    stripped, asked = str(text).strip(), unit_in_files or {"m": "mm", "Pa": "bar"}.get(unit, unit)
     number = NUMBER.match(stripped)
-    rest = stripped[number.end() :].strip() if number else ""
+    unit_text = stripped[number.end() :].strip() if number else ""
     wrong, example = "", f"12.5 {asked}"
-    if not isinstance(text, str) or (number and not rest and unit != "1"):  # YAML gives numbers, too
+    if not isinstance(text, str) or (number and not unit_text and unit != "1"):  # YAML gives numbers, too
         wrong, example = "has no unit", f"{stripped:.{LONGEST_VALUE}} {asked}"
-    elif not number or not _REST.fullmatch(rest) or len(stripped) > LONGEST_VALUE:
+    elif not number or not _REST.fullmatch(unit_text) or len(stripped) > LONGEST_VALUE:
         wrong = "is not a number and a unit"
         example = stripped.replace(",", ".") if re.fullmatch(r"\d{1,9},\d{1,9} \S{1,9}", stripped) else example
     if wrong or not number:
-        raise UnitError(f"{quoted(text)} {wrong}", value=text, unit=shown or unit, remedy=f"write it like {example!r}")
-    return number.group(), f"1{rest}" if rest.startswith("/") else rest or "1"
+        raise UnitError(
+            f"{quoted(text)} {wrong}", value=text, unit=unit_in_files or unit, remedy=f"write it like {example!r}"
+        )
+    return number.group(), f"1{unit_text}" if unit_text.startswith("/") else unit_text or "1"
 
 
 def quantity(text: object, unit: str, *, shown: str = "") -> float:
@@ -157,15 +162,15 @@ def quantity(text: object, unit: str, *, shown: str = "") -> float:
             ...
         mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
     """
-    number, rest = _split(text, unit, shown)
-    factor(rest, shown or unit)  # its error names the unit shown
+    number, unit_text = _split(text, unit, shown)
+    factor(unit_text, shown or unit)  # its error names the unit shown
     try:
-        value = float(number) * factor(rest, unit)
+        value = float(number) * factor(unit_text, unit)
     except OverflowError:
         value = math.inf
     mantissa = number.lower().partition("e")[0]
     if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
-        value = float(Fraction(number) * Fraction(factor(rest, unit)))
+        value = float(Fraction(number) * Fraction(factor(unit_text, unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=shown or unit)
     return value
@@ -177,7 +182,7 @@ def split_range(text: str) -> tuple[str, str]:
     >>> split_range("3..6 bar")
     ('3 bar', '6 bar')
     """
-    low, _, high = (part.strip() for part in text.partition(".."))
+    low, _, high = (end.strip() for end in text.partition(".."))
     number = NUMBER.match(high)
     if number and NUMBER.fullmatch(low):
         low = f"{low} {high[number.end() :].strip()}".strip()

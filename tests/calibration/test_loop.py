@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve, UnequalValves
-from mckibben.calibration.equations import PARAMETERS, JointPrior, JointSamples, corrected, problem_of
+from mckibben.calibration.equations import MotionSamples, Recorded, corrected, problem_of
 from mckibben.calibration.estimation import JointCalibration
 from mckibben.calibration.experiment import calibrated_scenario
 from mckibben.calibration.fitting import JointEstimate
 from mckibben.calibration.loop import PLANTS, loop_margins, loop_remarks, with_estimates
+from mckibben.calibration.models import HingeModel, Weight
+from mckibben.calibration.recordings import JointPrior
 from mckibben.errors import McKibbenWarning
 from mckibben.result import Severity
 from mckibben.scenario import Scenario
@@ -20,8 +22,9 @@ INHERITED = "examples/pre-contracted-step-pid.yaml"
 
 
 def samples():
-    angle = np.linspace(-0.2, 0.2, 50)
-    return JointSamples(angle, 0 * angle, 0 * angle, (2e5 + 0 * angle,) * 2, (), 0.0, 0.0)
+    angle = np.linspace(-0.2, 0.2, 50)[:, None]
+    pressures = np.full((50, 2), 2e5)
+    return Recorded(MotionSamples(angle, angle, angle, pressures, pressures[:, :0], pressures, pressures), Weight(), 0)
 
 
 @pytest.mark.parametrize("path", [OWN, INHERITED])
@@ -68,15 +71,14 @@ def test_deviations_of_parameters_become_the_uncertainty_that_tune_reads(tmp_pat
 def test_determined_creep_is_that_of_plant_and_model(deviation, enters, tmp_path):
     """Relaxation of two arms, against the three of the estimate with the same total."""
     scenario = Scenario.read(OWN)
-    problem = problem_of(scenario.controller.model, scenario.load, [(samples(), samples())], JointPrior())
+    problem = problem_of(HingeModel(scenario.controller.model, scenario.load), [samples()], JointPrior())
     estimate = JointEstimate(1500.0, deviation, 1000.0, "N/m")
     fit = JointCalibration(
         {"muscle1.creep": estimate, "zero": JointEstimate(0.0, 0.001, 0.01, "rad")},
-        *corrected(problem, np.zeros(PARAMETERS))[:2],
+        corrected(problem, np.zeros(problem.size)).model,
         (),
         problem,
-        (),
-        0.0,
+        None,
         0.0,
         0.0,
     )

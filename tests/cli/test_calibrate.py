@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import Actuator, FirstOrderValve
-from mckibben.calibration import Sweeps
+from mckibben.calibration import read_joint_recording
 from mckibben.component.schema import read_component
 from mckibben.scenario import Scenario
 
 pytestmark = pytest.mark.usefixtures("optimized")
 EXAMPLE = Path("examples/calibration/knee.yaml").resolve()
-WEIGHT = ("--weight", "0.5 kg, 200 mm")
+WEIGHT = ("--weight", "0.5 kg, 200 mm", "--limb", "estimated")
 
 
 def estimates(numbers):
@@ -43,28 +43,34 @@ def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     assert after.joint == found and after.load == after.controller.load
     angle, pressures = np.linspace(-0.12, 0.12, 7), (4.8e5, 4.5e5)
     wanted = np.asarray(true.evaluate(angle, pressures)[1])
-    errors = [np.abs(np.asarray(one.evaluate(angle, pressures)[1]) - wanted).max() for one in (believed, found)]
-    assert errors[1] < 0.7 * errors[0]
+    errors = [np.abs(np.asarray(one.evaluate(angle, pressures)[1]) - wanted).mean() for one in (believed, found)]
+    assert errors[1] < 0.8 * errors[0]
     numbers = json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
     rows = estimates(numbers)
-    assert rows["muscle1.force"]["determined"]
+    assert rows["friction"]["determined"]
     assert not rows["added_mass"]["determined"]  # the weight is the scale
 
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_records_of_an_earlier_experiment_are_used_only_if_they_are_complete(cli, tmp_path, finished):
-    (tmp_path / "x" / "bare").mkdir(parents=True)
-    (tmp_path / "x" / "bare" / "record-0001.mcap").touch()
+    (tmp_path / "x" / "bare_slow").mkdir(parents=True)
+    (tmp_path / "x" / "bare_slow" / "record-0001.mcap").touch()
     if finished:
-        (tmp_path / "x" / "bare" / "result.nc").touch()
-    found = cli("calibrate", str(EXAMPLE), "--duration", "20 s", "--out", "x")
+        (tmp_path / "x" / "bare_slow" / "result.nc").touch()
+    found = cli("calibrate", str(EXAMPLE), "--limb", "weighed", "--duration", "20 s", "--out", "x")
     assert found.code == 2
-    assert ("--recording x/bare/result.nc" in found.err) == finished
+    assert ("--recording x/bare_slow/result.nc" in found.err) == finished
 
 
 @pytest.mark.slow
 def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
-    files = ("--recording", calibrated / "bare" / "result.nc", "--weighted", calibrated / "weighted" / "result.nc")
+    parts = [(option, name) for option, name in (("--recording", "bare"), ("--weighted", "weighted"))]
+    files = [
+        each
+        for option, name in parts
+        for pace in ("slow", "fast")
+        for each in (option, calibrated / f"{name}_{pace}" / "result.nc")
+    ]
     found = cli("calibrate", str(EXAMPLE), *WEIGHT, *map(str, files), "--out", "again", "--json")
     assert found.code == 0, found.err
     again, kept = json.loads(found.out), json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
@@ -73,28 +79,20 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
 
 
 @pytest.mark.slow
-def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there_is_a_weight():
-    found = {}
-    for mass in (0.0, 0.5):
-        sweeps = Sweeps(-0.2, 0.2, 40.0 if mass else 20.0, mass, 0.2)
-        part = sweeps.scenarios(Scenario.read(EXAMPLE))["weighted" if mass else "bare"]
-        angle = np.asarray(part.signals.angle(np.arange(0.0, 20.0, 1e-3)))
-        assert 0.195 < angle.max() <= 0.2 and -0.2 <= angle.min() < -0.195
-        acceleration = np.abs(np.gradient(np.gradient(angle, 1e-3), 1e-3))
-        found[mass] = acceleration[np.abs(angle) < 0.1].max(), acceleration[np.abs(angle) > 0.19].max()
-    assert found[0.0] == pytest.approx((1.1, 1.2), abs=0.1)
-    assert found[0.5][0] > 2.5  # 0.35 * 0.2 rad at 1 Hz
-    assert 0.9 < found[0.5][1] < 0.7 * found[0.5][0]
+def test_parts_are_slow_and_fast_within_the_angles(calibrated):
+    for name in ("bare", "weighted"):
+        for pace, most in (("slow", 11.0), ("fast", 12.0)):
+            recording = read_joint_recording(calibrated / f"{name}_{pace}" / "result.nc")
+            moved = np.degrees(np.abs(recording.angle).max())
+            assert 4.0 < moved < most
+            assert recording.time[-1] == pytest.approx(15.0, abs=0.01)
+            crossings = np.count_nonzero(np.diff(np.sign(recording.angle - recording.angle.mean())))
+            assert (crossings > 30) == (pace == "fast")
 
 
-@pytest.mark.filterwarnings("always")
-@pytest.mark.parametrize(("mass", "light"), [(0.2, True), (1.0, False)])
-@pytest.mark.slow
-def test_a_weight_that_turns_the_joint_by_less_than_its_friction_is_warned_of(recwarn, mass, light):
-    """Two muscles with 7.5 N on arms of 3 cm hold some 0.45 N*m; at 40 deg 0.2 kg turn by 0.25 N*m."""
-    scenario = Scenario.read(EXAMPLE.parents[1] / "valves" / "regulator-decoupling.yaml")
-    assert Sweeps(-0.17, 0.17, 20.0, mass, 0.2).scenarios(scenario)
-    assert any("weight" in str(warning.message) for warning in recwarn.list) == light
+def test_it_is_asked_whether_the_limb_was_weighed(cli):
+    found = cli("calibrate", str(EXAMPLE), "--weight", "0.5 kg, 200 mm", "--out", "x")
+    assert found.code == 2 and "--limb weighed" in found.err and "--limb estimated" in found.err
 
 
 VALVES = ("--valves", "--duration", "20 s", "--angles", "-8..12 deg")

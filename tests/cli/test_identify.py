@@ -109,11 +109,12 @@ def test_every_law_is_ranked_with_reasons_and_kept(cli, tmp_path):
     numbers = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     texts = [remark["text"] for remark in numbers["remarks"]]
     assert any(text.startswith("flagged TonduLopez: braid_angle at a bound") for text in texts)
-    assert values(numbers, "laws", "law")[:2] == ["Sarosi", "Hunt"]
-    assert values(numbers, "laws", "pressure")[0] == pytest.approx(1.36, abs=0.01)
+    laws = numbers["columns"]["law"]["values"]
+    assert numbers["result"] == "Ranking" and laws[:2] == ["Sarosi", "Hunt"]
+    assert numbers["columns"]["pressure"]["values"][0] == pytest.approx(1.36, abs=0.01)
     assert type(Fit.from_yaml(folder / "fit.yaml").law).__name__ == "SarosiLaw"
     kept = {path.stem for path in (folder / "fits").iterdir()}
-    assert kept == {f"{law}Law" for law in values(numbers, "laws", "law")}
+    assert kept == {f"{law}Law" for law in laws}
     assert Recipe.read(folder / "recipe.yaml") == Recipe()
     assert (folder / "ranking.png").stat().st_size > 20_000
     (folder / "fits" / "mine.yaml").write_text("mine")
@@ -187,7 +188,9 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     numbers = json.loads(found.out)
     assert values(numbers, "friction", "estimate")[0] == pytest.approx(12, rel=0.01)
     plain = json.loads(cli("identify", rig, "--friction", "off", "--json").out)
-    assert values(plain, "law", "rmse")[0] > 100 * values(numbers, "law", "rmse")[0]
+    with_friction, without = ({name: s["value"] for name, s in n["scalars"].items()} for n in (numbers, plain))
+    assert numbers["result"] == "FitWithFriction" and without["rmse"] > 100 * with_friction["rmse"]
+    assert with_friction["held_out_error"] == pytest.approx(with_friction["rmse"], rel=0.2)
     muscle = read_component(Muscle, tmp_path / "fit" / "muscle.yaml")
     assert float(muscle.friction.half_width) == pytest.approx(12, rel=0.01)
     scenario = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()

@@ -86,7 +86,7 @@ def files(tmp_path, shortened):
         (("calibrate", KNEE, "--out", "x", "--weight", "0.5 kg"), "--weight"),
         (("calibrate", KNEE, "--out", "x", "--duration", "5 s"), "duration"),
         (("calibrate", KNEE, "--out", "x", "--weighted", "w.csv"), "weight"),
-        (("calibrate", KNEE, "--out", "x", *WEIGHT, "--angles", "5..5 deg"), "angle"),
+        (("calibrate", KNEE, "--out", "x", *WEIGHT, "--limb", "weighed", "--angles", "5..5 deg"), "angle"),
         (("calibrate", KNEE, "--out", "x", "--prior", "missing.yaml"), "missing.yaml"),
         (("calibrate", KNEE, "--out", "x", "--valves", *WEIGHT), "--valves"),
         (("rig", "control", "s.yaml"), "give one with --out DIR"),

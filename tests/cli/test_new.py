@@ -26,7 +26,7 @@ def test_a_joint_runs_with_margins(cli, tmp_path, own):
 
 
 def test_a_test_and_a_robot_are_valid(cli):
-    for kind, command in (("bench", ("rig", "run", "--dry-run")), ("robot", ("robot", "stiffness"))):
+    for kind, command in (("bench", ("rig", "run", "--dry-run")), ("robot", ("robot", "pressures"))):
         assert cli("new", kind, f"{kind}.yaml").code == 0
         done = cli(*command, f"{kind}.yaml")
         assert done.code == 0, done.err

@@ -23,8 +23,8 @@ def test_what_is_kept(cli, tmp_path):
     assert found.code == 0 and all(name in found.err for name in ("plan.csv", "results.json", "planned.svg", "next"))
     numbers = json.loads(found.out)
     assert numbers == json.loads((tmp_path / "next" / "results.json").read_text(encoding="utf-8"))
-    points, parameters = (table["columns"] for table in numbers["tables"])
-    errors = points["standard error after it"]
+    points, (parameters,) = numbers["columns"], (table["columns"] for table in numbers["tables"])
+    errors = points["standard_error"]
     assert errors["unit"] == "1" and errors["values"] == sorted(errors["values"], reverse=True)
     assert errors["values"][-1] == pytest.approx(parameters["decay"]["values"][1])
     rows = (tmp_path / "next" / "plan.csv").read_text(encoding="utf-8").splitlines()

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import SimulationResult
+from tests.robot.test_control import ONE, TORQUE
 
 ROOT = Path(__file__).parents[2]
 NAME = "pre-contracted-step-pid"
@@ -60,3 +62,19 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
     record = read_record(tmp_path / "run")
     assert "stopped" in [event.kind for event in record.events]
     assert json.loads((tmp_path / "run" / "results.json").read_text())["scalars"]["ended"]["value"] == "stopped"
+
+
+@pytest.mark.slow
+def test_a_robot_runs_too_and_its_columns_are_along_joint_and_muscle(cli, tmp_path):
+    (tmp_path / "one.yaml").write_text((ONE + TORQUE).replace("duration: 0.4 s", "duration: 0.1 s"), encoding="utf-8")
+    quick = "rig: simulated\napproach: {raising: 100 ms, settling: 50 ms}\n"
+    (tmp_path / "rig.yaml").write_text(quick, encoding="utf-8")
+    checked = cli("rig", "control", "one.yaml", "--rig", "rig.yaml", "--check")
+    assert checked.code == 0 and {"angle.knee", "pressure.knee2", "valve.knee1"} <= {
+        *re.findall(r"\w+\.\w+", checked.out)
+    }
+    found = cli("rig", "control", "one.yaml", "--rig", "rig.yaml", "--out", "run", "--unpaced", "--json")
+    assert found.code == 0
+    with xr.open_dataset(tmp_path / "run" / "result.nc") as kept:
+        assert kept["angle"].dims == ("joint", "time") and kept["command"].dims == ("muscle", "time")
+        assert kept["muscle"].values.tolist() == ["knee1", "knee2"] and kept.sizes["time"] == 50

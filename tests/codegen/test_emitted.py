@@ -232,4 +232,4 @@ def test_one_program_serves_runs_of_any_number_of_periods(many):
         found = emitted(shared, over_periods(x) if many else None, single=many)
         right = jax.vmap(function, (None, -1), -1)(shared, x) if many else function(shared, None)
         jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-5), found, right)
-    assert len(emitted._known) == 1
+    assert len(emitted._programs) == 1

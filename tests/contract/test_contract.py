@@ -167,7 +167,7 @@ def emitted_functions():
     """Functions of the built-in classes and their components that together have all operations, each with samples."""
     seen: set[str] = set()
     for name, kind in EMITTED.items():
-        component = INSTANCES.get(name) or checks._made(kind, {})
+        component = INSTANCES.get(name) or checks._built(kind, {})
         probes = probes_of(component)
         if isinstance(component, DiscreteTimeSystem):
             component = component.with_period(PERIOD)
@@ -456,8 +456,8 @@ def test_the_classes_of_the_documentation_keep_it(text, failures, classes, tmp_p
     code = "from mckibben.cli import main; main()"  # in a process of its own: the page is run as a doctest, too
     run = subprocess.run([sys.executable, "-c", code, "check", path, "--json"], capture_output=True, text=True)
     answer = json.loads(run.stdout)
-    columns = answer["tables"][0]["columns"]
-    findings = list(zip(*(columns[name]["values"] for name in ("class", "check", "result")), strict=True))
+    columns = answer["columns"]
+    findings = list(zip(*(columns[name]["values"] for name in ("kind", "check", "result")), strict=True))
     assert [row[:2] for row in findings if row[2] != "passed"] == failures, answer["remarks"]
     defined = {node.name for node in ast.parse(text).body if isinstance(node, ast.ClassDef)} - HARDWARE
     assert {row[0] for row in findings} == defined and len(defined) == classes

@@ -119,7 +119,7 @@ def test_expected_friction_is_part_of_the_torque(knee, load):
     assert expected == pytest.approx(-2 * 12.0 * 0.03, rel=0.05)
     speed = (1 - np.exp(-PERIOD * 180)) / (1 - np.exp(-PERIOD / 0.02))
     aimed = [p + (c - p) / speed for p, c in zip(held, commands, strict=True)]
-    motion = state.estimates.motion
+    (motion,) = state.estimates.motion
     acceleration = 60.0**2 / 3 * 0.018 - float(motion.disturbance) - 60.0 * float(motion.velocity)
     balance = float(load.total_inertia) * acceleration - float(load.gravity_torque(0.0)) - expected
     assert float(knee.torque(0.0, tuple(aimed))) == pytest.approx(balance, abs=2e-3)

@@ -33,8 +33,8 @@ def test_the_mean_of_commands_between_two_ages_is_that_of_their_steps(newest, ol
 
 def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, knee, load):
     prepared = control.with_period(PERIOD)
-    estimates = prepared.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
-    estimates = estimates._replace(motion=estimates.motion._replace(velocity=jnp.asarray(2.0)))
+    estimates = prepared.init_estimates((ANGLE,), PRESSURES)
+    estimates = estimates._replace(motion=(estimates.motion[0]._replace(velocity=jnp.asarray(2.0)),))
     commands = np.array([[2e5, 4e5]] * 3 + [[3.5e5, 1e5]] * 4 + [[1e5, 5e5]] * 2)  # the last sent first
     estimates = estimates._replace(sent=tuple(map(tuple, jnp.asarray(commands))))
     expected = prepared._predicted(estimates, PERIOD)
@@ -48,13 +48,13 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     for arriving in commands[-2::-1]:  # each for a period, the oldest first; the last has acted already
         state = solve_ivp(rates, (0, PERIOD), state, args=(arriving,), rtol=1e-8).y[:, -1]
     np.testing.assert_allclose(expected.pressures, state[2:], rtol=1e-3)  # in steps of 4 ms
-    assert float(expected.motion.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=5e-3)
+    assert float(expected.motion[0].angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=5e-3)
 
 
 def test_over_a_long_delay_it_knows_what_fast_valves_have_done(control, knee):
     """The pressures lag behind commands that rise steadily by the lag of the valves, but for a part of a step."""
     late = dataclasses.replace(control, command_delay=30 * ms, valve=mk.FirstOrderValve(1 * ms)).with_period(PERIOD)
-    estimates = late.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
+    estimates = late.init_estimates((ANGLE,), PRESSURES)
     rise = 1e3  # Pa in a period
     sent = tuple((jnp.asarray(3e5 - rise * age), jnp.asarray(2e5 + rise * age)) for age in range(31))
     pressure1, pressure2 = late._predicted(estimates._replace(sent=sent), PERIOD).pressures
@@ -70,10 +70,10 @@ def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_
     prompt = dataclasses.replace(control, command_delay=0.0).with_period(PERIOD)
     estimates = prompt.init(now).estimates
     assert len(estimates.sent) == 1
-    moving = estimates._replace(motion=estimates.motion._replace(velocity=jnp.asarray(2.0)))
+    moving = estimates._replace(motion=(estimates.motion[0]._replace(velocity=jnp.asarray(2.0)),))
     setpoint = Setpoint(now.angle, jnp.asarray(15.0))
-    following, expected = prompt.update(moving, setpoint, now, PERIOD)
-    assert expected.angle == now.angle and expected.setpoint == setpoint
+    following, expected = prompt.update(moving, (setpoint,), (now.angle,), now.pressures, PERIOD)
+    assert expected.angles == (now.angle,) and expected.setpoints == (setpoint,)
     assert expected.estimates.motion is following.motion
 
 

@@ -172,6 +172,8 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "deviation above the mean": (summaries(partial(np.std, ddof=1), np.mean), "rows"),
     "least, largest, mean and deviation": (summaries(np.min, np.max, np.mean, np.std), "rows"),
     "rounded mean and deviation": (summaries(np.mean, np.std, digits=(1, 0, 0)), "rows"),
+    "mean and deviation to ten newtons": (summaries(np.mean, np.std, digits=(1, 0, -1)), "rows"),
+    "a rounded mean": (summaries(np.mean, digits=(1, 1, 0)), "rows"),
     "numbers of channels": (row(0, 1, 2, 3), "rows"),
     "full scales": (row(0, 10, 30, 5000), "rows"),
     "zeros after a restart": (row(20, 0, 0, 0), "rows"),

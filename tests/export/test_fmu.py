@@ -4,7 +4,9 @@ import importlib.util
 import re
 import shutil
 import subprocess
+import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -133,6 +135,11 @@ def test_a_robot_in_a_closed_loop_is_its_simulation(name, tmp_path, opened):
     scenario = RobotScenario.parse(ROBOTS[name])
     for target in ("fmu", "fmu-controller"):
         export(scenario, target, tmp_path)
+    owners = described(tmp_path / "plant.fmu") | described(tmp_path / "controller.fmu")
+    joint, second = f"joint {scenario.joint_names[0]}", f"muscle {scenario.muscle_names[1]}"
+    assert {owners[name] for name in ("angles[1]", "velocities[1]", "torques[1]", "stiffness[1]")} == {joint}
+    assert {owners[name] for name in ("setpoint.angles[1]", "measurement.angles[1]", "der(angles[1])")} == {joint}
+    assert {owners[name] for name in ("pressure2", "tension2", "command2", "measurement.pressure2")} == {second}
     run = scenario.run_once()
     signals = {"setpoint.angles[1]": run["desired_angle"][0], "setpoint.stiffness[1]": run["desired_stiffness"][0]}
     names = ("angles[1]", "velocities[1]", "pressure1", "pressure2", "tension1", "tension2", "command1", "command2")
@@ -141,6 +148,14 @@ def test_a_robot_in_a_closed_loop_is_its_simulation(name, tmp_path, opened):
     expected = np.stack(columns, 1)
     assert np.ptp(expected[:, 0]) > 0.05
     assert np.max(np.abs(rows - expected) / np.max(np.abs(expected), 0)) < 1e-9
+
+
+def described(path):
+    """Descriptions of the variables of an FMU that have one."""
+    with zipfile.ZipFile(path) as archive:
+        tree = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    variables = (variable.attrib for variable in tree.iter("ScalarVariable"))
+    return {variable["name"]: variable["description"] for variable in variables if "description" in variable}
 
 
 def closed_loop(setpoints, folder, opened, names, period):

@@ -5,14 +5,14 @@
 #include <stdint.h>
 #define PI 3.14159265358979
 #define IRAM_ATTR
-enum { LOW, HIGH, OUTPUT, INPUT, INPUT_PULLUP, CHANGE, A0 = 14, A1, A2 };
+enum { LOW, HIGH, OUTPUT, INPUT, INPUT_PULLUP, CHANGE, A0 = 14, A1, A2, A3, A4, A5 };
 uint32_t micros();
 void noInterrupts(), interrupts(), delayMicroseconds(unsigned), pinMode(int, int), digitalWrite(int, int);
 int digitalRead(int), analogRead(int), digitalPinToInterrupt(int);
 void analogWrite(int, int), analogReadResolution(int), analogWriteResolution(int), attachInterrupt(int, void (*)(), int);
 struct Port { void begin(long); int available(), read(), availableForWrite(); size_t write(const uint8_t *, size_t); };
 extern Port Serial;
-struct Bus { void begin(), setClock(long), beginTransmission(int), write(int); int endTransmission(bool), requestFrom(int, int), read(); };
+struct Bus { void begin(), setClock(long), beginTransmission(int), write(int); int endTransmission(bool = true), requestFrom(int, int), read(); };
 extern Bus Wire;
 // Uno R4
 struct timer_callback_args_t;

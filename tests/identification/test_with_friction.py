@@ -14,8 +14,9 @@ from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import fit_law, identify_with_friction, shows_hysteresis
+from mckibben.identification.loading_path import loop_half_width, with_last_motion
 from mckibben.muscle import ExponentialLaw, Muscle, ReynoldsLaw, forces
-from mckibben.result import Remark
+from mckibben.result import Remark, Severity
 from mckibben.units import bar, mm
 
 RIG = Path(__file__).parents[2] / "examples" / "rig.csv"
@@ -32,7 +33,7 @@ def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     assert float(found.friction.half_width) == pytest.approx(12.0, rel=0.01)
     assert float(found.friction.presliding_length) == pytest.approx(0.5 * mm, rel=0.02)
     assert found.rmse < 0.1 < 10 < fit_law(ExponentialLaw, rig).rmse
-    assert found.law == fit_law(ExponentialLaw, found.hysteresis.corrected(rig)).law
+    assert found.law == fit_law(ExponentialLaw, found.hysteresis.corrected_points).law
     assert found.note
 
 
@@ -79,16 +80,17 @@ def test_friction_does_not_depend_on_the_form_of_the_law(rig):
     found, other = (identify_with_friction(law, rig) for law in (ReynoldsLaw, ExponentialLaw))
     assert float(found.friction.half_width) == pytest.approx(float(other.friction.half_width), rel=1e-3)
     assert found.hysteresis.rmse > 40 and other.hysteresis.rmse < 0.1
-    assert found.law == fit_law(ReynoldsLaw, found.hysteresis.corrected(rig)).law
+    assert found.law == fit_law(ReynoldsLaw, found.hysteresis.corrected_points).law
 
 
-def steps_of_pressure(half_width: float) -> mk.IsobaricDataset:
-    """Four pressures at each of ten lengths, which are reached from both sides."""
-    rng, law, rows = np.random.default_rng(0), catalog.law("lei-mas-10-180n"), []
+def steps_of_pressure(half_width: float, *, left: float = 1.0, seed: int = 0) -> mk.IsobaricDataset:
+    """Four pressures at each of ten lengths, which are reached from both sides; a part of the friction is left then."""
+    rng, law, rows = np.random.default_rng(seed), catalog.law("lei-mas-10-180n"), []
     for number, eps in enumerate(np.array([0, 2, 4, 6, 8, 10, 8, 6, 4, 2]) / 100):
-        side = 0 if not number else -1 if number < 6 else 1
+        side, common = 0 if not number else -1 if number < 6 else 1, rng.normal(0, 0.2)
         for step, pressure in enumerate(np.array([3, 4, 5, 6]) * bar):
-            force = float(law.force(eps, pressure)) + side * half_width + rng.normal(0, 0.2)
+            friction = side * half_width * (left if step else 1.0)
+            force = float(law.force(eps, pressure)) + friction + common + rng.normal(0, 0.2)
             word = "" if step else {0: "", -1: "unloading", 1: "loading"}[side]
             rows.append((pressure, eps, force, word, "filling" if step else "", 5.0 * len(rows)))
     names = "pressure", "contraction", "force", "direction", "phase", "time"
@@ -105,6 +107,22 @@ def test_at_fixed_lengths_the_friction_stays_as_the_last_motion_left_it():
     band = found.force_intervals(0.05, np.array([3.5, 5.5]) * bar).confidence
     assert band.contains(truth).all() and np.all(band.upper - band.lower < 4.0)
     assert identify_with_friction(ExponentialLaw, steps_of_pressure(0.0)).hysteresis is None
+
+
+def test_a_frame_that_yields_to_the_pressure_releases_the_friction_of_the_motion():
+    """The first points of each length have it whole, whatever the others have; the law is not free of it."""
+    found = identify_with_friction(ExponentialLaw, steps_of_pressure(8.0, left=0.3))
+    assert abs(float(found.friction.half_width) - 8.0) < 2 * found.hysteresis.standard_errors["half_width"] < 1.0
+    assert "friction" in {note.field for note in found.remarks() if note.severity is Severity.WARNING}
+
+
+@pytest.mark.slow
+def test_the_interval_of_the_friction_at_fixed_lengths_holds_and_is_not_far_wider_than_its_scatter():
+    tests = [with_last_motion(steps_of_pressure(8.0, seed=seed)) for seed in range(100)]
+    found = [loop_half_width(means, ~means.slack) for means in tests]
+    errors, stated = np.array(found).T - np.array([[8.0], [0.0]])
+    assert np.mean(np.abs(errors) < 1.96 * stated) > 0.9
+    assert np.median(stated) < 3 * errors.std()
 
 
 def test_reversed_directions_are_named(rig):

@@ -146,7 +146,7 @@ NAMES = {
 
 @pytest.fixture(scope="module")
 def results(reproduction):
-    return reproduction.to_dict()
+    return reproduction.numbers()
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys,
     app(["reproduce", "--quick", "--out", str(out)], standalone_mode=False)
     printed = capsys.readouterr()
     assert calls == [reproduction]
-    assert json.loads((out / "results.json").read_text(encoding="utf-8")) == reproduction.to_dict()
+    assert json.loads((out / "results.json").read_text(encoding="utf-8")) == reproduction.numbers()
     assert " ".join(printed.out.split()).count("the paper's muscle") == 2
     assert "4 of the paper's claims can be tested here and hold; 2 rest on a muscle that was not published" in " ".join(
         printed.out.split()
@@ -236,7 +236,7 @@ RUNS = {
 def test_the_leg_follows_angles_and_stiffness_of_all_joints_as_its_example(reproduction):
     example = RobotScenario.read(EXAMPLES / "robot" / "lei-leg-control.yaml")
     assert RobotScenario.parse(reproduction.leg.scenario).dumps() == example.dumps()
-    errors = reproduction.to_dict()["leg"]
+    errors = reproduction.numbers()["leg"]
     assert set(errors) == {"side", "hip", "knee"}
     for error in errors.values():  # steps of 1.5 N*m/rad, sines of 3 to 8 deg
         assert error["angle_rmse_deg"] < 0.2

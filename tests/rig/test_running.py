@@ -13,13 +13,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.dataset import read_dataset
-from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
+from mckibben.dataset import read_dataset, read_recording
+from mckibben.errors import (
+    DatasetError,
+    FileError,
+    McKibbenWarning,
+    RigError,
+    ScenarioError,
+    SignalledError,
+    StoppedError,
+)
 from mckibben.identification import identify_pressure_creep
 from mckibben.rig import running
 from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.record import Recorder, header_of, read_record, segments
 from mckibben.rig.running import check, gather, gather_recording, run_test
+from mckibben.storage.mcap import Column
 from mckibben.units import bar
 
 TEXT = """name: a short test
@@ -58,6 +67,20 @@ def test_a_folder_has_the_protocol_the_record_and_the_dataset(tmp_path):
     header, _ = header_of(tmp_path / "out")
     assert RigTest.parse(header["protocol"]) == RigTest.parse(TEXT)
     assert {"rig", "versions", "date", "steps", "clock"} <= {*header}
+
+
+def test_the_record_itself_is_read_as_a_recording(tmp_path):
+    run_test(checked(), tmp_path)
+    read, known = read_recording(tmp_path / "record-0001.mcap"), gather_recording(tmp_path)
+    for name in ("specimen", "initial_length", "slack_force"):
+        assert read.table.attrs[name] == known.table.attrs[name]
+    for name in ("time", "pressure", "force", "contraction"):
+        np.testing.assert_allclose(getattr(read, name), getattr(known, name), rtol=1e-6, atol=1e-6)
+    with Recorder(tmp_path / "joint", {"scenario": "knee"}, [Column("time", "s"), Column("angle", "rad")]) as recorder:
+        recorder.append([[0.0, 0.1]])
+    with pytest.raises(DatasetError) as refused:
+        read_recording(tmp_path / "joint" / "record-0001.mcap")
+    assert "result.nc" in refused.value.problems[0].remedy
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -76,7 +76,7 @@ class Board:
     def take(self, message):
         self.heard, self.last = time.monotonic(), message.sequence
         if message.kind == MessageKind.HELLO:
-            self.send(MessageKind.HELLO, self.hello.pack())
+            self.send(MessageKind.HELLO, self.hello.pack()[0])
         elif message.kind == MessageKind.ARM and self.state == FirmwareState.DISARMED and self.commands is not None:
             self.state = FirmwareState.RUNNING
         elif message.kind == MessageKind.DISARM:
@@ -258,7 +258,7 @@ def test_a_board_that_resets_or_vents_is_named(board):
         with pytest.raises(RigError, match=r"out of range, with angle 0\.1 rad"):
             followed(rig, [1 * bar, 1 * bar])
         rig.vent()
-        there.send(MessageKind.HELLO, there.hello.pack())  # late
+        there.send(MessageKind.HELLO, there.hello.pack()[0])  # late
         followed(rig, [1 * bar, 1 * bar], 0.1)
         there.begun = time.monotonic()
         with pytest.raises(RigError, match="reset"):

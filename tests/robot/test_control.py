@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -46,6 +48,12 @@ THROUGH_THE_AXIS = """- name: on the axis
 ROOT = Path(__file__).parents[2]
 FULL = "examples/robot/lei-leg-control.yaml"
 KEPT = ("angle", "pressure", "command", "stiffness")
+
+
+@pytest.mark.slow
+def test_a_file_may_name_computed_torque_where_nothing_else_was_imported():
+    code = f"from mckibben.scenario import Scenario; Scenario.read({FULL!r})"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True).returncode == 0
 
 
 @pytest.mark.parametrize("stiffness", ["0 N*m/rad", "{class: step, before: 14 N*m/rad, after: 0 N*m/rad, at: 0.2 s}"])
@@ -128,7 +136,6 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     np.testing.assert_array_less(error, [0.1, 0.2, 0.6])
     steady = late & (run["time"] % 1 > 0.2)  # a joint has a step at 1, 2 and 3 s
     assert np.abs(run["stiffness"] - run["desired_stiffness"])[:, steady].max() < 0.1
-    assert run["allocation_gap"].max() < 1e-8
     assert run.notes() == []
     late_commands = RobotScenario.parse(scenario.dumps().replace("reference:", "command_delay: 8 ms\nreference:"))
     aware = late_commands.run_once()
@@ -328,7 +335,7 @@ def test_the_arm_of_the_documentation_reaches(tmp_path):
             (tmp_path / "arm" / "reach.yaml").write_text(text, encoding="utf-8")
         assert CliRunner().invoke(app, arguments[1:]).exit_code == 0, command
     results = json.loads((tmp_path / "arm" / "run" / "results.json").read_text())
-    assert max(results["columns"]["angle_rmse"]["values"]) < 2 * deg
+    assert max(results["columns"]["angle_rmse"]["values"]) < 0.1 * deg
     assert (tmp_path / "arm" / "c" / "controller.c").exists()
 
 
@@ -362,7 +369,7 @@ def test_a_locked_joint_is_refused():
 def test_a_scenario_of_a_robot_has_the_methods_of_one_of_a_joint(tmp_path):
     path = tmp_path / "one.yaml"
     path.write_text(ONE + PID, encoding="utf-8")
-    scenario = mk.read_scenario(path)
+    scenario = mk.Scenario.read(path)
     assert {"simulate", "margins", "tune", "compare", "export"} <= set(dir(scenario))
     run = scenario.simulate(duration=0.1)
     assert run.duration == pytest.approx(0.1) and run.plot().axes

@@ -32,7 +32,7 @@ from mckibben.robot import (
     stiffness_matrix,
 )
 from mckibben.scenario.statics import solve_statics
-from mckibben.statics.posture import map_at
+from mckibben.statics.posture import HeldPostures, maps_at
 from mckibben.units import bar, deg
 from tests.robot.conftest import over_two, with_unit
 
@@ -47,18 +47,48 @@ def with_rectus(name):
     return dataclasses.replace(robot, muscles=(*robot.muscles, rectus))
 
 
+def map_at(robot, angles):
+    return maps_at(robot, np.asarray(angles)[None])[0].posture(0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(POSTURES))
 def test_the_affine_map_is_the_derivative_of_the_torques(name):
     robot, angles = with_rectus(name), np.array(POSTURES[name])
     pressures = np.linspace(3.5e5, 4.5e5, len(robot.all_muscles))
-    found = map_at(robot, angles.tolist())
+    found = map_at(robot, angles)
     np.testing.assert_allclose(found.torque_at(pressures), robot.torques(angles, pressures), atol=1e-12)
     for joint in range(len(angles)):
         step = 1e-6 * np.eye(len(angles))[joint]
         change = np.subtract(robot.torques(angles + step, pressures), robot.torques(angles - step, pressures)) / 2e-6
         np.testing.assert_allclose(found.stiffness_at(pressures)[:, joint], -change, atol=1e-6)
     assert abs(found.stiffness_at(pressures)[-1, -2]) > 1  # coupling
+
+
+@pytest.mark.parametrize("name", ["lei-leg", "examples/robot/neck.yaml"])
+def test_many_postures_are_those_one_by_one_and_the_closed_form_is_the_linear_program(name):
+    robot, rng = read_robot(name), np.random.default_rng(0)
+    angles = rng.uniform(-0.03, 0.03, (4, len(robot.joints)))
+    torques = holding_torques(robot, angles)
+    postures, forms = HeldPostures.of(robot, angles, torques), 0
+    for index, row in enumerate(angles):
+        np.testing.assert_allclose(torques[index], holding_torques(robot, row), rtol=1e-12)
+        held = postures.posture(index)
+        middle = (held.low + held.high) / 2 * bar
+        np.testing.assert_allclose(held.affine.torque_at(middle), robot.torques(row, middle), rtol=1e-12)
+        slopes = held.stiffness()[1]
+        for joint, other in itertools.product(range(len(row)), (False, True)):
+            rest = np.arange(len(row)) != joint
+            turned = held._replace(equal=held.equal[rest], held=held.held[rest])
+            setting, goal = (turned, held.equal[joint]) if other else (held, slopes[joint, joint])
+            value, multipliers = setting._free_extreme(goal)
+            if value is not None:
+                forms += 1
+                solved = setting.program(goal)
+                assert value == pytest.approx(solved.fun, abs=1e-9)
+                theirs = -(solved.lower.marginals + solved.upper.marginals)
+                assert setting.limits(multipliers)[0] == setting.limits(theirs)[0]
+    assert forms >= 4 * len(robot.joints)
 
 
 @pytest.mark.parametrize("name", list(POSTURES))
@@ -269,7 +299,7 @@ stiffness:
 def test_the_command_prints_and_keeps_the_pressures(tmp_path):
     file, out = tmp_path / "robot.yaml", tmp_path / "out"
     file.write_text(TEXT)
-    result = CliRunner().invoke(app, ["robot", "stiffness", str(file), "--json", "--out", str(out)])
+    result = CliRunner().invoke(app, ["robot", "pressures", str(file), "--json", "--out", str(out)])
     assert result.exit_code == 0, result.output
     numbers = json.loads(result.stdout)
     found = pressures_for_point_stiffness(
@@ -286,7 +316,7 @@ def test_the_command_prints_and_keeps_the_pressures(tmp_path):
     assert numbers["tables"][0]["columns"]["joint"]["values"] == ["hip", "knee"]
     assert json.loads((out / "results.json").read_text()) == numbers
     assert (out / "point_stiffness.svg").stat().st_size > 1000
-    shown = CliRunner().invoke(app, ["robot", "stiffness", str(file)])
+    shown = CliRunner().invoke(app, ["robot", "pressures", str(file)])
     assert shown.exit_code == 0 and "knee2" in shown.output
 
 

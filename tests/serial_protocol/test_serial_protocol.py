@@ -137,7 +137,7 @@ def test_bodies_come_back():
     hello = wire.Hello(
         "knee 1.0", 1000, bytes(range(32)), [("angle", "rad"), ("p", "Pa")], [("u", "Pa")], [("K", "N*m/rad")]
     )
-    assert wire.Hello.unpack(hello.pack()) == hello
+    assert wire.Hello.unpack(hello.pack()[0]) == hello
     sample = wire.Sample(wire.FirmwareState.HOLDING, wire.FaultCode.FROZEN, 3, 2, 1, 9, (0.5, 2.0**18))
     assert wire.Sample.unpack(sample.pack()) == sample
     assert wire.FaultReport.unpack(wire.FaultReport(wire.FaultCode.OUT_OF_RANGE, 2, -0.5).pack()) == (

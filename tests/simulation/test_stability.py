@@ -16,7 +16,7 @@ from mckibben.plant import SampledSensors
 from mckibben.result import Severity
 from mckibben.scenario import with_values
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of
+from mckibben.simulation.stability import LinearLoop, _crossings, _disk_margins, _frequencies, _margins_of
 from mckibben.units import bar, deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -177,6 +177,8 @@ def test_an_unstable_loop_has_no_margins():
     assert found.radius == pytest.approx(1.1)
     assert (found.gain, found.phase, found.delay, found.disk) == (0.0, 0.0, 0.0, 0.0)
     assert np.isfinite(found.sensitivity).all()
+    alone = LinearLoop(*(np.stack([leaf]) for leaf in (1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2))))
+    assert _disk_margins(alone, 1e-3) == [0.0]  # also where no loop is stable
     counter = np.diag([1.0, 0.5, 0.4])
     assert margins_of(LinearLoop(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:])).radius == pytest.approx(0.5)
 
@@ -329,7 +331,7 @@ def largest_pole(slower, stiffness, damping):
         angle_ += first * innovation
         velocity_ += PERIOD * acceleration + second * innovation
         disturbance += third * innovation
-        ahead = angle_ + velocity_ / (3 * POLES)
+        ahead = angle_ + velocity_ * PERIOD / (1 - np.exp(-3 * POLES * PERIOD))
         wanted = -POLES * velocity_ - POLES**2 / 3 * angle - disturbance + stiffness * ahead + damping * velocity_
         command = torque_ + lead * (wanted - torque_)
         for _ in range(100):

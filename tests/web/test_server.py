@@ -223,6 +223,11 @@ _OUTLINE = """[
 ]"""
 
 
+_SMALL = """[...document.querySelectorAll(".q-btn, a.tab, a.next, .q-checkbox, .q-slider, .q-expansion-item .q-item")]
+  .filter((one) => one.offsetParent).map((one) => [one.innerText, one.getBoundingClientRect()])
+  .filter(([, box]) => Math.min(box.width, box.height) < 43.5).map(([text, box]) => [text, box.width, box.height])"""
+
+
 @pytest.mark.skipif(chromium.PROGRAM is None, reason="no Chromium is installed: apt-get install chromium")
 def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
     """Scripts run under the policy of the pages, the server's data are drawn, and nothing is wider than the window."""
@@ -244,6 +249,7 @@ def test_the_pages_work_in_a_browser_on_a_desk_and_on_a_phone(site, tmp_path):
                 tab.open(address + path, width)
                 tab.wait(f"document.readyState === 'complete' && ({condition})", 120)
                 assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (path, width)
+                assert width > 820 or not tab.evaluate(_SMALL), (path, "targets of a finger are 44 px wide")
                 assert tab.evaluate(_OUTLINE) == [1, 1, 0], (
                     path,
                     "one h1, one main, no field or button without a name",

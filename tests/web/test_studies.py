@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import shlex
 import sys
 import zipfile
@@ -19,6 +20,7 @@ from mckibben.web import identify, reading, tune, workbench
 from mckibben.web.results import Presented
 
 SHORT = workbench.START.replace("duration: 6 s", "duration: 0.6 s").replace("at: 3 s", "at: 0.2 s")
+SHORT_LEG = re.sub(r"at: \d s", "at: 0.2 s", workbench.LEG).replace("duration: 4 s", "duration: 0.4 s")
 POINTS = "pressure_bar,contraction_percent,force_N\n" + "".join(
     f"{p},{100 * e:.0f},{float(catalog.law('lei-mas-10-180n').force(e, p * 1e5)):.3f}\n"
     for p in (3, 4, 5, 6)
@@ -57,10 +59,19 @@ def test_gains_are_tuned_as_by_the_copied_command_and_go_into_the_scenario(tmp_p
 
 
 @pytest.mark.slow
-def test_a_run_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
-    presented = workbench.compute(Scenario.parse(SHORT), tmp_path).presented
+@pytest.mark.parametrize("text", [SHORT, SHORT_LEG], ids=["joint", "robot"])
+def test_a_run_is_repeated_by_the_copied_command(text, tmp_path, monkeypatch):
+    presented = workbench.compute(workbench.read_text(text), tmp_path).presented
     page, command, program = repeated(presented, tmp_path, monkeypatch)
     assert page["scalars"] == command["scalars"] == program["scalars"]
+
+
+@pytest.mark.slow
+def test_a_robot_is_tuned(tmp_path):
+    request = tune.TuningRequest(over=("controller.feedback.bandwidth",), method="local", iterations=3)
+    study = tune.tuned(SHORT_LEG, request, tmp_path, lambda _step, _part: None)
+    assert study.presented.result.cost <= study.presented.result.cost_before
+    assert study.tuned.joint_names == ("side", "hip", "knee")
 
 
 @pytest.mark.slow

@@ -207,9 +207,9 @@ class AirValve(AirActuator):
         flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]
         opening = flow / jnp.where(flow > 0, fastest, -slowest)
         covered = lag_fraction(FASTER * jnp.asarray(lag), period)
-        wanted = pressure + period / covered * (flow + drift) + self._error_for(opening)
+        opened = pressure + period / covered * (flow + drift) + self._error_for(opening)
         lead = covered / lag_fraction(self.command_lag, period)
-        return state + _leading(lead * (wanted - state), self.held_within)
+        return state + _leading(lead * (opened - state), self.held_within)
 
     def follow(self, state: Scalar, command: ArrayLike, duration: ArrayLike) -> Scalar:
         """Return the command [Pa] after its lag, a time [s] later."""
@@ -284,8 +284,8 @@ def _leading(error: Array, width: Number | None) -> Array:
 
 def _compensated(opening: Array, shut: Number, compensation: Number) -> Array:
     """Command for an opening, which skips a part of the dead zone; within the rest of it the steps are small."""
-    jump, rest = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
-    return (1 - jump) * opening + jump * jnp.clip(opening * (1 / rest), -1.0, 1.0)
+    jump, remaining = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
+    return (1 - jump) * opening + jump * jnp.clip(opening * (1 / remaining), -1.0, 1.0)
 
 
 class FlowValve(AirValve):
@@ -326,10 +326,10 @@ class FlowValve(AirValve):
         return (state - jnp.clip(state, -self.dead_zone, self.dead_zone)) * (1 / (1 - self.dead_zone))
 
     def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
-        wanted = jnp.asarray(command)
+        target = jnp.asarray(command)
         if not self.direct:
-            wanted = _compensated(self._loop(command, pressure), self.dead_zone, self.compensation)
-        return (wanted - state) * (1 / self.spool_lag)
+            target = _compensated(self._loop(command, pressure), self.dead_zone, self.compensation)
+        return (target - state) * (1 / self.spool_lag)
 
     def command_range(self, rated: Domain) -> CommandRange:
         return (-1.0, 1.0) if self.direct else super().command_range(rated)
@@ -437,8 +437,8 @@ class SwitchingValves(AirValve):
         period = jnp.maximum(jnp.round(self.period / step), 1.0) * step
         begins = state.phase >= period - 0.5 * step
         phase = jnp.where(begins, 0.0, state.phase)
-        wanted = _compensated(self._loop(command, pressure), self.opening_delay / period, self.compensation)
-        duty = jnp.where(begins, wanted, state.duty)
+        target = _compensated(self._loop(command, pressure), self.opening_delay / period, self.compensation)
+        duty = jnp.where(begins, target, state.duty)
         width = jnp.abs(duty) * period
         open_for = jnp.clip(phase + step, self.opening_delay, width) - jnp.clip(phase, self.opening_delay, width)
         share = jnp.where(jnp.abs(duty) < 1, jnp.minimum(open_for / step, 1.0), 1.0)

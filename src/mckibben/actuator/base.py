@@ -281,9 +281,9 @@ class Actuator(Labelled, Component):
         """Return the rates of the pressures [Pa/s] of all muscles, and of the state; see `AirActuator.muscle_rates`."""
         muscles, reservoir = [], self.reservoir
         for i, muscle in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
-            own, temperature = self.for_muscle(i), state_of_muscle(air, i)[1]
-            inlet = ATMOSPHERE + (own.supply if reservoir is None else air.reservoir)
-            muscles.append(own.muscle_rates(*muscle, inlet, temperature))
+            valve, temperature = self.for_muscle(i), state_of_muscle(air, i)[1]
+            inlet = ATMOSPHERE + (valve.supply if reservoir is None else air.reservoir)
+            muscles.append(valve.muscle_rates(*muscle, inlet, temperature))
         rates, valves, flows, warming = zip(*muscles, strict=True)
         filled = () if reservoir is None else reservoir.rate(air.reservoir, functools.reduce(operator.add, flows, 0.0))
         return rates, AirState(valves, filled, warming if air.temperatures else ())

@@ -155,8 +155,8 @@ class Tube(AirActuator):
         return self.valve.time_constant_at(pressure, volume + self.volume) + tube
 
     def fastest_rate_in(self, volume: float) -> float:
-        index, critical, own = self.fastest_index, float(self.critical_ratio), float(self.dead_volume)
-        exchange = exchange_rate(index, critical, float(self.conductance), volume * own / (volume + own))
+        index, critical, dead = self.fastest_index, float(self.critical_ratio), float(self.dead_volume)
+        exchange = exchange_rate(index, critical, float(self.conductance), volume * dead / (volume + dead))
         return exchange + self.cooling_rate(volume) + self._tight.fastest_rate_in(float(self.volume))
 
     def scaled(self, factor: float) -> Self:
@@ -191,8 +191,8 @@ class Tube(AirActuator):
         at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, state.pressure + ATMOSPHERE))
         faster = FASTER * jnp.asarray(lag)
         ahead = outlet - ATMOSPHERE + period / lag_fraction(faster, period) * rate
-        wanted = jnp.clip(ahead, 0.0, self.supply)
-        return self._tight.command_toward(Point(state.pressure, state.valve, at_valve), wanted, faster, period)
+        clipped = jnp.clip(ahead, 0.0, self.supply)
+        return self._tight.command_toward(Point(state.pressure, state.valve, at_valve), clipped, faster, period)
 
     @property
     def _tight(self) -> AirValve:

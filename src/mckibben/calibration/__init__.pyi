@@ -1,7 +1,6 @@
-from .equations import JointPrior as JointPrior
-from .equations import JointRecording as JointRecording
 from .estimation import JointCalibration as JointCalibration
 from .estimation import calibrate_joint as calibrate_joint
+from .estimation import calibrate_robot as calibrate_robot
 from .experiment import Sweeps as Sweeps
 from .experiment import calibrate_scenario as calibrate_scenario
 from .experiment import calibrated_model as calibrated_model
@@ -10,6 +9,8 @@ from .experiment import read_joint_recording as read_joint_recording
 from .experiment import run_parts as run_parts
 from .fitting import Calibration as Calibration
 from .fitting import JointEstimate as JointEstimate
+from .recordings import JointPrior as JointPrior
+from .recordings import JointRecording as JointRecording
 from .valve_experiment import ValveExperiment as ValveExperiment
 from .valve_experiment import calibrate_scenario_valves as calibrate_scenario_valves
 from .valve_experiment import scenario_with_valves as scenario_with_valves

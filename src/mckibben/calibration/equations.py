@@ -1,146 +1,76 @@
-"""Equation of motion of a joint with unknown laws, friction, load and sensors, along recordings."""
+"""Equations of motion with unknown laws, friction, loads and sensors, along recordings."""
 
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array
-from numpy.polynomial.polynomial import polyder, polyval
-from numpy.typing import NDArray
 
+from mckibben.calibration.models import Moved, Weight
+from mckibben.calibration.recordings import (
+    Floats,
+    JointPrior,
+    JointRecording,
+    Number,
+    Samplings,
+    check_recording,
+    evenly,
+    local_cubic,
+    sampling_period,
+)
 from mckibben.codegen.engine import compiled
-from mckibben.component.base import Checked
-from mckibben.component.schema import read_component
 from mckibben.errors import IdentificationError
-from mckibben.joint import AntagonisticJoint, Geometry, Load, ScaledArms
-from mckibben.joint.geometry import Pair
-from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, adjusted_law
+from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, SpringLaw, adjusted_law
+from mckibben.muscle.friction import smooth_limit
 from mckibben.muscle.muscle import warn_outside
-from mckibben.units import Quantity, Strength, deg, kPa, mm
+from mckibben.units import mm
 
-Floats = NDArray[np.float64]
-Samples = Floats | Array
-Number = float | np.float64 | Array
-PositiveAngle = Annotated[float, Quantity("rad", "deg", 0, 57, open_lower=True)]
-PositiveNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3, open_lower=True)]
 RATE = 50.0  # Hz, of the fitted samples
-COEFFICIENTS = 3  # of each polynomial of a correction
-OF_MUSCLE = 2 * COEFFICIENTS + 3  # parameters: these, friction, presliding and growth of the friction
-FORCES = np.array([i * OF_MUSCLE + j for i in range(2) for j in range(2 * COEFFICIENTS)])  # corrections of the laws
-_CREEP = 2 * OF_MUSCLE + 7  # first creep stiffness, after mass, weight, zero, arms, load cells and apparent inertia
 CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
-PARAMETERS = _CREEP + 2 * CREEP_TIMES.size
+SLIPS = np.geomspace(1 / 8, 4, 6)
+"""Slip lengths of the elements of friction, relative to the presliding length of the model."""
+_COEFFICIENTS = 3  # of each polynomial of a correction
+_BLOCKS = np.cumsum([0, 2 * _COEFFICIENTS, 1, SLIPS.size, 1, CREEP_TIMES.size]).tolist()
+OF_MUSCLE = _BLOCKS[-1]
+"""Parameters of a muscle: coefficients of its law's correction, friction, shares of its slip lengths, growth, creep."""
 
 
-@dataclass(frozen=True, eq=False)
-class JointRecording:
-    """Measured motion of a joint.
+class MotionSamples(NamedTuple):
+    """Smoothed samples of a recording, and the memory of the muscles along its path.
 
     Attributes
     ----------
-    time, angle
-        Times [s] and angles [rad], shape (samples,).
+    angle, velocity, acceleration
+        Shape (samples, joints).
     pressures, tensions
-        Gauge pressures [Pa] of muscles 1 and 2, and their tensions [N] if there are load cells; shape (samples, 2).
-    added_mass, distance
-        A known weight [kg] on the limb, and its distance from the axis [m].
-    commands
-        Commands [Pa], for `calibrate_valves`; shape (samples, 2).
-    """
-
-    time: Floats
-    angle: Floats
-    pressures: Floats
-    tensions: Floats | None = None
-    added_mass: float = 0.0
-    distance: float = 0.0
-    commands: Floats | None = None
-
-
-@dataclass(frozen=True)
-class JointPrior(Checked):
-    """Prior standard deviations of the quantities that a calibration estimates; relative ones refer to the model.
-
-    A file has these fields with units, such as ``mass: 5 %``.
-
-    Attributes
-    ----------
-    strength, offset
-        Pressure-proportional and constant part of a muscle's force, relative to the law's force at its highest pressure
-        and the middle contraction; halved for each further power of contraction. Default of the strength: estimated
-        from the recordings; of the offset: half of the strength.
-    friction, presliding
-        Logarithms of the half width of the friction band at the mean pressure, and of the presliding length.
-    friction_growth
-        Growth of the half width with pressure, relative to half width and mean pressure.
+        Gauge pressures in the muscles [Pa], and readings of load cells [N]; shape (samples, muscles), or (samples, 0).
+    stops
+        Deflections of the elements of friction, relative to their slip lengths, shape (samples, muscles, elements).
     creep
-        Stiffness of creep relative to the slope of the law: total of three Maxwell arms of 1, 3 and 10 s.
-    mass
-        Load mass (`Load.estimated_mass`), relative.
-    inertia
-        Apparent inertia in excess of that of the mass, relative to that of the model: in fast motion an error of the
-        friction resembles inertia, from which neither mass nor stiffness should be inferred.
-    added_mass, load_cell
-        Added weight and load cell gains, relative.
-    zero
-        Encoder zero [rad].
-    arm_scale
-        Scale of the moment arms.
-    valve, delay, supply, polytropic_index, critical_ratio
-        For `calibrate_valves`: logarithms of these quantities, and of all others of a valve.
-    volume, pressure_zero
-        For `calibrate_valves`: volume of the air in the muscles, relative; reading of the pressure sensors at 0 bar
-        [Pa].
+        Deflections of the springs of creep [m], shape (samples, muscles, arms).
     """
 
-    strength: Strength | None = None
-    offset: Strength | None = None
-    friction: Strength = 0.6
-    presliding: Strength = 0.5
-    friction_growth: Strength = 0.3
-    creep: Strength = 0.05
-    mass: Strength = 0.3
-    inertia: Strength = 0.5
-    added_mass: Strength = 0.01
-    load_cell: Strength = 0.01
-    zero: PositiveAngle = 0.5 * deg
-    arm_scale: Strength = 0.02
-    delay: Strength = 1.0
-    valve: Strength = 0.7
-    supply: Strength = 0.05
-    polytropic_index: Strength = 0.08
-    critical_ratio: Strength = 0.3
-    volume: Strength = 0.05
-    pressure_zero: PositiveNoise = 1 * kPa
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> JointPrior:
-        """Read a file; raises `ScenarioError` with every problem: line, field, value, range and remedy."""
-        return read_component(cls, Path(path))
+    angle: Samplings
+    velocity: Samplings
+    acceleration: Samplings
+    pressures: Samplings
+    tensions: Samplings
+    stops: Samplings
+    creep: Samplings
 
 
-class JointSamples(NamedTuple):
-    """Smoothed samples of a recording, each of shape (samples,); scalars of the weight."""
+class Recorded(NamedTuple):
+    """Samples of a recording, its weight, and the first sample that does not depend on unknown states before it."""
 
-    angle: Samples
-    velocity: Samples | None
-    acceleration: Samples | None
-    pressures: tuple[Samples, Samples]
-    tensions: tuple[Samples, ...]
-    added_mass: Number  # as stated [kg]
-    distance: Number  # [m]
-
-
-Halves = tuple[JointSamples, JointSamples]
+    samples: MotionSamples
+    weight: Weight
+    begin: int
 
 
 class Scales(NamedTuple):
@@ -155,168 +85,163 @@ class Scales(NamedTuple):
 
 
 class CalibrationProblem(NamedTuple):
-    """The model, and the scales of each muscle's correction.
+    """The model, and prior deviations of what is estimated about it.
 
-    Parameters z are in prior standard deviations from the model: of each muscle the coefficients of the constant and of
-    the pressure-proportional correction, friction, presliding and growth of the friction; then mass, weight, zero,
-    arms, load cells and apparent inertia; then creep stiffnesses of each muscle. Those of a return spring have no
-    effect, and more parameters may follow.
+    Parameters z are in prior standard deviations from the model: `OF_MUSCLE` of each muscle (those of a return spring
+    have no effect), then those of `names_of`.
     """
 
-    joint: AntagonisticJoint
-    load: Load
+    model: Any  # Moved
     scales: tuple[Scales, ...]
-    prior: dict[str, float]
+    muscles: dict[str, float]  # deviations of the quantities of each muscle, as `JointPrior` names them
+    others: tuple[float, ...]  # of the parameters of `names_of`
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return OF_MUSCLE * len(self.scales) + len(self.others)
 
 
-class _Corrected(NamedTuple):
-    """Model for given parameters."""
+class Corrected(NamedTuple):
+    """Model for given parameters, and those of the recordings by name: zeros, weight and load cells."""
 
-    joint: AntagonisticJoint
-    load: Load
-    added_mass: Number  # relative to its stated value
-    zero: Number  # [rad]
-    load_cells: tuple[Number, Number]  # gains
-    inertia: Number  # apparent, relative to that of the load
+    model: Any  # Moved
+    values: dict[str, Number]
 
 
-def sampling_period(recording: JointRecording, *, longest: float = 0.01) -> float:
-    """Mean sampling period [s]; `IdentificationError` for samples that are too sparse, have gaps or do not follow."""
-    time, steps = recording.time, np.diff(recording.time)
-    period = float(time[-1] - time[0]) / (time.size - 1)
-    if period > longest or steps.max() > 5 * longest or steps.min() <= 0:
-        worst = int(np.argmin(steps) if steps.min() <= 0 else np.argmax(steps))
-        message = f"samples, {period * 1e3:.3g} ms apart on average, are {steps[worst] * 1e3:.3g} ms apart"
-        remedy = f"record at {1 / longest:.0f} Hz or more, without gaps of {5 * longest * 1e3:.0f} ms"
-        raise IdentificationError(f"{message} at {time[worst]:.6g} s", value=period, unit="s", remedy=remedy)
-    return period
+def _others(model: Moved, prior: JointPrior) -> dict[str, float]:
+    """Prior deviations of the parameters that are not a muscle's; of damping relative to critical damping."""
+    each = {f"{joint}zero": prior.zero for joint in model.joint_names}
+    each |= {f"{joint}damping": prior.damping for joint in model.joint_names}
+    each |= {"added_mass": prior.added_mass, "distance": prior.distance}
+    return each | {f"{name}.load_cell": prior.load_cell for name in model.muscle_names} | model.priors(prior)
 
 
-def evenly(time: Floats, values: Floats, period: float) -> Floats:
-    """Values at equally spaced times from the first on, linear in between, shape (samples,)."""
-    return np.interp(time[0] + period * np.arange(time.size), time, values)
+def names_of(model: Moved) -> tuple[str, ...]:
+    """Names of the parameters that are not a muscle's: differences of zeros and dampings, factors of others."""
+    return tuple(_others(model, JointPrior()))
 
 
-def check_recording(recording: JointRecording, *, shortest: float = 5.0) -> None:
-    """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short, a duration [s]."""
-    columns = [recording.time, recording.angle, recording.pressures]
-    columns += [column for column in (recording.tensions, recording.commands) if column is not None]
-    if not all(np.all(np.isfinite(column)) for column in columns):
-        raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
-    time = recording.time
-    if time.size < 50 or time[-1] - time[0] < shortest:
-        message = f"a recording of {time.size} samples over {np.ptp(time) if time.size else 0:.3g} s is too short"
-        raise IdentificationError(message, value=time.size, remedy=f"record at least {shortest:g} s")
+def is_difference(name: str) -> bool:
+    """Whether a parameter is a difference, and not a factor."""
+    return name.endswith(("zero", "damping"))
 
 
-def cubic_width(period: float, *, window: float = 0.05) -> int:
-    """Number of samples of a local cubic fit: a window [s] that is short, as it attenuates accelerations."""
-    return max(2 * int(window / (2 * period)) + 1, 5)
+def samples_of(model: Moved, recording: JointRecording, *, lengths: float = 6.0) -> Recorded:
+    """Return samples of a recording at 50 Hz, of cubic fits to 50 ms of the measured ones.
 
-
-def local_cubic(values: Floats, period: float, derivative: int = 0) -> Floats:
-    """Derivative at each sample of a cubic fitted to the `cubic_width` samples around it, at the ends to the outermost.
-
-    A. Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964.
-    """
-    width, polynomials = cubic_width(period), np.eye(4)  # with one coefficient of 1
-    half, places = width // 2, np.arange(width) - width // 2
-    slopes = polyval(places, polyder(polynomials, derivative)).T / period**derivative
-    rows = slopes @ np.linalg.pinv(polyval(places, polynomials).T)  # of samples, for the derivative at each place
-    between = np.correlate(values, rows[half])
-    return np.concatenate([rows[:half] @ values[:width], between, rows[half + 1 :] @ values[-width:]])
-
-
-def halves_of(recording: JointRecording) -> Halves:
-    """Return even and odd samples of a recording, with independent noise, smoothed at the same times at 50 Hz.
-
-    Angle, velocity and acceleration are those of cubic fits to 50 ms of the samples.
+    The states of the muscles at the start are unknown. They are forgotten after a travel of some presliding lengths.
 
     Raises
     ------
     IdentificationError
-        If numbers are not finite, or the samples are too few, too sparse or have gaps.
+        If numbers are not finite, the samples are too few, too sparse or have gaps, or the muscles do not travel that
+        far within the first half of the samples.
     """
     check_recording(recording)
-    time, period = recording.time, 2 * sampling_period(recording)  # of a half
-    margin = cubic_width(period) * period
-    grid = np.arange(time[0] + margin, time[-1] - margin, 1 / RATE)
+    time, period = recording.time, sampling_period(recording)
+    grid = np.arange(time[0], time[-1], 1 / RATE)
 
-    def half(begin: int) -> JointSamples:
-        def fit(column: Floats, derivative: int = 0) -> Floats:
-            places, even = time[begin::2], evenly(time[begin::2], column[begin::2], period)
-            return np.interp(grid, places[0] + period * np.arange(places.size), local_cubic(even, period, derivative))
+    def fit(columns: Floats | None, derivative: int = 0) -> Floats:
+        if columns is None:
+            return np.zeros((grid.size, 0))
+        even = (evenly(time, column, period) for column in columns.reshape(time.size, -1).T)
+        places = time[0] + period * np.arange(time.size)
+        return np.stack([np.interp(grid, places, local_cubic(x, period, derivative)) for x in even], axis=1)
 
-        tensions = recording.tensions
-        return JointSamples(
-            fit(recording.angle),
-            fit(recording.angle, 1),
-            fit(recording.angle, 2),
-            (fit(recording.pressures[:, 0]), fit(recording.pressures[:, 1])),
-            () if tensions is None else (fit(tensions[:, 0]), fit(tensions[:, 1])),
-            np.float64(recording.added_mass),
-            np.float64(recording.distance),
+    angle, pressures = fit(recording.angle), fit(_in_the_muscles(recording, period))
+    path = np.stack(paths_of(model, angle), axis=1)
+    slips = np.stack([SLIPS * _presliding(muscle) for muscle in model.muscles])
+    enough = np.all(
+        np.maximum.accumulate(path) - np.minimum.accumulate(path) > lengths * slips[:, -1] / SLIPS[-1], axis=1
+    )
+    if not enough.any() or (begin := int(np.argmax(enough))) > enough.size // 2:
+        travelled = float(np.ptp(path, axis=0).min())
+        message, remedy = f"muscle lengths change by no more than {travelled / mm:.2g} mm", "sweep larger angles"
+        raise IdentificationError(
+            message, value=travelled, unit="m", remedy=f"{remedy}: friction hides the force in small motions"
         )
+    stops, creep = np.zeros((*path.shape, SLIPS.size)), np.zeros((*path.shape, CREEP_TIMES.size))
+    decay = np.exp(-1 / (RATE * CREEP_TIMES))
+    for k, moved in enumerate(np.diff(path, axis=0)[..., None], 1):
+        stops[k] = np.clip(stops[k - 1] + moved / slips, -1, 1)
+        creep[k] = decay * creep[k - 1] + np.sqrt(decay) * moved
+    motion = angle, fit(recording.angle, 1), fit(recording.angle, 2)
+    samples = MotionSamples(*motion, pressures, fit(recording.tensions), stops, creep)
+    weight = Weight(recording.added_mass, recording.distance, recording.weight_inertia)
+    return Recorded(samples, Weight(*map(np.float64, weight)), begin)
 
-    return half(0), half(1)
+
+def _in_the_muscles(recording: JointRecording, period: float) -> Floats:
+    """Pressures [Pa] in the muscles, behind a tube of a first-order lag, shape (samples, muscles)."""
+    if not recording.tube:
+        return recording.pressures
+    from scipy.signal import lfilter  # 1 s
+
+    keep = np.exp(-period / recording.tube)
+    first = recording.pressures[0]
+    return first + lfilter([1 - keep], [1, -keep], recording.pressures - first, axis=0)
+
+
+def _presliding(muscle: Muscle, *, relative: float = 2e-3) -> float:
+    """Presliding length [m] of a muscle; where the model has none, relative to the initial length."""
+    length = getattr(muscle.friction, "presliding_length", None)
+    return float(relative * muscle.specimen.initial_length if length is None else length)
 
 
 def problem_of(
-    joint: AntagonisticJoint,
-    load: Load,
-    recordings: Sequence[Halves],
-    prior: JointPrior,
-    *,
-    beyond: float = 1.2,
-    band: float = 0.02,
-    presliding: float = 2e-3,
-    scatter: float = 0.1,
+    model: Moved, recordings: Sequence[Recorded], prior: JointPrior, *, beyond: float = 1.2, band: float = 0.02
 ) -> CalibrationProblem:
     """Return the model, with friction added if it has none, and the scales of its corrections.
 
     Corrections have a half width of `beyond` times that of the measured contractions. Friction, where the model has
-    none, begins at a `band` relative to the highest force, and a `presliding` length relative to the initial length.
-    Where the prior has no strength, its estimate begins at a `scatter` of muscles.
+    none, begins at a `band` relative to the highest force.
 
     Raises
     ------
     IdentificationError
-        If the muscles do not change their length in the recordings.
+        If a muscle does not change its length in the recordings.
     """
+    angle, pressures = (
+        np.concatenate([getattr(each.samples, name) for each in recordings]) for name in ("angle", "pressures")
+    )
     muscles: list[Muscle] = []
     scales: list[Scales] = []
-    angle = np.concatenate([half.angle for half, _ in recordings])
-    for muscle, spring, path in zip(
-        (joint.muscle1, joint.muscle2), joint.springs, path_lengths(joint, angle), strict=True
-    ):
+    for number, (muscle, path) in enumerate(zip(model.muscles, paths_of(model, angle), strict=True)):
         low, high, force, slope = map(float, _sweep((muscle, path.max(), path.min())))
         if high - low < 1e-3:
             raise IdentificationError("the joint is at rest in the recordings", remedy="record sweeps of its range")
         middle, most = (low + high) / 2, float(muscle.domain.pressure_max)
         warn_outside((muscle, middle, most))
         creep = prior.creep * abs(slope) / float(muscle.specimen.initial_length)
-        mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
-        scales.append(Scales(force, most, middle, beyond * (high - low) / 2, mean, creep))
-        if not (spring or muscle.has_friction):
-            friction = MaxwellSlip(band * force, presliding * float(muscle.specimen.initial_length))
-            muscle = dataclasses.replace(muscle, friction=friction)
+        scales.append(Scales(force, most, middle, beyond * (high - low) / 2, float(pressures[:, number].mean()), creep))
+        if not (is_spring(muscle) or muscle.has_friction):
+            muscle = dataclasses.replace(muscle, friction=MaxwellSlip(band * force, _presliding(muscle)))
         muscles.append(muscle)
-    joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    strength = prior.strength or scatter
-    widths = {name: width for name, width in vars(prior).items() if width is not None}
-    widths = {"scatter": 1.0, "strength": strength, "offset": strength / 2, **widths}
-    return CalibrationProblem(joint, load, tuple(scales), widths)
+    others = _others(model, prior)
+    model = model.changed(muscles, {name: 0.0 if is_difference(name) else 1.0 for name in others})
+    damping = _critical_damping((model, tuple(angle.mean(axis=0)), tuple(pressures.mean(axis=0))))
+    for joint, critical in zip(model.joint_names, damping, strict=True):
+        others[f"{joint}damping"] *= float(critical)
+    names = "strength", "offset", "friction", "presliding", "friction_growth"
+    return CalibrationProblem(
+        model, tuple(scales), {name: getattr(prior, name) for name in names}, tuple(others.values())
+    )
 
 
-def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
-    """Path lengths [m] of both muscles at angles [rad]."""
-    return list(paths_and_arms(joint.geometry, np.asarray(angle))[0])
+def is_spring(muscle: Muscle) -> bool:
+    """Whether a muscle is a return spring, of which nothing is estimated."""
+    return isinstance(muscle.law, SpringLaw)
+
+
+def paths_of(model: Moved, angle: Floats) -> list[Floats]:
+    """Path lengths [m] of all muscles at angles [rad] of shape (samples, joints)."""
+    return list(_paths(model, angle.T))
 
 
 @compiled
-def paths_and_arms(geometry: Geometry, angle: Array) -> tuple[Pair, Pair]:
-    """Path lengths and moment arms [m] at angles [rad], by one program for any number of them."""
-    return geometry.paths_and_arms(angle)
+def _paths(model: Moved, angles: Array) -> tuple[Array, ...]:
+    return tuple(jnp.asarray(route.path) for route in model.routes(tuple(angles)))
 
 
 @compiled
@@ -328,119 +253,164 @@ def _sweep(shared: tuple[Muscle, Array, Array], _: None) -> tuple[Array, Array, 
     return low, high, muscle.tension(*at), muscle.slope(*at)
 
 
-def corrected(problem: CalibrationProblem, z: Any) -> _Corrected:
-    """The model for parameters in prior standard deviations from their prior mean."""
-    prior, joint, load, n = problem.prior, problem.joint, problem.load, COEFFICIENTS
-    muscles, shrink = [], 0.5 ** np.arange(n)
-    for i, muscle in enumerate[Any]((joint.muscle1, joint.muscle2)):
-        if joint.springs[i]:
-            muscles.append(muscle)
-            continue
-        values, scales = z[i * OF_MUSCLE : (i + 1) * OF_MUSCLE], problem.scales[i]
-        correction = ForceCorrection(
-            tuple(values[:n] * shrink * (prior["scatter"] * prior["offset"] * scales.force)),
-            tuple(values[n : 2 * n] * shrink * (prior["scatter"] * prior["strength"] * scales.force / scales.highest)),
-            scales.centre,
-            scales.half_width,
-        )
-        friction, mean = muscle.friction, scales.pressure
-        width = friction.half_width + friction.growth * (mean - friction.reference_pressure)
-        friction = dataclasses.replace(
-            friction,
-            half_width=width * jnp.exp(prior["friction"] * values[2 * n]),
-            presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
-            growth=friction.growth + prior["friction_growth"] * values[2 * n + 2] * width / mean,
-            reference_pressure=mean,
-        )
-        muscles.append(
-            dataclasses.replace(muscle, law=adjusted_law(muscle.law, correction=correction), friction=friction)
-        )
-    mass, added, zero, arms, cell1, cell2, inertia = z[2 * OF_MUSCLE : _CREEP]
-    if load.estimated_mass:
-        more = getattr(load, load.estimated_mass) * (1 + prior["mass"] * mass)
-        load = dataclasses.replace(load, **{load.estimated_mass: more})
-    geometry = ScaledArms(joint.geometry, 1 + prior["arm_scale"] * arms)
-    return _Corrected(
-        dataclasses.replace(joint, geometry=geometry, muscle1=muscles[0], muscle2=muscles[1]),
-        load,
-        1 + prior["added_mass"] * added,
-        prior["zero"] * zero,
-        (1 + prior["load_cell"] * cell1, 1 + prior["load_cell"] * cell2),
-        1 + prior["inertia"] * inertia,
-    )
+@compiled
+def _critical_damping(shared: tuple[Moved, Sequence[Array], Sequence[Array]], _: None) -> Array:
+    """Damping [N*m*s/rad] of each joint above which it does not oscillate, the others held."""
+    model, angle, pressures = shared
+    still = [jnp.zeros_like(angle[0])] * len(angle)
+    held = model.required(angle, still, still, Weight())
+    inertia = [
+        model.required(angle, still, [*still[:i], still[i] + 1, *still[i + 1 :]], Weight())[i] - held[i]
+        for i in range(len(angle))
+    ]
+    stiffness = jnp.stack(list(model.stiffness(angle, pressures)))
+    return 2 * jnp.sqrt(jnp.abs(stiffness) * jnp.stack(inertia))
 
 
-def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
-    """Stiffness [N/m] of each Maxwell arm of both muscles, shape (2, arms); 0 of springs."""
-    pairs = zip(problem.joint.springs, problem.scales, strict=True)
-    deviations = jnp.stack([jnp.asarray(0.0 if spring else scales.creep) for spring, scales in pairs])
-    return z[_CREEP:PARAMETERS].reshape(2, -1) * deviations[:, None] / np.sqrt(CREEP_TIMES.size)
-
-
-def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
-    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3)."""
-    joint, load, added, zero, cells, inertia = corrected(problem, z)
-    loaded = load.with_weight(added * samples.added_mass, samples.distance)
-    stiffness, decay = creep_stiffness(problem, z), np.exp(-1 / (RATE * CREEP_TIMES))
-
-    def step(carry: Any, row: Any) -> tuple[Any, Array]:
-        (states, creep, before), (angle, velocity, acceleration, pressures, tensions) = carry, row
-        angle = angle - zero
-        states = joint.update_state(states, angle, pressures)
-        modelled = joint.forces(angle, velocity, pressures, states)
-        paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
-        if joint.has_creep:
-            rates = joint.state_rate(states, angle, velocity, pressures)
-            states = tuple(
-                state._replace(creep=tuple(x + rate / RATE for x, rate in zip(state.creep, rate_of.creep, strict=True)))
-                for state, rate_of in zip(states, rates, strict=True)
-            )
-        path = jnp.stack(paths)
-        creep = decay * creep + np.sqrt(decay) * stiffness * (path - before)[:, None]  # Maxwell arms, along the path
-        more, required = creep.sum(axis=1), loaded.required_torque(angle, velocity, acceleration)
-        required = required + (inertia - 1) * problem.load.total_inertia * acceleration
-        if not tensions:
-            errors = [required - (modelled.torque + arm2 * more[1] - arm1 * more[0])]
-        else:
-            # Measured tensions in the equation of motion: law errors affect only the errors of the tensions.
-            true1, true2 = (measured / gain for measured, gain in zip(tensions, cells, strict=True))
-            columns = zip(tensions, cells, modelled.tensions, more, strict=True)
-            errors = [measured - gain * (law + rest) for measured, gain, law, rest in columns]
-            errors = [required - (arm2 * true2 - arm1 * true1), *errors]
-        return (states, creep, path), jnp.stack(errors)
-
-    angle = samples.angle[0] - zero
-    states = joint.init_state(angle, (samples.pressures[0][0], samples.pressures[1][0]))
-    start = states, jnp.zeros_like(stiffness), jnp.stack(joint.geometry.path_lengths(angle))
-    return lax.scan(step, start, samples[:5])[1]
+def swings_of(model: Moved, recorded: Sequence[Recorded]) -> Floats:
+    """Return the torques [N*m] that move the joints by the model, about their means, shape (samples, joints)."""
+    torques = np.concatenate([_required((model, each.samples[:3], each.weight)) for each in recorded])
+    return torques - torques.mean(axis=0)
 
 
 @compiled
-def derivatives(shared: tuple[CalibrationProblem, Array, JointSamples], direction: Array) -> tuple[Array, Array]:
-    """Errors and their derivative in a direction of the parameters."""
-    problem, z, samples = shared
-    return jax.jvp(lambda z: _errors(problem, z, samples), (z,), (direction,))
+def _required(shared: tuple[Moved, tuple[Array, Array, Array], Weight], _: None) -> Array:
+    model, motion, weight = shared
+
+    def at(carry: tuple[()], row: tuple[Array, Array, Array]) -> tuple[tuple[()], Array]:
+        angles, rates, accelerations = map(tuple, row)
+        return carry, jnp.stack(model.required(angles, rates, accelerations, weight))
+
+    return lax.scan(at, (), motion)[1]
 
 
-def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) -> tuple[Floats, Floats]:
-    """Errors and their derivatives with respect to the parameters."""
-    errors, slopes = derivatives((problem, z, samples), np.eye(z.size))
-    return errors[..., 0], slopes
+def corrected(problem: CalibrationProblem, z: Any) -> Corrected:
+    """The model for parameters in prior standard deviations from their prior mean."""
+    model, prior = problem.model, problem.muscles
+    blocks = [z[i * OF_MUSCLE : (i + 1) * OF_MUSCLE] for i in range(len(problem.scales))]
+    muscles = [
+        muscle if is_spring(muscle) else _corrected_muscle(muscle, scales, prior, values)
+        for muscle, scales, values in zip(model.muscles, problem.scales, blocks, strict=True)
+    ]
+    names, tail = names_of(model), z[OF_MUSCLE * len(muscles) :]
+    values = {
+        name: (0.0 if is_difference(name) else 1.0) + width * tail[i]
+        for i, (name, width) in enumerate(zip(names, problem.others, strict=True))
+    }
+    return Corrected(model.changed(muscles, values), values)
 
 
-def sliding_from(joint: AntagonisticJoint, angle: Samples, *, lengths: float = 6.0) -> int:
-    """First of the samples [rad] at which the friction does not depend on its unknown initial state.
+def _corrected_muscle(muscle: Muscle, scales: Scales, prior: dict[str, float], z: Any) -> Muscle:
+    """Muscle whose friction is the `MaxwellSlip` nearest to that with the estimated shares of the slip lengths."""
+    n, shrink = _COEFFICIENTS, 0.5 ** np.arange(_COEFFICIENTS)
+    correction = ForceCorrection(
+        tuple(z[:n] * shrink * (prior["offset"] * scales.force)),
+        tuple(z[n : 2 * n] * shrink * (prior["strength"] * scales.force / scales.highest)),
+        scales.centre,
+        scales.half_width,
+    )
+    friction: Any = muscle.friction
+    width, shares, growth = _band(friction, scales, prior, z)
+    friction = dataclasses.replace(
+        friction,
+        half_width=width * shares.sum(),
+        presliding_length=friction.presliding_length * 2 * (shares * SLIPS).sum() / shares.sum(),
+        growth=growth * width * shares.sum() / scales.pressure,
+        reference_pressure=scales.pressure,
+    )
+    return dataclasses.replace(muscle, law=adjusted_law(muscle.law, correction=correction), friction=friction)
 
-    It is forgotten after a travel of some presliding lengths. Raises `IdentificationError` if that is not within the
-    first half of the samples.
+
+def _band(friction: Any, scales: Scales, prior: dict[str, float], z: Any) -> tuple[Any, Any, Any]:
+    """Half width [N] at the mean pressure, shares of the slip lengths, and growth relative to mean pressure and width.
+
+    The shares before are those of a `MaxwellSlip`: of f = B (1 - exp(-2 s/s0)), the part with slip lengths up to s is
+    1 - (1 + 2 s/s0) exp(-2 s/s0).
     """
-    first = 0
-    for muscle, path in zip((joint.muscle1, joint.muscle2), path_lengths(joint, angle), strict=True):
-        travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
-        enough = travelled > lengths * float(getattr(muscle.friction, "presliding_length", 0.0))
-        if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:
-            message = f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm"
-            remedy = "sweep larger angles: friction hides the force in small motions"
-            raise IdentificationError(message, value=float(np.max(travelled)), unit="m", remedy=remedy)
-        first = max(first, int(np.argmax(enough)))
-    return first
+    mean = scales.pressure
+    width = friction.half_width + friction.growth * (mean - friction.reference_pressure)
+    growth = friction.growth * mean / width + prior["friction_growth"] * z[_BLOCKS[3]]
+    edges = 2 * np.sqrt(SLIPS[1:] * SLIPS[:-1])
+    shares = np.diff(1 - (1 + edges) * np.exp(-edges), prepend=0.0, append=1.0)
+    shares = shares * jnp.exp(prior["presliding"] * z[_BLOCKS[2] : _BLOCKS[3]])
+    return width * jnp.exp(prior["friction"] * z[_BLOCKS[1]]), shares, growth
+
+
+def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
+    """Stiffness [N/m] of each Maxwell arm of all muscles, shape (muscles, arms); 0 of springs.
+
+    Muscles creep, and creep that is left out looks like stiffness: where the model has none, the mean is the deviation.
+    """
+    pairs = list(zip(problem.model.muscles, problem.scales, strict=True))
+    deviations = jnp.stack([jnp.asarray(0.0 if is_spring(muscle) else scales.creep) for muscle, scales in pairs])
+    means = [
+        getattr(muscle.creep, "stiffness", float(not is_spring(muscle)) * scales.creep) for muscle, scales in pairs
+    ]
+    blocks = z[: len(pairs) * OF_MUSCLE].reshape(-1, OF_MUSCLE)[:, _BLOCKS[4] :]
+    return jnp.stack(means)[:, None] / CREEP_TIMES.size + blocks * deviations[:, None] / np.sqrt(CREEP_TIMES.size)
+
+
+def _errors(problem: CalibrationProblem, z: Array, samples: MotionSamples, weight: Weight, pushing: Number) -> Array:
+    """Errors of the equations of motion [N*m] and of the load cells [N], shape (samples, joints + cells)."""
+    model, values = corrected(problem, z)
+    weight = Weight(values["added_mass"] * weight.mass, values["distance"] * weight.distance, weight.inertia)
+    zeros = [values[f"{name}zero"] for name in model.joint_names]
+    stiffness = creep_stiffness(problem, z)
+    bands = [
+        None if is_spring(muscle) else _band(muscle.friction, scales, problem.muscles, z[i * OF_MUSCLE :])
+        for i, (muscle, scales) in enumerate(zip(problem.model.muscles, problem.scales, strict=True))
+    ]
+
+    def tension(i: int, route: Any, row: MotionSamples) -> Array:
+        """Tension of a muscle, with friction and creep."""
+        pressure = row.pressures[i]
+        contraction, law = route.contraction(pressure), route.tension(pressure)
+        law = law + pushing * jnp.minimum(route.muscle.force_law.force(contraction, pressure), 0.0)
+        if (band := bands[i]) is None:
+            return law
+        width, shares, growth = band
+        level = smooth_limit(width * (1 + growth * (pressure / problem.scales[i].pressure - 1)), law, jnp)
+        force = law + level * (shares * row.stops[i]).sum() + (stiffness[i] * row.creep[i]).sum()
+        if not route.muscle.friction.follows_rate:
+            return force
+        return force + route.muscle.viscous_force(contraction, pressure, route.rate(row.velocity))
+
+    def step(carry: tuple[()], row: MotionSamples) -> tuple[tuple[()], Array]:
+        angles = [row.angle[i] - zero for i, zero in enumerate(zeros)]
+        routes = model.routes(angles)
+        modelled = [tension(i, route, row) for i, route in enumerate(routes)]
+        pulling, errors = modelled, []
+        if row.tensions.size:  # in the equations of motion, so that errors of the laws affect only those of tensions
+            cells = [values[f"{name}.load_cell"] for name in model.muscle_names]
+            pulling = [row.tensions[i] / cell for i, cell in enumerate(cells)]
+            errors = [
+                row.tensions[i] - cell * force for i, (cell, force) in enumerate(zip(cells, modelled, strict=True))
+            ]
+        required = model.required(angles, tuple(row.velocity), tuple(row.acceleration), weight)
+        for force, route in zip(pulling, routes, strict=True):
+            for joint, slope in route.slopes.items():
+                required[joint] = required[joint] + slope * force
+        return carry, jnp.stack([*required, *errors])
+
+    return lax.scan(step, (), samples)[1]
+
+
+@compiled
+def _derivatives(
+    shared: tuple[CalibrationProblem, Array, MotionSamples, Weight, Array], direction: Array
+) -> tuple[Array, Array]:
+    """Errors and their derivative in a direction of the parameters."""
+    problem, z, samples, weight, pushing = shared
+    return jax.jvp(lambda z: _errors(problem, z, samples, weight, pushing), (z,), (direction,))
+
+
+def linearised(
+    problem: CalibrationProblem, z: Floats, recorded: Recorded, *, pushing: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Errors of all samples, shape (samples, groups), and their derivatives with respect to the parameters.
+
+    A slack muscle has no derivatives; `pushing`, 0 to 1, is the part of a negative force of its law that is kept.
+    """
+    samples, weight, _ = recorded
+    errors, slopes = _derivatives((problem, z, samples, weight, pushing), np.eye(z.size))
+    return errors[..., 0], slopes

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
-import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,29 +16,36 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from mckibben.calibration.equations import CREEP_TIMES, JointPrior, JointRecording, sliding_from
-from mckibben.calibration.estimation import JointCalibration, calibrate_joint
+from mckibben.calibration.equations import CREEP_TIMES
+from mckibben.calibration.estimation import JointCalibration, calibrate_joint, predicted_deviation
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
+from mckibben.calibration.models import HingeModel
+from mckibben.calibration.recordings import JointPrior, JointRecording
 from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.schema import independent, replaced, write_text
-from mckibben.control import Multisine, Reference, Sine
+from mckibben.control import Multisine, OpenLoopControl, Reference, Sine, Sum
 from mckibben.dataset import Recipe
 from mckibben.dataset.reading import read_signals
-from mckibben.errors import McKibbenWarning, ParameterError, StoppedError
+from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, Measurement, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import MaxwellCreep
 from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
+from mckibben.result import Column, Listing
 from mckibben.rig import JointRig, JointRunResult, prepare
 from mckibben.rig.simulated.joint import Sensing
 from mckibben.scenario import Scenario, Start, run_scenario
 from mckibben.simulation import SimulationResult
 from mckibben.storage.files import atomic_write, make_folder
+from mckibben.units import deg
 
 _PRESSURES = ("pressure1", "pressure2")
+_BAND = 0.7  # swept fraction of the attainable stiffness
+_FAST = (1.0, 1.45, 1.95, 2.45, 2.95, 3.45, 4.0)  # Hz
+_PHASES = tuple(math.pi * k * k / len(_FAST) % (2 * math.pi) for k in range(len(_FAST)))  # M. Schroeder, 1970
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
 """
@@ -46,7 +53,7 @@ _HEAD = """\
 
 @dataclass(frozen=True)
 class Sweeps:
-    """A calibration experiment.
+    """A calibration experiment: slow sweeps, then fast motion, without and with a weight.
 
     Attributes
     ----------
@@ -54,8 +61,11 @@ class Sweeps:
         Angles [rad].
     duration
         Duration of all parts [s].
-    added_mass, distance
-        Weight of the second part [kg], and its distance from the axis [m]; without a weight there is one part.
+    added_mass, distance, weight_inertia
+        Weight of the later parts [kg], the distance of its centre from the axis [m], and its inertia about that
+        [kg*m^2]; without a weight there are half of the parts.
+    tube
+        Lag [s] of the pressure in the muscles behind that at the sensors.
     """
 
     lowest: float
@@ -63,99 +73,130 @@ class Sweeps:
     duration: float
     added_mass: float = 0.0
     distance: float = 0.0
+    weight_inertia: float = 0.0
+    tube: float = 0.0
 
-    def scenarios(
-        self,
-        scenario: Scenario,
-        *,
-        sweeps: int = 3,
-        cocontractions: int = 2,
-        band: float = 0.7,
-        fast: float = 1.0,
-        least: tuple[float, float] = (0.15, 1.0),
-        most: tuple[float, float] = (0.35, 4.0),
-    ) -> dict[str, Scenario]:
-        """Scenario of each part, "bare" and "weighted": sweeps within the attainable set of the controller's model.
+    def parts(self, scenario: Scenario, results: Mapping[str, SimulationResult]) -> Iterator[tuple[str, Scenario]]:
+        """Yield name and scenario of each part, once those before it are in the results.
 
-        Angles are swept slowly, three times a minute or part, with a motion of 1 Hz, from which the inertia follows,
-        and the stiffness twice over 70 % of the range attainable at all angles, bare and with the weight (but not with
-        a return spring). With a weight the faster motion is larger in the middle of the range. Raises `ParameterError`
-        if there is no such range, `IdentificationError` if the angles do not overcome the friction of the model. Warns
-        of a weight whose torque is below that friction, as it hardly determines the forces.
-
-        Parameters
-        ----------
-        scenario
-            Joint, controller and times.
-        sweeps, cocontractions
-            Periods of angle and stiffness in a part, or a minute of it: creep hides the inertia in slow motion.
-        band
-            Swept fraction of the attainable stiffness.
-        fast, least, most
-            Frequency [Hz] of the faster motion, and its largest part of the amplitude and acceleration [rad/s^2], bare
-            and, in the middle, with a weight.
+        Slow parts sweep the angle three times and the stiffness twice under the scenario's controller. Fast ones are a
+        multisine of 1 to 4 Hz of the differential pressure, without feedback, while the co-contraction is swept twice;
+        their pressures are those of the model that the parts before give. Raises `ParameterError` if no stiffness is
+        attainable at all angles, and for a model that is calibrated already.
         """
-        middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
-        sliding_from(first_model_of(scenario), np.array([self.lowest, self.highest, self.highest]))
-        low, high = self._attainable(scenario)
-        if self.added_mass:
-            self._check_weight(first_model_of(scenario), load_of(scenario))
-        slight, strong = (
-            float(min(share * amplitude, fastest / (2 * np.pi * fast) ** 2)) for share, fastest in (least, most)
-        )
-        duration = self.part_duration(scenario)
-        rounds = max(round(duration / 60.0), 1)
-        slow, half = rounds * sweeps / duration, (strong - slight) / 2 if self.added_mass else 0.0
-        signals = Reference(
-            Multisine(  # the slow sine, and a fast one that grows with the square of the slow cosine
-                (float(amplitude) - slight, slight + half, half / 2, half / 2),
-                (slow, fast, fast + 2 * slow, fast - 2 * slow),
-                offset=float(middle),
-            ),
-            Sine(band * (high - low) / 2, rounds * cocontractions / duration, offset=(low + high) / 2),
-        )
-        control = independent(scenario.control())
-        load = field_of(control, "load")
-        parts = {}
+        first_model_of(scenario)
+        self._attainable(scenario)
         for name, mass in self.weights.items():
-            controller = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
-            changes = {"controller": controller, "load": self._weighted(scenario.load, mass), "duration": duration}
-            parts[name] = part_of(scenario, f"calibration with {mass:g} kg", middle, signals=signals, **changes)
-        return parts
+            yield f"{name}_slow", self._slow(scenario, mass)
+            model = calibrate_joint(first_model_of(scenario), load_of(scenario), self.recordings(results)).model
+            yield f"{name}_fast", self._fast(scenario, model, mass)
+
+    def prediction(self, scenario: Scenario, prior: JointPrior) -> Listing:
+        """Return the deviation of the stiffness that weights are expected to leave, before anything moves.
+
+        The experiment is simulated on the controller's model. The duration changes it little: an error of the model
+        repeats with the motion.
+        """
+        model = HingeModel(first_model_of(scenario), load_of(scenario))
+        nominal = scenario.model_copy(update={"joint": model.joint, "load": model.load})
+        mass, deviations = self.added_mass or 0.5, []
+        weights = [0.0, mass, 2 * mass]
+        for weight in weights:
+            trial = replace(self, added_mass=weight, distance=self.distance or 0.2)
+            results = {}
+            for name, heavy in trial.weights.items():
+                results[f"{name}_slow"] = simulated(trial._slow(nominal, heavy))
+                results[f"{name}_fast"] = simulated(trial._fast(nominal, model, heavy))
+            deviations.append(predicted_deviation(model, trial.recordings(results), prior))
+        columns: Any = {"weight": (Column("kg", digits=3), weights)}
+        columns["stiffness"] = (Column("1", shown="%", digits=2), deviations)
+        return Listing("expected standard deviation", columns)
 
     @property
     def weights(self) -> dict[str, float]:
-        """Added mass [kg] of each part by its name."""
+        """Added mass [kg] by the beginning of the names of its parts."""
         return {"bare": 0.0, **({"weighted": self.added_mass} if self.added_mass else {})}
 
     @property
     def instructions(self) -> dict[str, str]:
         """What a person has to confirm before each part on a physical rig."""
-        weighted = {"weighted": f"the weight of {self.added_mass:g} kg is clipped on"} if self.added_mass else {}
-        return {"bare": "no weight is on the limb", **weighted}
-
-    def part_duration(self, scenario: Scenario) -> float:
-        """Duration of each part [s], a multiple of the control period."""
-        return round(self.duration / len(self.weights) / scenario.control_period) * scenario.control_period
+        weight = {"bare": "no weight is on the limb", "weighted": f"the weight of {self.added_mass:g} kg is clipped on"}
+        return {f"{name}_{pace}": weight[name] for name in self.weights for pace in ("slow", "fast")}
 
     def recordings(self, results: Mapping[str, SimulationResult]) -> list[JointRecording]:
-        """Recordings of the parts, with their weights."""
+        """Recordings of the parts that have been run, with their weights."""
+        weight: Any = {"distance": self.distance, "weight_inertia": self.weight_inertia}
         return [
-            recording_of(results[name], added_mass=mass, distance=self.distance) for name, mass in self.weights.items()
+            replace(recording_of(result), tube=self.tube, added_mass=mass, **(weight if mass else {}))
+            for name, mass in self.weights.items()
+            for part, result in results.items()
+            if part.startswith(name)
         ]
 
-    def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
-        """Return a load with the weight."""
-        return jax.tree.map(float, _loaded((load, added_mass, self.distance)))
+    def _part_duration(self, scenario: Scenario) -> float:
+        return round(self.duration / len(self.instructions) / scenario.control_period) * scenario.control_period
 
-    def _check_weight(self, joint: AntagonisticJoint, load: Load) -> None:
-        """Warn if the weight turns the joint by less than friction holds it, in the middle at the highest pressures."""
-        ends = self.lowest, self.highest
-        friction, most = map(float, _holding((joint, load, self._weighted(load, self.added_mass), ends)))
-        if most < friction:
-            text = f"the torque of the weight, at most {most:.2g} N*m, is below the friction, {friction:.2g} N*m: "
-            text += "it hardly determines the forces; use a heavier weight, or wider angles"
-            warnings.warn(text, McKibbenWarning, stacklevel=2)
+    def _slow(self, scenario: Scenario, mass: float, *, sweeps: int = 3, stiffnesses: int = 2) -> Scenario:
+        """Sweeps within the attainable set of the controller's model, in periods of angle and stiffness."""
+        middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
+        (low, high), duration = self._attainable(scenario), self._part_duration(scenario)
+        signals = Reference(
+            Sine(amplitude, sweeps / duration, offset=middle),
+            Sine(_BAND * (high - low) / 2, stiffnesses / duration, offset=(low + high) / 2),
+        )
+        control = independent(scenario.control())
+        if (load := field_of(control, "load")) is not None:
+            control = with_fields(control, {"load": self._weighted(load, mass)})
+        changes = {"controller": control, "load": self._weighted(scenario.load, mass), "duration": duration}
+        return part_of(scenario, f"calibration with {mass:g} kg, slow", middle, signals=signals, **changes)
+
+    def _fast(
+        self, scenario: Scenario, model: HingeModel, mass: float, *, widest: float = 10 * deg, trials: int = 8
+    ) -> Scenario:
+        """Multisine whose amplitude moves a model by `widest`, or by 90 % of the way to the next of the angles.
+
+        Raises `ParameterError` if the model does not come near that in some trials.
+        """
+        middle, duration = (self.lowest + self.highest) / 2, self._part_duration(scenario)
+        target = min(widest, 0.9 * (self.highest - self.lowest) / 2)
+        load = self._weighted(model.load, mass)
+        plant = scenario.model_copy(update={"joint": model.joint, "load": load}).plant()
+        low, high = (float(bound[0]) for bound in _bands((model.joint, [load], middle), np.array([middle]))[0])
+        edge = (1 - _BAND) / 2 * (high - low)
+        ends = np.array([plant.equilibrium(middle, stiffness=K).pressures for K in (low + edge, high - edge)], float)
+        swept = [
+            Sine(half, 2 / duration, offset=mean) for mean, half in zip(ends.mean(0), np.ptp(ends, 0) / 2, strict=True)
+        ]
+        amplitude = 0.02 * float(ends.max())
+        for _ in range(trials):
+            first, second = (
+                Sum((sweep, Multisine((sign * amplitude,) * len(_FAST), _FAST, _PHASES)))
+                for sign, sweep in zip((-1.0, 1.0), swept, strict=True)
+            )
+            part = part_of(
+                scenario,
+                f"calibration with {mass:g} kg, fast",
+                middle,
+                controller=OpenLoopControl(first, second, model_of(scenario)),
+                load=self._weighted(scenario.load, mass),
+                signals=Reference(middle, (low + high) / 2),
+                duration=duration,
+            )
+            moved = np.abs(run_scenario(part.model_copy(update={"joint": model.joint, "load": load}))["angle"] - middle)
+            if 0.85 * target < moved.max() < target:
+                return part
+            amplitude *= float(
+                np.clip(math.sqrt(0.92 * target / moved.max()), 0.5, 2.0)
+            )  # resonance: more than in proportion
+        raise ParameterError(
+            f"no differential pressure moves the model by {target / deg:.3g} deg with {mass:g} kg",
+            remedy="give wider --angles, or a smaller weight",
+        )
+
+    def _weighted(self, load: Load, mass: float) -> GeneralLoad:
+        """Return a load with the weight."""
+        loaded = jax.tree.map(float, _loaded((load, mass, self.distance)))
+        return replace(loaded, inertia=loaded.inertia + (self.weight_inertia if mass else 0.0))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; `ParameterError` if there is none."""
@@ -178,26 +219,16 @@ def _loaded(shared: tuple[Load, Array, Array], _: None) -> GeneralLoad:
 
 
 @compiled
-def _holding(shared: tuple[AntagonisticJoint, Load, Load, Pair], _: None) -> tuple[Array, Array]:
-    """Friction torque [N*m] midway between the ends at the highest pressures, and the most that the weight adds."""
-    joint, load, loaded, (low, high) = shared
-    middle, pressures = (low + high) / 2, (joint.muscle1.domain.pressure_max, joint.muscle2.domain.pressure_max)
-    states = joint.update_state(joint.init_state(low, pressures), middle, pressures)
-    added = [jnp.abs(loaded.gravity_torque(end) - load.gravity_torque(end)) for end in (low, high)]
-    return jnp.abs(joint.friction_torque(middle, None, pressures, states)), jnp.maximum(*added)
-
-
-@compiled
 def _bands(shared: tuple[AntagonisticJoint, list[Load], Array], angle: Array) -> list[Pair]:
     """Attainable stiffness [N*m/rad] with each load at an angle, of muscles that are well taut.
 
-    Their tension is 8 % of the highest force at the middle contraction, as a muscle may be weaker than its model.
+    Their tension is 15 % of the highest force at the middle contraction, as a muscle may be weaker than its model.
     """
     joint, loads, centre = shared
     middle = joint.contractions(centre, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
-    least: Any = 0.08 * jnp.stack(highest).min()
+    least: Any = 0.15 * jnp.stack(highest).min()
     return [stiffness_range(joint, angle, -load.gravity_torque(angle), None, least) for load in loads]
 
 
@@ -227,7 +258,7 @@ def load_of(scenario: Scenario) -> Load:
 
 
 def run_parts(
-    parts: Mapping[str, Scenario],
+    parts: Callable[[Mapping[str, SimulationResult]], Iterable[tuple[str, Scenario]]],
     folder: str | os.PathLike[str],
     *,
     rig: JointRig | None = None,
@@ -237,11 +268,13 @@ def run_parts(
 ) -> dict[str, SimulationResult]:
     """Run the scenarios of an experiment on a joint rig (default: simulated at once), each in a folder of its name.
 
+    `parts` is called with the results, which grow while it gives names and scenarios.
+
     The firmware of a board has to be made from the scenario `firmware` (default: from each part). `ready` is called
     with the name before each part. Raises `StoppedError` if a limit or a fault stops a part; the joint is then vented.
     """
-    results = {}
-    for name, part in parts.items():
+    results: dict[str, SimulationResult] = {}
+    for name, part in parts(results):
         if rig is None:
             records, results[name] = make_folder(Path(folder) / name), simulated(part)
         else:
@@ -249,7 +282,7 @@ def run_parts(
                 ready(name)
             session, records = prepare(part, rig, paced=rig.physical, firmware=firmware), Path(folder) / name
             run: JointRunResult = session.run(records, progress=progress)
-            if run.outcome.error is not None or run.result is None:
+            if run.outcome.error is not None or not isinstance(run.result, SimulationResult):
                 raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")
             results[name] = run.result
         results[name].to_netcdf(records / "result.nc")
@@ -286,26 +319,24 @@ def _measured(shared: tuple[Sensors, PyTree, PyTree], _: None) -> PyTree:
     return jax.lax.scan(step, sensors.init(Measurement(angle, (first, second))), true)[1]
 
 
-def recording_of(result: SimulationResult, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:
+def recording_of(result: SimulationResult) -> JointRecording:
     """The recording of a run on a joint rig."""
     pressures, commands = (
         np.stack([result[f"{kind}1"], result[f"{kind}2"]], axis=1) for kind in ("pressure", "command")
     )
-    return JointRecording(result.times, result["angle"], pressures, None, added_mass, distance, commands=commands)
+    return JointRecording(result.times, result["angle"], pressures, commands=commands)
 
 
-def read_joint_recording(
-    path: str | os.PathLike[str], recipe: Recipe | None = None, *, added_mass: float = 0.0, distance: float = 0.0
-) -> JointRecording:
+def read_joint_recording(path: str | os.PathLike[str], recipe: Recipe | None = None, **weight: Any) -> JointRecording:
     """Read a recording: a file of any format of `read_dataset` with columns such as ``time_s,angle_deg,p1_bar,p2_bar``.
 
     Columns ``command1_bar,command2_bar`` give commands, for the valves, ``tension1_N,tension2_N`` the readings of load
-    cells; `recipe` names others. A ``result.nc`` of `mckibben rig control` is read as well. Raises a `DatasetError`
-    with every problem of the file.
+    cells; `recipe` names others. Further attributes of the recording, weight and lag of the tubes, are arguments. A
+    ``result.nc`` of `mckibben rig control` is read as well. Raises a `DatasetError` with every problem of the file.
     """
     file = Path(path)
     if file.suffix == ".nc":
-        return recording_of(SimulationResult.from_netcdf(file), added_mass=added_mass, distance=distance)
+        return replace(recording_of(SimulationResult.from_netcdf(file)), **weight)
     columns = read_signals(file, ("time", "angle", *_PRESSURES), recipe)
     times = columns["time"]
 
@@ -313,7 +344,7 @@ def read_joint_recording(
         return np.stack([columns[f"{kind}{i}"] for i in (1, 2)], axis=1) if f"{kind}1" in columns else None
 
     readings = columns["angle"], pair("pressure"), pair("tension")
-    return JointRecording(times, *readings, added_mass, distance, commands=pair("command"))
+    return JointRecording(times, *readings, commands=pair("command"), **weight)
 
 
 def calibrate_scenario(
@@ -334,7 +365,7 @@ def calibrate_scenario(
     model = joint if keeps else calibrated_model(scenario, fit)
     margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))
     writers = {"model.yaml": partial(write_section, model, _HEAD), "scenario.yaml": after.to_yaml}
-    return replace(fit, writers=writers, disk_margins=margins)
+    return replace(fit, disk_margins=margins).with_files(writers)
 
 
 def calibrated_model(scenario: Scenario, fit: JointCalibration) -> AntagonisticJoint:
@@ -354,12 +385,13 @@ def calibrated_model(scenario: Scenario, fit: JointCalibration) -> AntagonisticJ
 
 def calibrated_scenario(scenario: Scenario, fit: JointCalibration) -> Scenario:
     """Return the scenario with the estimates as its plant, encoder included, and as its controller's model."""
-    parts: dict[str, Any] = {"joint": calibrated_model(scenario, fit), "load": fit.load}
+    parts: dict[str, Any] = {"joint": calibrated_model(scenario, fit)}
     sensors = SampledSensors() if isinstance(scenario.sensors, PerfectSensors) else scenario.sensors
     if isinstance(sensors, SampledSensors):
         parts["sensors"] = replaced(sensors, {"encoder_offset": fit.quantities["zero"].value})
-    if mass := fit.load.estimated_mass:
-        parts["load"] = replaced(load_of(scenario), {mass: getattr(fit.load, mass)})
+    before = load_of(scenario)
+    estimated = {"damping", "inertia", before.estimated_mass} & {field.name for field in fields(before)}
+    parts["load"] = replaced(before, {name: getattr(fit.load, name) for name in estimated})
     return with_estimates(scenario, fit.deviations(), **parts)
 
 

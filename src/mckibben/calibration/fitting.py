@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
-from mckibben.result import Column, Listing, Remark, WritingResult
+from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.units import factor, show
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ CONFLICT = 2.5
 """Prior standard deviations from the first model above which a quantity is named."""
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
 """Units of quantities in texts that differ from SI."""
-NEVER = 1e-3
-"""Probability of a minimum, relative to the best one, below which it is left out."""
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
 
 Simulated = Callable[[Floats], Sequence[tuple[Floats, Floats]]]
@@ -46,7 +44,7 @@ class JointEstimate:
 
     >>> estimate = JointEstimate(0.02, 0.002, 0.014, "s", logarithmic=True, expected=0.04)
     >>> estimate.determined, [round(bound, 4) for bound in estimate.interval], round(estimate.distance, 2)
-    (True, [0.0164, 0.0243], 0.99)
+    (True, [0.0164, 0.0243], 1.0)
     """
 
     value: float
@@ -58,11 +56,15 @@ class JointEstimate:
 
     @property
     def distance(self) -> float:
-        """Prior standard deviations between the estimate and its value in the first model."""
+        """Distance of the estimate from its value in the first model, relative to its deviation if that were right.
+
+        An estimate has the variance of the prior without the part that the recordings leave.
+        """
         if self.expected is None:
             return 0.0
         ratio = self.value * math.log(self.value / self.expected) if self.logarithmic else self.value - self.expected
-        return abs(ratio) / self.prior
+        determined = 1 - min((self.deviation / self.prior) ** 2, 0.99)  # of the variance of the prior
+        return abs(ratio) / (self.prior * math.sqrt(determined))
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -82,7 +84,7 @@ class JointEstimate:
         return f"{show(self.value, unit, 4)} with a standard deviation of {show(self.deviation, unit, 2)}"
 
 
-class Calibration(WritingResult):
+class Calibration(Result):
     """Base of calibrations: estimates by name, with their prior deviations."""
 
     quantities: dict[str, JointEstimate]
@@ -118,9 +120,10 @@ class Calibration(WritingResult):
             if estimate.distance > CONFLICT
         ]
 
-    def listings(self) -> list[Listing]:
-        """Declared numbers, estimates with deviations in the unit of their row, and margins of the loop."""
-        listings = [*super().listings(), self._estimates_listing()]
+    @table()
+    def estimates_and_margins(self) -> list[Listing]:
+        """Estimates with deviations in the unit of their row, and margins of the loop."""
+        listings = [self._estimates_listing()]
         if self.disk_margins is not None:
             plants = ["calibrated", *(f"drawn {i}" for i in range(1, len(self.disk_margins)))]
             columns = {"plant": (Column(), plants), "disk margin": (Column(digits=2), self.disk_margins)}
@@ -181,13 +184,10 @@ class LocalMinimum(NamedTuple):
     ----------
     z, covariance
         Parameters in prior standard deviations, shape (parameters,), and their covariance at the minimum.
-    weight
-        Probability among all minima of the objective.
     """
 
     z: Floats
     covariance: Floats
-    weight: float = 1.0
 
     @property
     def deviations(self) -> Floats:
@@ -195,25 +195,10 @@ class LocalMinimum(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
 
-def probabilities(objectives: Sequence[float]) -> Floats:
-    """Return the weights of minima from their objectives, the least one first; they sum to 1.
-
-    Those below `NEVER` times the first are 0:
-
-    >>> probabilities([3.0, 3.0, 12.0]).tolist()
-    [0.5, 0.5, 0.0]
-    """
-    weights = np.exp(objectives[0] - np.asarray(objectives, float))
-    weights = np.where(weights > NEVER, weights, 0.0)
-    return weights / weights.sum()
-
-
-def draws(minima: Sequence[LocalMinimum], count: int) -> Floats:
-    """Return the parameters at the first minimum, then drawn ones, shape (count, parameters)."""
+def draws(minimum: LocalMinimum, count: int) -> Floats:
+    """Return the parameters at a minimum, then drawn ones, shape (count, parameters)."""
     random = np.random.default_rng(0)
-    chosen = random.choice(len(minima), count - 1, p=[minimum.weight for minimum in minima])
-    drawn = [random.multivariate_normal(minima[i].z, minima[i].covariance) for i in chosen]
-    return np.array([minima[0].z, *drawn])
+    return np.array([minimum.z, *random.multivariate_normal(minimum.z, minimum.covariance, count - 1)])
 
 
 class OutputErrorFit(NamedTuple):
@@ -347,21 +332,6 @@ def variance_of(parts: Sequence[Floats], determined: float, *, significant: floa
     explained = noise * (1 + significant * math.sqrt(2 / residual.size))
     misfit = max(float(np.mean(residual**2)) - explained, 0.0)
     return noise + misfit * residual.size / determined
-
-
-def correlation_time(residuals: Floats) -> float:
-    """Return the number of residual samples equivalent to one independent sample.
-
-    1 for white noise: the sum of the autocorrelation over all lags up to the first negative one.
-
-    >>> round(correlation_time(np.random.default_rng(0).standard_normal(1000).repeat(5)))
-    5
-    """
-    spectrum = np.abs(np.fft.rfft(residuals, 2 * residuals.size)) ** 2
-    correlation = np.fft.irfft(spectrum)[: residuals.size]
-    correlation /= max(correlation[0], 1e-300)
-    negative = np.flatnonzero(correlation < 0)
-    return float(1 + 2 * correlation[1 : negative[0] if negative.size else residuals.size].sum())
 
 
 def noise_of(errors: Sequence[Floats]) -> float:

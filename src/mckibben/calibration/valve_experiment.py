@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from mckibben.actuator import Actuator
-from mckibben.calibration.equations import Floats, JointPrior, JointRecording
 from mckibben.calibration.experiment import load_of, model_of, part_of, recording_of, write_section
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates
+from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import McKibbenWarning, ParameterError
@@ -90,6 +90,10 @@ class ValveExperiment:
     def instructions(self) -> dict[str, str]:
         """What a person has to confirm before each part on a physical rig."""
         return dict.fromkeys(("steps", "multisine"), "the joint moves freely with no weight on the limb")
+
+    def parts(self, scenario: Scenario, _: Mapping[str, SimulationResult]) -> Iterator[tuple[str, Scenario]]:
+        """Yield name and scenario of each part."""
+        yield from self.scenarios(scenario).items()
 
     def recordings(self, results: Mapping[str, SimulationResult]) -> list[JointRecording]:
         """Recordings of the parts."""
@@ -170,7 +174,8 @@ def calibrate_scenario_valves(
     write_valve = partial(write_section, fit.valve, _HEAD, base=Actuator)
     after = scenario_with_valves(scenario, fit)
     writers = {"valve.yaml": write_valve, "scenario.yaml": after.to_yaml}
-    return dataclasses.replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
+    margins = loop_margins(after, **fit.drawn(PLANTS))
+    return dataclasses.replace(fit, disk_margins=margins).with_files(writers)
 
 
 def scenario_with_valves(scenario: Scenario, fit: ValveCalibration) -> Scenario:

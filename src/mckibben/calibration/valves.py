@@ -17,17 +17,6 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import Actuator, AirState, AirVolume, UnequalValves
 from mckibben.actuator.base import air_volumes
-from mckibben.calibration.equations import (
-    Floats,
-    JointPrior,
-    JointRecording,
-    Number,
-    Samples,
-    check_recording,
-    evenly,
-    local_cubic,
-    sampling_period,
-)
 from mckibben.calibration.fitting import (
     Calibration,
     LocalMinimum,
@@ -38,6 +27,17 @@ from mckibben.calibration.fitting import (
     misfit_remarks,
     noise_of,
     root_mean_square,
+)
+from mckibben.calibration.recordings import (
+    Floats,
+    JointPrior,
+    JointRecording,
+    Number,
+    Samplings,
+    check_recording,
+    evenly,
+    local_cubic,
+    sampling_period,
 )
 from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError
@@ -60,11 +60,11 @@ _DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
 
 
 class _Record(NamedTuple):
-    """Samples of a recording."""
+    """Samplings of a recording."""
 
-    angle: Samples  # smoothed [rad], shape (samples,)
-    pressures: tuple[Samples, Samples]  # measured [Pa]
-    commands: tuple[Samples, Samples]  # [Pa]
+    angle: Samplings  # smoothed [rad], shape (samples,)
+    pressures: tuple[Samplings, Samplings]  # measured [Pa]
+    commands: tuple[Samplings, Samplings]  # [Pa]
     period: Number  # [s]
     number: int  # of the recording
 
@@ -152,7 +152,7 @@ class ValveCalibration(Calibration):
         pairs = []
         for problem, minimum in zip(self._problems.values(), self._minima, strict=True):
             own = len(problem.parameters)
-            rows = draws([LocalMinimum(minimum.z[:own], np.diag(minimum.deviations[:own] ** 2))], count)
+            rows = draws(LocalMinimum(minimum.z[:own], np.diag(minimum.deviations[:own] ** 2)), count)
             pairs.append(_valves(_traced(problem), jnp.where(problem.lacking, jnp.maximum(rows, 0.0), rows)))
         valves, delays = zip(*pairs, strict=True)
         return {

@@ -9,7 +9,6 @@ M. Martens and I. Boblan, "Modeling the Static Force of a Festo Pneumatic Muscle
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 from mckibben.catalog.publications import KINDS as KINDS
@@ -51,6 +50,8 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     if name in __all__:  # entries need JAX; names and sources do not
-        return getattr(importlib.import_module("mckibben.catalog.entries"), name)
+        from mckibben.catalog import entries
+
+        return getattr(entries, name)
     meant = "" if name.startswith("_") else closest(name, __all__)
     raise AttributeError(f"mckibben.catalog has no {name!r}{f'; did you mean {meant}?' if meant else ''}")

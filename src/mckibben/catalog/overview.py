@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 from mckibben import catalog
 from mckibben.muscle import LAWS
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Result, TableColumns, table
 
 
 class Overview(Result):
@@ -17,40 +16,50 @@ class Overview(Result):
         kinds = ((kind, len(catalog.names(kind))) for kind in catalog.KINDS)
         return ", ".join([f"{len(LAWS)} force laws", *(f"{count} {kind}" for kind, count in kinds if kind != "laws")])
 
-    def listings(self) -> Iterator[Listing]:
-        name, source = Column(title="name"), Column(title="source")
-        yield Listing(
-            "Force laws",
-            {
-                "law": (Column(title="law"), list(LAWS)),
-                "equation": (Column(title="equation"), [law.equation for law in LAWS.values()]),
-                "source": (source, [law.source for law in LAWS.values()]),
-            },
-        )
+    @table("Force laws")
+    def laws(self) -> TableColumns:
+        """Force laws with their equations and sources."""
+        return {
+            "law": (Column(), list(LAWS)),
+            "equation": (Column(), [law.equation for law in LAWS.values()]),
+            "source": (Column(), [law.source for law in LAWS.values()]),
+        }
+
+    @table("Published parameters")
+    def parameters(self) -> TableColumns:
+        """Laws with published parameters."""
         laws = {entry: catalog.law(entry) for entry in catalog.names("laws")}
-        yield Listing(
-            "Published parameters",
-            {
-                "name": (name, list(laws)),
-                "law": (Column(title="law"), [type(law).__name__ for law in laws.values()]),
-                "domain": (Column(title="domain"), [str(law.domain) for law in laws.values()]),
-            },
-        )
+        return {
+            "name": (Column(), list(laws)),
+            "law": (Column(), [type(law).__name__ for law in laws.values()]),
+            "domain": (Column(), [str(law.domain) for law in laws.values()]),
+        }
+
+    @table("Specimens")
+    def specimens(self) -> TableColumns:
+        """Specimens with their sizes."""
         specimens = {entry: catalog.specimen(entry) for entry in catalog.names("specimens")}
-        yield Listing(
-            "Specimens",
-            {
-                "name": (name, list(specimens)),
-                "initial_length": (Column("m", "length", "mm"), [s.initial_length for s in specimens.values()]),
-                "initial_diameter": (
-                    Column("m", "diameter", "mm"),
-                    [s.initial_diameter or math.nan for s in specimens.values()],
-                ),
-                "rated_force": (Column("N", "rated force"), [s.rated_force for s in specimens.values()]),
-                "domain": (Column(title="domain"), [str(s.domain) for s in specimens.values()]),
-            },
-        )
-        for kind in ("datasets", "valves"):
-            entries = catalog.names(kind)
-            sources = [catalog.cite(entry).splitlines()[0] for entry in entries]
-            yield Listing(kind.capitalize(), {"name": (name, entries), "source": (source, sources)})
+        diameters = [specimen.initial_diameter or math.nan for specimen in specimens.values()]
+        return {
+            "name": (Column(), list(specimens)),
+            "initial_length": (Column("m", "length", "mm"), [s.initial_length for s in specimens.values()]),
+            "initial_diameter": (Column("m", "diameter", "mm"), diameters),
+            "rated_force": (Column("N", "rated force"), [s.rated_force for s in specimens.values()]),
+            "domain": (Column(), [str(s.domain) for s in specimens.values()]),
+        }
+
+    @table("Datasets")
+    def datasets(self) -> TableColumns:
+        """Datasets with their sources."""
+        return _with_sources("datasets")
+
+    @table("Valves")
+    def valves(self) -> TableColumns:
+        """Valves with their sources."""
+        return _with_sources("valves")
+
+
+def _with_sources(kind: str) -> TableColumns:
+    entries = catalog.names(kind)
+    sources = [catalog.cite(entry).splitlines()[0] for entry in entries]
+    return {"name": (Column(), entries), "source": (Column(), sources)}

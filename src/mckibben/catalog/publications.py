@@ -39,7 +39,7 @@ def cite(name: str) -> str:
         if name in publication.get(kind, {})
     ]
     if not entries:
-        raise _unknown("entry", name, [known for kind in KINDS for known in names(kind)])
+        raise _unknown("entry", name, [entry_name for kind in KINDS for entry_name in names(kind)])
     publication = entries[0][0]
     places = "; ".join(dict.fromkeys(entry["where"] for _, entry in entries))
     return "\n".join([publication["source"], f"({places})", *(f"- {note}" for note in publication.get("notes", []))])
@@ -61,9 +61,9 @@ _SINGULAR: dict[str, str] = dict(
 )
 
 
-def _publications(part: str) -> Iterator[dict[str, Any]]:
+def _publications(words: str) -> Iterator[dict[str, Any]]:
     """Publications whose text contains a part; to parse all of them takes 0.1 s."""
-    return (_parsed(text) for text in _texts() if part in text)
+    return (_parsed(text) for text in _texts() if words in text)
 
 
 @functools.cache
@@ -79,6 +79,6 @@ def _parsed(text: str) -> dict[str, Any]:
     return YAML(typ="safe").load(text)
 
 
-def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:
-    remedy = suggest(name, list(dict.fromkeys(known)))
+def _unknown(kind: str, name: str, names: list[str]) -> NotInCatalogError:
+    remedy = suggest(name, list(dict.fromkeys(names)))
     return NotInCatalogError(f"the catalog has no {kind} {name!r}", value=name, remedy=remedy)

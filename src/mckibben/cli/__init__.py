@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-import mckibben
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.command import plain_command
@@ -32,6 +31,7 @@ from mckibben.cli.robot import robot
 from mckibben.cli.studies import compare, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder
+from mckibben.version import __version__
 
 _LONGEST_REASON = 1000  # characters of a foreign exception
 
@@ -64,7 +64,7 @@ def reproduce(out: Path = Path("mckibben-report"), quick: bool = False) -> None:
         assert report is not None
         from mckibben.paper import reproduce as run
 
-        done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
+        done = run(quick=quick, progress=lambda what, fraction: report(what, 0.8 * fraction))
         report("writing results", 0.8)
         done.save(out, force=True)  # before the figures
         from mckibben.paper.page import write_report
@@ -121,7 +121,7 @@ def _root(
     ] = None,
 ) -> None:
     if version:
-        echo(f"mckibben {mckibben.__version__}")
+        echo(f"mckibben {__version__}")
         raise typer.Exit
     for name in extension or ():
         from mckibben.component.extensions import load_extension

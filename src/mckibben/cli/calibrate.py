@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -21,19 +23,22 @@ from mckibben.cli.options import (
 )
 from mckibben.cli.reading import Reading
 from mckibben.cli.rig import run_line
-from mckibben.errors import ParameterError, StoppedError
+from mckibben.errors import ParameterError, StoppedError, quoted
 
 if TYPE_CHECKING:
-    from mckibben.calibration import Calibration, JointRecording, Sweeps, ValveExperiment
+    from mckibben.calibration import Calibration, JointPrior, JointRecording, Sweeps, ValveExperiment
     from mckibben.scenario import Scenario
 
 Files = list[Path] | None
+_LIMBS = {"weighed": {"mass": 0.02, "inertia": 0.05}, "estimated": {"mass": 0.3, "inertia": 0.2}}
+_LIMB = "--limb weighed (mass to 2 %, inertia to 5 %), --limb estimated (30 %, 20 %), or --prior PRIOR.yaml"
 
 
 @command
 def calibrate(
     scenario: ScenarioFile,
     weight: str = "",
+    limb: str = "",
     valves: bool = False,
     angles: str = "-10..10 deg",
     duration: str = "",
@@ -42,6 +47,7 @@ def calibrate(
     weighted: Files = None,
     held_out: Files = None,
     prior: Path | None = None,
+    tube: str = "",
     *,
     out: Path | None,
     force: bool,
@@ -55,7 +61,10 @@ def calibrate(
     Parameters
     ----------
     weight : MASS, LENGTH
-        A known weight to clip on, at a distance from the axis: '0.5 kg, 200 mm'.
+        A known weight to clip on, its centre at a distance from the axis: '0.5 kg, 200 mm', or with the radius of the
+        disc that it is, '2 kg, 200 mm, 50 mm'.
+    limb : KNOWN
+        'weighed' if the mass of the load is known to 2 % and its inertia to 5 %, else 'estimated'.
     valves
         Identify the valves instead, by steps and a multisine of their commands.
     angles : RANGE
@@ -71,15 +80,14 @@ def calibrate(
     held_out : FILE
         A recording that is not fitted; if the model before predicts it better, the files keep it; repeatable.
     prior : PRIOR.yaml
-        Standard deviations before, such as `mass: 5 %`.
+        Standard deviations before, such as `mass: 5 %`, in place of --limb.
+    tube : TIME
+        Lag of the pressure in the muscles behind the sensors, '5 ms'; '0 ms' for sensors at the muscles.
     """
     if valves:
-        check_unused("--valves", weight=weight, held_out=held_out, weighted=weighted)
-    if weighted and not weight:
-        raise ParameterError("--weighted without a weight", remedy="add --weight '0.5 kg, 200 mm'")
-    if held_out and not (recording or weighted):
-        raise ParameterError("--held-out without a recording", remedy="add --recording")
-    mass, length = _weight(weight)
+        check_unused("--valves", weight=weight, held_out=held_out, weighted=weighted, limb=limb, tube=tube)
+    _check_files(weight, recording, weighted, held_out)
+    load = _weight(weight)
     seconds = parse_quantity("--duration", duration or ("120 s" if valves else "60 s"), "s")
     out = required_folder(out, "calibration")
     from mckibben import calibration
@@ -89,29 +97,83 @@ def calibrate(
     check_within("calibrate", 20.0, 600.0, "s", remedy="give another --duration", duration=seconds)
     results_folder(out, calibration.Calibration.file_names(), force)
     low, high = parse_limits("--angles", angles, "rad")
-    deviations = calibration.JointPrior() if prior is None else calibration.JointPrior.read(prior)
-    read, measure = Scenario.read(scenario), calibration.read_joint_recording
+    deviations = _prior(limb, prior, valves=valves)
+    read, measure = Scenario.read(scenario), partial(calibration.read_joint_recording, recipe=reading.recipe)
+    lag: Any = {} if valves else {"tube": _tube(read, tube, simulated=not (rig or recording or weighted))}
     recordings = [
-        *(measure(path, reading.recipe) for path in recording or ()),
-        *(measure(path, reading.recipe, added_mass=mass, distance=length) for path in weighted or ()),
+        *(measure(path, **lag) for path in recording or ()),
+        *(measure(path, **lag, **load) for path in weighted or ()),
     ]
-    unused = [measure(path, reading.recipe) for path in held_out or ()]
     if valves:
-        experiment = calibration.ValveExperiment(low, high, seconds)
-        recordings = recordings or _measured(read, experiment, out, rig, quiet=json)
+        steps = calibration.ValveExperiment(low, high, seconds)
+        _check_empty(out, () if recordings else steps.instructions)
+        recordings = recordings or _measured(read, steps, out, rig, quiet=json)
         return calibration.calibrate_scenario_valves(read, recordings, deviations)
-    recordings = recordings or _measured(
-        read, calibration.Sweeps(low, high, seconds, mass, length), out, rig, quiet=json
-    )
+    if not recordings:
+        sweeps = calibration.Sweeps(low, high, seconds, **load, **lag)
+        _check_empty(out, sweeps.instructions)
+        for row in sweeps.prediction(read, deviations).rows():
+            echo("with {} kg the stiffness is expected to a standard deviation of {} %".format(*row), err=True)
+        recordings = _measured(read, sweeps, out, rig, quiet=json)
+    unused = [measure(path, **lag) for path in held_out or ()]
     return calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
 
 
-def _weight(text: str) -> tuple[float, float]:
-    """Mass [kg] of a weight, and its distance from the axis [m]; zeros without one."""
+def _check_files(weight: str, recording: Files, weighted: Files, held_out: Files) -> None:
+    """Refuse recordings without what they need."""
+    if weighted and not weight:
+        raise ParameterError("--weighted without a weight", remedy="add --weight '0.5 kg, 200 mm'")
+    if held_out and not (recording or weighted):
+        raise ParameterError("--held-out without a recording", remedy="add --recording")
+
+
+def _prior(limb: str, file: Path | None, *, valves: bool) -> JointPrior:
+    """Deviations by a file, or by what is known of the limb, which is asked for."""
+    from mckibben.calibration import JointPrior
+
+    if file is not None:
+        check_unused("--prior", limb=limb)
+        return JointPrior.read(file)
+    if valves:
+        return JointPrior()
+    if limb not in _LIMBS:
+        message = f"--limb {quoted(limb)} is none of {', '.join(_LIMBS)}" if limb else "was the limb weighed?"
+        raise ParameterError(message, field="--limb", value=limb, remedy=_LIMB)
+    return JointPrior(**_LIMBS[limb])
+
+
+def _weight(text: str) -> dict[str, Any]:
+    """Mass [kg] of a weight, distance of its centre from the axis [m], and its own inertia, as of a recording."""
     if not text:
-        return 0.0, 0.0
-    mass, length = parse_pair("--weight", text, "0.5 kg, 200 mm")
-    return parse_quantity("--weight", mass, "kg", positive=True), parse_quantity("--weight", length, "m", positive=True)
+        return {}
+    mass, length, *radius = (
+        [part.strip() for part in text.split(",")]
+        if text.count(",") == 2
+        else parse_pair("--weight", text, "0.5 kg, 200 mm")
+    )
+    kilograms = parse_quantity("--weight", mass, "kg", positive=True)
+    own = parse_quantity("--weight", radius[0], "m") ** 2 / 2 * kilograms if radius else 0.0  # of a disc about its axis
+    metres = parse_quantity("--weight", length, "m", positive=True)
+    return {"added_mass": kilograms, "distance": metres, "weight_inertia": own}
+
+
+def _tube(scenario: Scenario, text: str, *, simulated: bool) -> float:
+    """Lag [s] of the pressure in the muscles behind that of the sensors; asked for where the valves have tubes."""
+    if not text and not simulated and "outlet1" in scenario.valve.telemetry_labels:
+        message = "the valves have tubes: are the pressure sensors at the valves, or at the muscles?"
+        raise ParameterError(
+            message, field="--tube", remedy="--tube 0 ms for those at the muscles, or the lag, --tube 5 ms"
+        )
+    return parse_quantity("--tube", text or "0 s", "s")
+
+
+def _check_empty(out: Path, names: Iterable[str]) -> None:
+    """Refuse a folder that contains records of an experiment, with the command that uses them."""
+    if recorded := [name for name in names if (out / name).is_dir() and any((out / name).iterdir())]:
+        results = [out / name / "result.nc" for name in recorded if (out / name / "result.nc").is_file()]
+        use = " ".join(f"--recording {path}" for path in results)
+        remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
+        raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
 
 
 def _measured(
@@ -122,21 +184,19 @@ def _measured(
     from mckibben.rig import JointRig
 
     device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
-    if recorded := [name for name in instructions if (out / name).is_dir() and any((out / name).iterdir())]:
-        results = [out / name / "result.nc" for name in recorded if (out / name / "result.nc").is_file()]
-        use = " ".join(f"--recording {path}" for path in results)
-        remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
-        raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
+    confirmed: list[str] = []
 
     def ready(name: str) -> None:
-        if device is not None and device.physical:
+        if device is not None and device.physical and instructions[name] not in confirmed:
+            confirmed.append(instructions[name])
             typer.confirm(f"{instructions[name]}, and nobody is within reach of the joint?", abort=True, err=True)
 
-    parts = experiment.scenarios(scenario)
     try:
         with keeping(out), run_line(quiet=quiet) as line:
-            runs = run_parts(parts, out, rig=device, firmware=scenario, ready=ready, progress=line)
-            echo(f"wrote {', '.join(f'{name}/result.nc' for name in parts)} to {out}", err=True)
+            runs = run_parts(
+                partial(experiment.parts, scenario), out, rig=device, firmware=scenario, ready=ready, progress=line
+            )
+            echo(f"wrote {', '.join(f'{name}/result.nc' for name in runs)} to {out}", err=True)
             return experiment.recordings(runs)
     except StoppedError as stopped:
         echo(str(stopped), err=True)

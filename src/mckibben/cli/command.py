@@ -39,21 +39,21 @@ def options_of(function: Callable[..., object], panel: str = "") -> tuple[str, d
     text, _, section = inspect.cleandoc(function.__doc__ or "").partition(_HEADING)
     common, _, other = section.partition(_OTHER)
     described = {
-        name: (metavar or None, " ".join(words.split()), part)
-        for part, entries in ((panel, common), (MORE, other))
+        name: (metavar or None, " ".join(words.split()), group)
+        for group, entries in ((panel, common), (MORE, other))
         for name, metavar, words in _ENTRY.findall(entries)
     }
     parameters = {}
     for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
         annotation = parameter.annotation
         if name in described:
-            metavar, words, part = described[name]
-            shown: dict[str, Any] = {"metavar": metavar, "help": words, "rich_help_panel": part or None}
+            metavar, words, group = described[name]
+            settings: dict[str, Any] = {"metavar": metavar, "help": words, "rich_help_panel": group or None}
             if annotation is not bool:  # typer inspects each of these functions whenever a command starts
-                shown["autocompletion"] = completion(name, metavar or "")
+                settings["autocompletion"] = completion(name, metavar or "")
             flag = f"--{name.strip('_').replace('_', '-')}"
             required = parameter.default is inspect.Parameter.empty
-            annotation = Annotated[annotation, Argument(**shown) if required else Option(flag, **shown)]
+            annotation = Annotated[annotation, Argument(**settings) if required else Option(flag, **settings)]
         parameters[name] = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=annotation)
     return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), parameters  # a paragraph is one line
 
@@ -94,7 +94,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
     if resumed:  # people try it
         shared["force"] = shared["force"].replace(annotation=Annotated[bool, Option("--force", hidden=True)])
     reading = options_of(read_options, "Reading files")[1] if "reading" in names else {}
-    own = {name: option for name, option in parameters.items() if name not in (*shared, "reading", "progress")}
+    options = {name: option for name, option in parameters.items() if name not in (*shared, "reading", "progress")}
 
     @functools.wraps(function)
     def run(*, details: bool, json: bool, out: Path | None, force: bool = False, **values: Any) -> None:
@@ -113,7 +113,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
         continued = values.get("resume") or bool(study and study.exists())
         present(result, details=details, json=json, out=out, force=force, resume=continued)
 
-    return _described(run, text, own | reading | shared)
+    return _described(run, text, options | reading | shared)
 
 
 def _described(run: Callable[..., None], text: str, parameters: dict[str, inspect.Parameter]) -> Callable[..., None]:
@@ -158,7 +158,7 @@ def present(
     names += [STUDY] if out and resume and (out / STUDY).exists() else []
     if out:
         figure = next((f"; figure: {out / name}" for name in names if name.endswith(".png")), "")
-        shown = dict.fromkeys(re.sub("/.*", "/", name) for name in names)
-        echo(f"wrote {', '.join(shown)} to {out}{figure}", err=json)
+        written = dict.fromkeys(re.sub("/.*", "/", name) for name in names)
+        echo(f"wrote {', '.join(written)} to {out}{figure}", err=json)
     if not result.ok:
         raise typer.Exit(1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from mckibben.cli.command import plain_command, present
@@ -29,7 +28,7 @@ def export(
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
         for pages. fmu, fmu-controller: FMUs, the joint with load and valves, or the controller. mjcf: joint and muscles
-        for MuJoCo. For a robot: all but firmware.
+        for MuJoCo.
     out : DIR
         Output folder.
     name : NAME
@@ -53,11 +52,9 @@ def export(
     with keeping(folder):
         read = Scenario.read(scenario)
         parts = None if hardware is None else Hardware.read(hardware)
-        if to != "mjcf" and not isinstance(read, Scenario):
-            count = len(read.robot.all_muscles)
-            echo(f"the export of {count} muscles takes about {count**2 / 15:.0f} s of processor time", err=True)
-        exported = write(read, to, folder, name=name, hardware=parts, overwrite=force)
-    if to in CONTROLLERS and isinstance(read, Scenario):
-        exported = replace(exported, margins=read.margins())
+        if to != "mjcf" and (count := len(read.muscle_names)):
+            seconds, what = (count**2 / 4, " with margins") if to in CONTROLLERS else (count**2 / 15, "")
+            echo(f"the export of {count} muscles{what} takes about {seconds:.0f} s of processor time", err=True)
+        exported = write(read, to, folder, name=name, hardware=parts, margins=True, overwrite=force)
     present(exported, json=json)
     echo(f"wrote {', '.join(exported.contents)} to {folder}", err=json)

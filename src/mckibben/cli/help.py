@@ -42,8 +42,8 @@ class Helping:
                 raise  # prints the help
             message = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
             text = f"{ctx.command_path}: {message}"
-            typed, known = (re.findall(r"'([^']*)'", part) for part in text.rpartition(" is not one of ")[::2])
-            meant = closest(typed[-1], known) if typed else ""
+            typed, choices = (re.findall(r"'([^']*)'", side) for side in text.rpartition(" is not one of ")[::2])
+            meant = closest(typed[-1], choices) if typed else ""
             did = f"did you mean {meant!r}? if not, " if meant else ""
             raise ParameterError(text, remedy=f"{did}see {ctx.command_path} --help") from None
 
@@ -73,8 +73,8 @@ def _heading(param: Any, is_option: bool) -> str:
 def _text(param: Any, whole: bool) -> str:
     """Description of a parameter, whole with its default."""
     text, default = param.help or "", param.default
-    shown = whole and default and isinstance(default, str | int | float) and "default" not in text
-    return f"{text} [default: {default}]" if shown and default is not True else text if whole else _clause(text)
+    has_default = whole and default and isinstance(default, str | int | float) and "default" not in text
+    return f"{text} [default: {default}]" if has_default and default is not True else text if whole else _clause(text)
 
 
 def _clause(text: str) -> str:
@@ -92,9 +92,9 @@ class Commands(Helping, TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return name, command and other arguments."""
         if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            known = self.list_commands(ctx)
-            meant = (_MEANT.get(args[0]) if ctx.parent is None else "") or closest(args[0], known)
-            remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(known)}"
+            commands = self.list_commands(ctx)
+            meant = (_MEANT.get(args[0]) if ctx.parent is None else "") or closest(args[0], commands)
+            remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(commands)}"
             raise ParameterError(f"{ctx.command_path} has no command {quoted(args[0])}", value=args[0], remedy=remedy)
         return super().resolve_command(ctx, args)
 

@@ -1,23 +1,21 @@
-"""Reports of the command `identify`, with the files that they write."""
+"""Results of the command `identify`, with the files that they write."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from mckibben import report
-from mckibben.cli.report import Report
 from mckibben.component.schema import write as write_component
 from mckibben.errors import ParameterError
-from mckibben.identification.with_friction import titled
-from mckibben.result import Remark
 
 if TYPE_CHECKING:
     from mckibben.cli.reading import Reading
     from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.identification import Fit, FitWithFriction, Ranking
+    from mckibben.result import Result
 
 
 class Source(NamedTuple):
@@ -41,31 +39,17 @@ class Source(NamedTuple):
         points = {"recipe.yaml": self.recipe.to_yaml, "data.nc": self.points.to_netcdf}
         return {"fit.yaml": fit.to_yaml, "muscle.yaml": write, **points}
 
-    def remarks(self) -> Iterator[Remark]:
-        """Remarks on the data, and on a muscle that cannot be used in scenarios."""
-        if self.points.table.attrs.get("initial_length") is None:
-            text = "no muscle.yaml for scenarios, since the initial length is unknown"
-            yield Remark.note("initial_length", text, "give --initial-length")
-        for text in self.points.table.attrs.get("preprocessing", "").splitlines():
-            yield Remark.note("data", text)
+
+def identified(fitted: FitWithFriction, source: Source) -> Result:
+    """Return a law with friction, with its files."""
+    drawings = {"bands": lambda: report.force_bands(fitted.points, fitted)}
+    if hysteresis := fitted.hysteresis:
+        drawings["loops"] = lambda: report.loops(source.points, hysteresis)
+    return fitted.with_files(source.writers(fitted), drawings)
 
 
-def identified(fitted: FitWithFriction, source: Source) -> Report:
-    """Report of a law with friction."""
-    loops = fitted.hysteresis
-    drawings = {
-        "fit": lambda: report.isobaric(fitted.points, fitted),
-        "bands": lambda: report.force_bands(fitted.points, fitted),
-        **({"loops": lambda: report.loops(source.points, loops)} if loops else {}),
-    }
-    remarks = (*fitted.remarks(), *source.remarks())
-    return Report(
-        fitted.verdict(), tuple(fitted.listings()), remarks, writers=source.writers(fitted), drawings=drawings
-    )
-
-
-def of_torque(files: list[str], law: str, reading: Reading) -> Report:
-    """Report of the law of two equal muscles, from torques of their joint."""
+def of_torque(files: list[str], law: str, reading: Reading) -> Result:
+    """Identify the law of two equal muscles from torques of their joint."""
     from mckibben.dataset.reading import read_torques
     from mckibben.identification import identify_torque
     from mckibben.scenario.inputs import geometry_named, law_type_named
@@ -86,20 +70,13 @@ def of_torque(files: list[str], law: str, reading: Reading) -> Report:
         section = {"class": type(fit.law).__name__, **write_component(fit.law)}
         write_muscle(path, fit.law, specimen=name, initial_length=length, law=section)
 
-    writers = {"recipe.yaml": recipe.to_yaml, "muscle.yaml": write}
-    return Report(fit.verdict(), tuple(fit.listings()), tuple(fit.remarks()), writers=writers)
+    return fit.with_files({"recipe.yaml": recipe.to_yaml, "muscle.yaml": write})
 
 
-def ranked(ranking: Ranking, source: Source) -> Report:
-    """Report of a ranking of laws."""
+def ranked(ranking: Ranking, source: Source) -> Result:
+    """Return a ranking of laws, with the files of the best one."""
     best = ranking.best.fit
     assert best is not None
     fits = {f"fits/{entry.law}.yaml": entry.fit.to_yaml for entry in ranking.entries if entry.fit}
-    drawings = {
-        "ranking": lambda: report.ranking(ranking),
-        "fit": lambda: report.isobaric(best.points, best),
-    }
-    tables, remarks = titled(ranking.listings(), "points"), (*ranking.remarks(), *source.remarks())
-    return Report(
-        ranking.verdict(), tuple(tables), remarks, writers={**source.writers(best), **fits}, drawings=drawings
-    )
+    drawings = {"fit": lambda: report.isobaric(best.points, best)}
+    return ranking.with_files({**source.writers(best), **fits}, drawings)

@@ -103,8 +103,8 @@ def validate(law: str, data: Data, *, reading: Reading) -> Result:
     from mckibben.identification import validate as run
     from mckibben.scenario.inputs import law_named
 
-    known: ForceLaw = law_named(law, specimen=reading.recipe.specimen or "")
-    return run({Path(law).name if Path(law).is_absolute() else law: known}, reading.data(data))
+    validated: ForceLaw = law_named(law, specimen=reading.recipe.specimen or "")
+    return run({Path(law).name if Path(law).is_absolute() else law: validated}, reading.data(data))
 
 
 @command

@@ -12,13 +12,17 @@ from mckibben.cli.options import (
     keeping,
     parse_limits,
     parse_pair,
+    parse_quantity,
     results_folder,
 )
+from mckibben.errors import ParameterError
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
     from mckibben.simulation import Margins, SimulationResult
-    from mckibben.study.stiffness import StiffnessTests
+    from mckibben.study.stiffness import FeltStiffness
+
+_MOTION = "0.01..10 deg, 0.1..10 Hz"
 
 
 @command
@@ -48,26 +52,35 @@ def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool
 
 
 @command
-def envelope(scenario: ScenarioFile) -> Envelope:
-    """Show the attainable set, whether the reference is feasible, and what would be."""
+def envelope(scenario: ScenarioFile, *, progress: Progress = None) -> Envelope:
+    """Show the attainable set of each joint, whether its reference is feasible, and what would be."""
     from mckibben import reachability
     from mckibben.scenario import Scenario
 
-    return reachability.envelope(Scenario.read(scenario))
+    return reachability.envelope(Scenario.read(scenario), progress=progress)
 
 
 @command
 def stiffness(
-    scenario: ScenarioFile, motion: str = "0.01..10 deg, 0.1..10 Hz", *, progress: Progress = None
-) -> StiffnessTests:
-    """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller.
+    scenario: ScenarioFile,
+    motion: str = _MOTION,
+    push: str | None = None,
+    *,
+    progress: Progress = None,
+) -> FeltStiffness:
+    """Measure the stiffness that a push of each joint feels at the setpoint held by the controller; of a single joint
+    also over amplitude and rate of a motion.
+
+    Of a robot one joint after the other is pushed, and the controller holds the others.
 
     Parameters
     ----------
     motion : RANGES
         Amplitudes and rates of the motion.
+    push : TORQUE
+        Amplitude of the push (default: a tenth of half the range of torque that the joint attains).
     """
-    first, second = parse_pair("--motion", motion, "0.01..10 deg, 0.1..10 Hz")
+    first, second = parse_pair("--motion", motion, _MOTION)
     amplitudes, rates = parse_limits("--motion", first, "rad"), parse_limits("--motion", second, "Hz")
     import numpy as np
 
@@ -75,14 +88,19 @@ def stiffness(
 
     check_positive("--motion", "rad", amplitude=amplitudes[0])
     check_positive("--motion", "Hz", rate=rates[0])
+    torque = None if push is None else parse_quantity("--push", push, "N*m", positive=True)
 
     from mckibben.scenario import Scenario
-    from mckibben.study.stiffness import stiffness_tests
+    from mckibben.study.felt import felt_stiffness
+    from mckibben.study.stiffness import FeltStiffness, stiffness_tests
 
     read = Scenario.read(scenario)
-    return stiffness_tests(
-        read, np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5)), progress=progress
-    )
+    if not isinstance(read, Scenario):
+        if motion != _MOTION:
+            raise ParameterError("--motion is of a single joint", remedy="leave it out: a robot is pushed")
+        return FeltStiffness(read, felt_stiffness(read, torque=torque, progress=progress))
+    grid = np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5))
+    return stiffness_tests(read, *grid, torque=torque, progress=progress)
 
 
 @command

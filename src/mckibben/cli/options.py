@@ -36,12 +36,12 @@ def on_command_line(text: str) -> str:
 
 def echo(text: str, *, err: bool = False) -> None:
     """Print text; control characters, such as escape sequences in names, are escaped. Messages keep to the terminal."""
-    shown, stream = printable(text), sys.stderr if err else sys.stdout
-    if stream.isatty() and not shown.startswith("{"):  # JSON is kept
+    lines, stream = printable(text), sys.stderr if err else sys.stdout
+    if stream.isatty() and not lines.startswith("{"):  # JSON is kept
         width = shutil.get_terminal_size().columns
         whole: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
-        shown = "\n".join(textwrap.fill(line, width, subsequent_indent="    ", **whole) for line in shown.splitlines())
-    print(shown, file=stream, flush=True)
+        lines = "\n".join(textwrap.fill(line, width, subsequent_indent="    ", **whole) for line in lines.splitlines())
+    print(lines, file=stream, flush=True)
 
 
 def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False) -> float:
@@ -95,7 +95,7 @@ def parse_pair(option: str, text: str, example: str) -> tuple[str, str]:
     >>> parse_pair("--step", "0.5 %, 0.25 bar", "0.5 %, 0.25 bar")
     ('0.5 %', '0.25 bar')
     """
-    first, comma, second = (part.strip() for part in text.partition(","))
+    first, comma, second = (word.strip() for word in text.partition(","))
     if text and not (first and comma and second):
         raise ParameterError(f"{option} {quoted(text)} is not a pair", value=text, remedy=f"write it like '{example}'")
     return first, second
@@ -109,7 +109,7 @@ def parse_pairs(option: str, texts: list[str] | None, example: str) -> dict[str,
     """
     pairs: dict[str, str] = {}
     for text in texts or []:
-        name, equals, value = (part.strip() for part in text.rpartition("="))
+        name, equals, value = (word.strip() for word in text.rpartition("="))
         if not equals or pairs.setdefault(name, value) != value:
             message = f"{option} {quoted(text)} {'repeats a name' if equals else 'is not a pair'}"
             raise ParameterError(message, field=option, value=text, remedy=f"write it like {option} '{example}', once")
@@ -144,21 +144,21 @@ def _bar(stack: ExitStack, width: int) -> Callable[[str, float], None]:
     columns = (BarColumn(bar_width=width), percent, TimeElapsedColumn(), TimeRemainingColumn(), text)
     bar = stack.enter_context(ProgressBar(*columns, console=console))
     task = bar.add_task("starting", total=1.0)
-    return lambda what, part: bar.update(task, description=what, completed=part)
+    return lambda what, fraction: bar.update(task, description=what, completed=fraction)
 
 
 def _log_lines() -> Callable[[str, float], None]:
     """Progress as lines on standard error, with an estimate of the time left."""
     lines: list[tuple[float, float]] = []  # time and part of the first report, then of each line
 
-    def report(what: str, part: float) -> None:
+    def report(what: str, fraction: float) -> None:
         now = time.monotonic()
-        lines[:] = lines or [(now, part)]
-        elapsed, done = now - lines[0][0], part - lines[0][1]
+        lines[:] = lines or [(now, fraction)]
+        elapsed, done = now - lines[0][0], fraction - lines[0][1]
         if done > 0 and now - lines[-1][0] >= max(_LOG_INTERVAL, _LOG_SHARE * elapsed):
-            spent, left = (timedelta(seconds=round(span)) for span in (elapsed, elapsed * (1 - part) / done))
-            echo(f"{100 * part:.0f} % after {spent}, about {left} left: {what}", err=True)
-            lines.append((now, part))
+            spent, left = (timedelta(seconds=round(span)) for span in (elapsed, elapsed * (1 - fraction) / done))
+            echo(f"{100 * fraction:.0f} % after {spent}, about {left} left: {what}", err=True)
+            lines.append((now, fraction))
 
     return report
 
@@ -205,10 +205,10 @@ def job_progress(*, quiet: bool = False, width: int = 40) -> Iterator[Progress]:
     with ExitStack() as stack:
         bars: list[Callable[[str, float], None]] = []
 
-        def report(what: str, part: float) -> None:
+        def report(what: str, fraction: float) -> None:
             if not bars:
                 bars.append(_bar(stack, width))
-            bars[0](what, part)
+            bars[0](what, fraction)
 
         yield None if quiet else report
 

@@ -38,8 +38,8 @@ class Reading(NamedTuple):
         _report(dataset.table.attrs)
         command = f"`{shlex.join([*POINTS.split(), *names, *self.options, '--out', 'plateaus'])}` and "
         for note in dataset.table.attrs.get("preprocessing", "").splitlines():
-            shown = note.replace(POINTS, f"{command}`mckibben identify plateaus/points.csv`")
-            echo(f"found in the data: {shown}", err=True)
+            text = note.replace(POINTS, f"{command}`mckibben identify plateaus/points.csv`")
+            echo(f"found in the data: {text}", err=True)
         return dataset
 
     def recordings(self, paths: list[str]) -> list[Recording]:
@@ -73,7 +73,7 @@ def read_options(*, read: Texts = None, column: Texts = None, initial_length: st
 
     recipe, options, accepted = Recipe(), dict[str, object](), []
     for text in read or []:
-        name, equals, value = (part.strip() for part in text.partition("="))
+        name, equals, value = (word.strip() for word in text.partition("="))
         if not equals or not name.isidentifier():
             recipe = Recipe.read(text)
         elif name == "accept":
@@ -92,17 +92,19 @@ def read_options(*, read: Texts = None, column: Texts = None, initial_length: st
     if accepted:
         options["accept"] = [*recipe.accept, *accepted]
     try:
-        said = (*_repeated("--read", read), *_repeated("--column", column))
-        return Reading(recipe.with_options(options), (*said, *_repeated("--initial-length", [initial_length])))
+        arguments = (*_repeated("--read", read), *_repeated("--column", column))
+        return Reading(recipe.with_options(options), (*arguments, *_repeated("--initial-length", [initial_length])))
     except ScenarioError as error:
-        shown = {"initial_length": "--initial-length", "columns": "--column"}
-        problems = [replace(p, field=shown.get(p.field.split("[")[0], f"--read {p.field}=")) for p in error.problems]
+        options_of_fields = {"initial_length": "--initial-length", "columns": "--column"}
+        problems = [
+            replace(p, field=options_of_fields.get(p.field.split("[")[0], f"--read {p.field}=")) for p in error.problems
+        ]
         raise ScenarioError("options of reading", problems) from None
 
 
 def _repeated(option: str, texts: Texts) -> list[str]:
     """An option before each of its texts."""
-    return [part for text in filter(None, texts or []) for part in (option, text)]
+    return [argument for text in filter(None, texts or []) for argument in (option, text)]
 
 
 def _report(attributes: Mapping[str, Any]) -> None:

@@ -41,7 +41,7 @@ def control(
     check: bool = False,
     json: bool = False,
 ) -> None:
-    """Run a scenario's controller on a joint in real time, and record it. Ctrl-C stops it and vents.
+    """Run a scenario's controller on a joint or robot in real time, and record it. Ctrl-C stops it and vents.
 
     Exit codes: 0 done, 1 stopped (the reason is printed and recorded), 2 refused before anything moved, and 128 plus
     the signal's number (130 for Ctrl-C).
@@ -76,7 +76,7 @@ def control(
     out = required_folder(out, "run")
     check_free(make_folder(out), (*JointRunResult.file_names(), "record-0001.mcap"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
-    for warning in filter(None, ["" if session.reach.feasible else session.reach.verdict(), session.leniency]):
+    for warning in session.warnings:
         echo(f"warning: {warning}", err=True)
     with run_line(quiet=json) as progress:
         try:
@@ -131,12 +131,14 @@ def run_line(*, quiet: bool) -> Iterator[Callable[[RunProgress], None] | None]:
 
 
 def _text(now: RunProgress) -> str:
-    reference = f" (reference {now.reference / deg:6.2f})" if now.reference == now.reference else ""
-    reading = now.reading
-    return (
-        f"{now.phase.name.lower()} {now.time:6.2f} of {now.duration:.4g} s  {reading.angle / deg:6.2f} deg{reference}  "
-        f"{reading.pressure1 / bar:5.2f} {reading.pressure2 / bar:5.2f} bar  missed {now.missed}"
-    )
+    angles = " ".join(f"{angle / deg:6.2f}" for angle in now.angles)
+    references = " ".join(f"{angle / deg:6.2f}" for angle in now.references)
+    told = f" (reference {references})" if len(now.references) == 1 else ""
+    pressures = [pressure / bar for pressure in now.pressures]
+    several = len(pressures) > 2
+    read = f"{min(pressures):.2f}..{max(pressures):.2f}" if several else " ".join(f"{p:5.2f}" for p in pressures)
+    time = f"{now.time:6.2f} of {now.duration:.4g} s"
+    return f"{now.phase.name.lower()} {time}  {angles} deg{told}  {read} bar  missed {now.missed}"
 
 
 rig = typer.Typer(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,16 +10,18 @@ from typer import Argument
 
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_results, check_unused, required_folder
-from mckibben.cli.report import Report
+from mckibben.errors import ParameterError
+from mckibben.result import Listing, Remark, Result, TableColumns, table
 
 if TYPE_CHECKING:
-    from mckibben.result import Result
     from mckibben.scenario.robot import RobotScenario
+    from mckibben.statics.attainable import JointRange
+    from mckibben.statics.pressures import StaticPressures
 
 
 @command
 def robot(
-    study: Literal["land", "jump", "stiffness", "read"],
+    study: Literal["land", "jump", "pressures", "stiffness", "read"],
     file: Path,
     muscle: Annotated[Path | None, Argument(metavar="MUSCLE.yaml", help="Muscle of all tendons that are read.")] = None,
     *,
@@ -28,16 +31,20 @@ def robot(
     progress: Progress = None,
 ) -> Result:
     """Study a robot: drop landings over stiffness, height and valve; the highest jumps; pressures for a stiffness of
-    its foot. Landings and jumps are kept in DIR, and can be resumed. Or read MJCF or URDF, and write DIR/robot.yaml.
+    its foot or joints. Landings and jumps are kept in DIR, and can be resumed. Or read MJCF or URDF, and write
+    DIR/robot.yaml.
 
     Parameters
     ----------
-    study : land|jump|stiffness|read
+    study : land|jump|pressures|read
         Study, of which the file has the settings; or read.
     file : ROBOT.yaml
         Robot, see examples/robot/; or a file of MJCF or URDF to read.
     """
-    if study in ("stiffness", "read"):
+    if study == "stiffness":
+        remedy = f"mckibben robot pressures {file}; `mckibben stiffness` measures what a push feels"
+        raise ParameterError("the pressures for a stiffness are called pressures", field="robot", remedy=remedy)
+    if study in ("pressures", "read"):
         check_unused(f"robot {study}", resume=resume)
     elif resume:
         required_folder(out, "study to be continued")
@@ -48,12 +55,12 @@ def robot(
     from mckibben.study.jumping import JumpStudy, study_jump
     from mckibben.study.landing import LandingStudy, study_landing
 
-    kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, Report)
+    kind = {"land": LandingStudy, "jump": JumpStudy}.get(study, RobotPressures)
     if out:
         check_results(out, kind.file_names(), resume=resume, force=force)
     scenario = RobotScenario.read(file)
-    if study == "stiffness":
-        return _stiffness(scenario, str(file))
+    if study == "pressures":
+        return _pressures(scenario, str(file))
     run = study_landing if study == "land" else study_jump
     return run(scenario, source=str(file), out=out, resume=resume, progress=progress)
 
@@ -69,23 +76,45 @@ def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
     return read
 
 
-def _stiffness(read: RobotScenario, source: str) -> Report:
+class RobotPressures(Result):
+    """Pressures for a stiffness that the file of a robot asks for, and what is attainable in its posture."""
+
+    attainable: dict[str, JointRange]
+    pressures: StaticPressures | None
+    in_posture: bool
+
+    def verdict(self) -> str:
+        """Return the verdict on the pressures."""
+        posture = "in the posture of the file" if self.in_posture else "with angles near 0"
+        missing = "" if self.in_posture else "no section `stiffness`: "
+        return self.pressures.verdict() if self.pressures else f"{missing}what is attainable {posture}"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the remarks on the pressures."""
+        return self.pressures.remarks() if self.pressures else ()
+
+    def declared(self) -> TableColumns:
+        """Return the numbers of the pressures."""
+        return self.pressures.declared() if self.pressures else {}
+
+    @table()
+    def joints(self) -> list[Listing]:
+        """What is attainable at each joint."""
+        from mckibben.statics.attainable import attainable_listing
+
+        return [attainable_listing(self.attainable)]
+
+
+def _pressures(read: RobotScenario, source: str) -> Result:
     from mckibben.report.robot import point_ellipses, posture
     from mckibben.scenario.statics import solve_statics
-    from mckibben.statics.attainable import attainable_listing
 
     attainable, solved = solve_statics(read, source=source)
-    tables, text = (attainable_listing(attainable),), "no section `stiffness`: what is attainable with angles near 0"
-    if read.stiffness is not None:
-        text = "what is attainable in the posture of the file"
-    numbers = None if solved is None else solved.to_dict() | {"tables": [table.to_dict() for table in tables]}
-    if solved is not None:
-        tables, text = (*solved.listings(), *tables), solved.verdict()
-
     angles = read.robot.posture_angles({} if read.stiffness is None else read.stiffness.posture)
     pressures, stiffness = (None, None) if solved is None else (solved.pressures, solved.joint_stiffness)
     point = None if read.stiffness is None else read.stiffness.point
     drawings = {"posture": lambda: posture(read.robot, angles, pressures, stiffness=stiffness, point=point)}
     if solved is not None and solved.stiffness is not None:
         drawings["point_stiffness"] = lambda: point_ellipses(read.robot, angles, found=solved, point=point)
-    return Report(text, tables, (), numbers, writers={"robot.yaml": read.to_yaml}, drawings=drawings)
+    result = RobotPressures(attainable, solved, read.stiffness is not None)
+    return result.with_files({"robot.yaml": read.to_yaml}, drawings)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -155,7 +154,7 @@ def tune(
     texts = [path.read_text(encoding="utf-8-sig") for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)
-    wanted = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
+    target = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
     if percentile is not None and len(read) == 1 and not (conditions or begun.get("conditions")):
         raise ParameterError("--percentile applies to conditions", remedy="add --conditions 'NAME=RANGE'")
     draws = begun.get("seed", 0) if seed is None else seed
@@ -169,7 +168,7 @@ def tune(
     tuned = run(
         read,
         ranges,
-        wanted,
+        target,
         method=method,
         iterations=iterations,
         seed=seed,
@@ -179,10 +178,8 @@ def tune(
         conditions=drawn,
         progress=progress,
     )
-    own = zip(tuned.scenarios, texts, scenarios, strict=True)
-    return replace(
-        tuned, writers={name: partial(_write_tuned, tuned, *of) for name, of in zip(names, own, strict=True)}
-    )
+    written = zip(tuned.scenarios, texts, scenarios, strict=True)
+    return tuned.with_files({name: partial(_write_tuned, tuned, *of) for name, of in zip(names, written, strict=True)})
 
 
 @command
@@ -219,9 +216,9 @@ def compare(
     results = {}
     for number, (name, setup) in enumerate(suites.items()):
 
-        def step(task: str, part: float, name: str = name, number: int = number) -> None:
+        def step(task: str, fraction: float, name: str = name, number: int = number) -> None:
             if progress:
-                progress(f"{name}: {task}" if name else task, (number + part) / len(suites))
+                progress(f"{name}: {task}" if name else task, (number + fraction) / len(suites))
 
         results[name] = run(setup, out=folders[name], resume=again[name], progress=step)
     if "" in results:
@@ -249,8 +246,8 @@ def _write_tuned(tuned: TuneResult, scenario: StudiedScenario, before: str, sour
     text = edit_scenario(before, tuned.values, folder=source.parent)
     with suppress(ScenarioError):
         if type(scenario).parse(text, folder=target.parent) == scenario:
-            with atomic_write(target, overwrite=True) as part:
-                part.write_text(text, encoding="utf-8")
+            with atomic_write(target, overwrite=True) as temporary:
+                temporary.write_text(text, encoding="utf-8")
             return
     scenario.to_yaml(target)  # a relative path in the text is invalid in the new folder
 

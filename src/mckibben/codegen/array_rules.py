@@ -115,8 +115,8 @@ class ArrayRules:
             result = self._graph.operation("shift_right", kind, x, places)
             if places.constant is None:
                 return result
-            rest = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a 64-bit word
-            return self._graph.operation("and", kind, result, rest)
+            mask = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a 64-bit word
+            return self._graph.operation("and", kind, result, mask)
 
         return self._elementwise(shifted, x, places)
 
@@ -124,8 +124,8 @@ class ArrayRules:
 
     def _reduce(self, name: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
         """Elements along axes combined by an operation, in their order."""
-        rest = [axis for axis in range(x.ndim) if axis not in axes]
-        rows = x.transpose([*axes, *rest]).reshape(-1, *(x.shape[axis] for axis in rest))
+        kept_axes = [axis for axis in range(x.ndim) if axis not in axes]
+        rows = x.transpose([*axes, *kept_axes]).reshape(-1, *(x.shape[axis] for axis in kept_axes))
         result, *others = (np.asarray(row, object) for row in rows)
         for row in others:
             result = self._elementwise(lambda x, y: self._graph.operation(name, kind, x, y), result, row)
@@ -149,12 +149,14 @@ class ArrayRules:
             unordered = operation("and", Kind.BOOLEAN, no_number, number)
             return operation("or", Kind.BOOLEAN, operation(better, Kind.BOOLEAN, x, best), unordered)
 
-        best, *others = (np.asarray(part, object) for part in np.moveaxis(x, axes[0], 0))
+        best, *others = (np.asarray(candidate, object) for candidate in np.moveaxis(x, axes[0], 0))
         index = array_of(best.shape, lambda _: self._graph.constant(0, kind))
-        for number, part in enumerate(others, 1):
-            chosen, place = self._elementwise(preferred, part, best), self._graph.constant(number, kind)
+        for number, candidate in enumerate(others, 1):
+            chosen, place = self._elementwise(preferred, candidate, best), self._graph.constant(number, kind)
             index = self._elementwise(lambda c, i, n=place: operation("select", kind, c, n, i), chosen, index)
-            best = self._elementwise(lambda c, new, old: operation("select", new.kind, c, new, old), chosen, part, best)
+            best = self._elementwise(
+                lambda c, new, old: operation("select", new.kind, c, new, old), chosen, candidate, best
+            )
         return index
 
     def _dot_general(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, y: Array) -> Array | None:
@@ -202,7 +204,7 @@ class ArrayRules:
     def _unstack(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> list[Array]:
         """Items along an axis; a primitive of JAX 0.12 and newer."""
         axis = parameters["axis"]
-        return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
+        return [np.squeeze(slab, axis) for slab in np.split(x, x.shape[axis], axis)]
 
     def _slice(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         """Part of an array between bounds, with strides."""
@@ -215,10 +217,10 @@ class ArrayRules:
         operation = self._graph.operation
         for axis, (start, size) in enumerate(zip(starts, parameters["slice_sizes"], strict=True)):
             first, *others = (x.take(range(k, k + size), axis) for k in range(x.shape[axis] - size + 1))
-            for k, part in enumerate(others, 1):
+            for k, candidate in enumerate(others, 1):
                 beyond = operation("ge", Kind.BOOLEAN, start[()], self._graph.constant(k, start[()].kind))
                 select = lambda yes, no, c=beyond: operation("select", kind, c, yes, no)  # noqa: E731
-                first = self._elementwise(select, part, first)
+                first = self._elementwise(select, candidate, first)
             x = first
         return x
 

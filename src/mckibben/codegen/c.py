@@ -128,14 +128,16 @@ class _Types(NamedTuple):
 
 def _structures(module: SourceModule, types: _Types, counts: Mapping[Kind, int]) -> list[Structure]:
     """All structures: parameters, what follows from them, the state, all of these, then arguments and results."""
-    parts = {"parameters": types.structure("parameters", module.members, "may be changed; call prepare afterwards")}
+    structures = {
+        "parameters": types.structure("parameters", module.members, "may be changed; call prepare afterwards")
+    }
     if any(counts.values()):
         lines = [f"{types.of[kind]} {kind.value}[{count}];" for kind, count in counts.items() if count]
-        parts["prepared"] = Structure(f"{module.name}_prepared", "computed from the parameters", lines)
+        structures["prepared"] = Structure(f"{module.name}_prepared", "computed from the parameters", lines)
     if module.state:
-        parts["state"] = types.structure("state", module.state, "from one step to the next")
-    whole = Structure(module.name, "", [f"{module.name}_{part} {part};" for part in parts])
-    return [*parts.values(), whole, *(types.structure(*structure) for structure in module.structures().items())]
+        structures["state"] = types.structure("state", module.state, "from one step to the next")
+    whole = Structure(module.name, "", [f"{module.name}_{member} {member};" for member in structures])
+    return [*structures.values(), whole, *(types.structure(*structure) for structure in module.structures().items())]
 
 
 def _function(function: Function, writer: Writer, types: _Types) -> dict[str, object]:

@@ -62,9 +62,9 @@ class Nvrtc:
         self._call("nvrtcVersion", byref(major), byref(minor))
         self.version = major.value, minor.value
         self._call("nvrtcGetNumSupportedArchs", byref(count))
-        known = (c_int * count.value)()
-        self._call("nvrtcGetSupportedArchs", known)
-        self.architectures = list(known)
+        architectures = (c_int * count.value)()
+        self._call("nvrtcGetSupportedArchs", architectures)
+        self.architectures = list(architectures)
 
     def compile(self, source: str, architecture: int) -> bytes:
         """Compile to the binary for a compute capability, such as 90, or to PTX if that is newer than the compiler.
@@ -80,8 +80,8 @@ class Nvrtc:
                 lower=min(self.architectures),
                 remedy=f"install an older NVRTC, or {_OTHER_ENGINE}",
             )
-        known = architecture in self.architectures
-        target = f"sm_{architecture}" if known else f"compute_{max(self.architectures)}"
+        supported = architecture in self.architectures
+        target = f"sm_{architecture}" if supported else f"compute_{max(self.architectures)}"
         options = [option.encode() for option in (f"--gpu-architecture={target}", *_OPTIONS)]
         program, text = c_void_p(), filled("cuda.h", {}) + source
         self._call("nvrtcCreateProgram", byref(program), text.encode(), b"run.cu", 0, None, None)
@@ -91,7 +91,7 @@ class Nvrtc:
             if status:
                 first = next((line for line in log.splitlines() if "error" in line), self._error(status))
                 raise CompilerError(f"NVRTC {self.name} does not compile the program: {first}", value=status)
-            return self._text(program, "CUBIN" if known else "PTX")
+            return self._text(program, "CUBIN" if supported else "PTX")
         finally:
             self._call("nvrtcDestroyProgram", byref(program))
 
@@ -246,9 +246,9 @@ class Device:
         if status in _OLD:
             raise _old_driver(f"fails with error {status}", self.compiler)
         text = c_char_p()
-        known = self._driver.cuGetErrorName(status, byref(text)) == 0 and text.value
+        has_name = self._driver.cuGetErrorName(status, byref(text)) == 0 and text.value
         remedy = "give a smaller `chunk`" if status == _OUT_OF_MEMORY else _OTHER_ENGINE
-        error = known.decode() if known else f"error {status}"
+        error = has_name.decode() if has_name else f"error {status}"
         raise DeviceError(f"the CUDA driver fails: {name}: {error}", field=name, value=status, remedy=remedy)
 
 

@@ -22,8 +22,8 @@ _POINTS = 128  # of the table: powers of two to multiples of 1 / _POINTS
 def native_language() -> Language:
     """C with the functions of `definitions`."""
     language = c_language()
-    own = {"exp": "exp_of", "sin": "sin_of", "cos": "cos_of", "tanh": "tanh_of"}
-    return replace(language, functions={**language.functions, **own})
+    vectorised = {"exp": "exp_of", "sin": "sin_of", "cos": "cos_of", "tanh": "tanh_of"}
+    return replace(language, functions={**language.functions, **vectorised})
 
 
 @functools.cache

@@ -65,7 +65,7 @@ class Scope:
 
     Attributes
     ----------
-    known
+    shared
         Values of this block by what they compute, so that none is computed twice.
     floor
         The innermost branch around the block, beyond which nothing is hoisted.
@@ -73,7 +73,7 @@ class Scope:
 
     parent: Scope | None = None
     statements: list[Value | ForLoop | Branch | StoredArray] = field(default_factory=list)
-    known: dict[object, Value] = field(default_factory=dict)
+    shared: dict[object, Value] = field(default_factory=dict)
     depth: int = 0
     floor: Scope | None = None
 
@@ -271,13 +271,13 @@ class Graph:
         if kind is Kind.INTEGER:
             number = (number + 2**63) % 2**64 - 2**63  # 64 bits
         key = ("constant", kind, repr(number))
-        if key not in self.root.known:
-            self.root.known[key] = Value("constant", kind, (), self.root, number)
-        return self.root.known[key]
+        if key not in self.root.shared:
+            self.root.shared[key] = Value("constant", kind, (), self.root, number)
+        return self.root.shared[key]
 
     def input(self, name: str, kind: Kind, *, uniform: bool = True) -> Value:
         """A named input of the current scope."""
-        return self._known(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name, uniform))
+        return self._shared(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name, uniform))
 
     def operation(self, name: str, kind: Kind, *arguments: Value) -> Value:
         """Result of an operation: a new value in the outermost scope that has all arguments, or a known one.
@@ -301,7 +301,7 @@ class Graph:
         scope = self._place(arguments)
         key = (name, kind, *map(id, arguments))
         uniform = name == "any" or all(argument.uniform for argument in arguments)
-        return self._known(key, scope, lambda: Value(name, kind, arguments, scope, None, uniform))
+        return self._shared(key, scope, lambda: Value(name, kind, arguments, scope, None, uniform))
 
     def _plain(self, name: str, arguments: tuple[Value, ...]) -> tuple[str, tuple[Value, ...]]:
         """The operation without orders of booleans and complements of integers, which languages write differently."""
@@ -332,46 +332,46 @@ class Graph:
         place = Element(array, stride, offset)
         arguments = () if row is None else (row,)
         key = ("element", place, *map(id, arguments))
-        return self._known(key, scope, lambda: Value("element", array.kind, arguments, scope, place, array.uniform))
+        return self._shared(key, scope, lambda: Value("element", array.kind, arguments, scope, place, array.uniform))
 
-    def _known(self, key: object, scope: Scope, make: Callable[[], Value]) -> Value:
+    def _shared(self, key: object, scope: Scope, make: Callable[[], Value]) -> Value:
         """The value of a key in a scope or an enclosing one; created and added to its statements if missing."""
         outer: Scope | None = scope
         while outer is not None:
-            if key in outer.known:
-                return outer.known[key]
+            if key in outer.shared:
+                return outer.shared[key]
             outer = outer.parent
         self._room -= 1
         if self._room < 0:
             raise ExportError("a program of too many operations")
-        scope.known[key] = value = make()
+        scope.shared[key] = value = make()
         scope.statements.append(value)
         return value
 
     def _simplified(self, name: str, kind: Kind, arguments: tuple[Value, ...]) -> Value | None:
         """A constant or one of the arguments, if the operation reduces to it."""
-        known = [argument.constant for argument in arguments]
+        constants = [argument.constant for argument in arguments]
         if name == "select":
             _, yes, no = arguments
             if yes is no:
                 return yes
-            return None if known[0] is None else yes if known[0] else no
-        if all(number is not None for number in known) and name in FOLDED:
+            return None if constants[0] is None else yes if constants[0] else no
+        if all(number is not None for number in constants) and name in FOLDED:
             with np.errstate(all="ignore"):
-                return self.constant(FOLDED[name](*known), kind)
+                return self.constant(FOLDED[name](*constants), kind)
         first = arguments[0]
         if name in ("real", "integer", "boolean"):
             return first if first.kind is kind else None
         if name in ("and", "or") and kind is Kind.BOOLEAN:
-            for number, other in ((known[0], arguments[1]), (known[1], first)):
+            for number, other in ((constants[0], arguments[1]), (constants[1], first)):
                 if number is not None:
                     return other if number is (name == "and") else self.constant(number, kind)
         neutral = {"add": 0, "sub": 0, "mul": 1, "div": 1}.get(name)
         if neutral is None:
             return None
-        if known[1] == neutral:
+        if constants[1] == neutral:
             return first
-        return arguments[1] if known[0] == neutral and name in ("add", "mul") else None
+        return arguments[1] if constants[0] == neutral and name in ("add", "mul") else None
 
     def power(self, x: Value, exponent: int) -> Value:
         """Integer power by squaring: 2 log2(n) multiplications at most, of the reciprocal for a negative one.
@@ -382,12 +382,12 @@ class Graph:
         """
         if exponent < 0:
             return self.power(self.operation("div", x.kind, self.constant(1.0, x.kind), x), -exponent)
-        result, square, rest = self.constant(1.0, x.kind), x, exponent
-        while rest:
-            if rest & 1:
+        result, square, bits = self.constant(1.0, x.kind), x, exponent
+        while bits:
+            if bits & 1:
                 result = self.operation("mul", x.kind, result, square)
-            rest >>= 1
-            square = self.operation("mul", x.kind, square, square) if rest else square
+            bits >>= 1
+            square = self.operation("mul", x.kind, square, square) if bits else square
         return result
 
     def array(self, elements: Sequence[Value]) -> tuple[StoredArray, int]:

@@ -64,8 +64,8 @@ def _literals(members: Sequence[Member]) -> list[str]:
 
 def _object(members: Sequence[Member], texts: Sequence[str]) -> str:
     """Object of members, from the texts of their elements."""
-    rest = iter(texts)
-    numbers = [(member, ", ".join([next(rest) for _ in range(member.size)])) for member in members]
+    remaining = iter(texts)
+    numbers = [(member, ", ".join([next(remaining) for _ in range(member.size)])) for member in members]
     items = [f"{member.name}: [{text}]" if member.shape else f"{member.name}: {text}" for member, text in numbers]
     return f"{{{', '.join(items)}}}"
 

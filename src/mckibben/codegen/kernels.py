@@ -71,7 +71,7 @@ class KernelWriter(Writer):
         super().__init__(scopes, _language("float" if single else "double"), results, wide_language=_language("double"))
         self._first = scopes[0]
         self.constants: list[Value] = []
-        self._known: dict[int, int] = {}  # their places, by identity
+        self._places: dict[int, int] = {}  # their places, by identity
 
     def _is_wide(self, value: Value) -> bool:
         """Whether a value is the same in all runs, and has 64 bits."""
@@ -104,12 +104,12 @@ class KernelWriter(Writer):
 
     def _argument(self, value: Value, argument: Value) -> Text:
         """Text of an argument; a value that all runs and periods share becomes a constant of the kernel."""
-        known = argument.uniform and argument.scope is self._first and argument.operation != "constant"
-        if not known or argument.kind is not Kind.REAL or all(argument.uniform for argument in value.arguments):
+        is_parameter = argument.uniform and argument.scope is self._first and argument.operation != "constant"
+        if not is_parameter or argument.kind is not Kind.REAL or all(argument.uniform for argument in value.arguments):
             return super()._argument(value, argument)
-        if id(argument) not in self._known:
+        if id(argument) not in self._places:
             if len(self.constants) == _MOST:
                 return super()._argument(value, argument)
-            self._known[id(argument)] = len(self.constants)
+            self._places[id(argument)] = len(self.constants)
             self.constants.append(argument)
-        return f"known[{self._known[id(argument)]}]", ATOM
+        return f"known[{self._places[id(argument)]}]", ATOM

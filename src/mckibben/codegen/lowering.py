@@ -144,13 +144,13 @@ class Lowering(ArrayRules):
 
     def _jaxpr(self, jaxpr: Jaxpr, constants: Sequence[Array], arguments: Sequence[Array]) -> list[Array]:
         """Results of a jaxpr, equation by equation."""
-        known: dict[core.Var, Array] = {}
+        arrays: dict[core.Var, Array] = {}
 
         def read(variable: core.Var | core.Literal) -> Array:
-            return self.literal(variable.val) if isinstance(variable, core.Literal) else known[variable]
+            return self.literal(variable.val) if isinstance(variable, core.Literal) else arrays[variable]
 
-        known.update(zip(jaxpr.constvars, constants, strict=True))
-        known.update(zip(jaxpr.invars, arguments, strict=True))
+        arrays.update(zip(jaxpr.constvars, constants, strict=True))
+        arrays.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
             if not (equation.outvars or equation.effects):  # reverse derivatives leave calls without results
                 continue
@@ -162,7 +162,7 @@ class Lowering(ArrayRules):
             except _UnsupportedError as error:
                 error.place = error.place or _source(equation)
                 raise
-            known.update(zip(equation.outvars, results, strict=True))
+            arrays.update(zip(equation.outvars, results, strict=True))
         return [read(variable) for variable in jaxpr.outvars]
 
     def expanded(self, stored: Stored) -> Array:
@@ -320,8 +320,8 @@ class Lowering(ArrayRules):
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
         carry = [self.plain(array) for array in arguments[count : count + carries]]
-        known = isinstance(length, int)
-        if known and (length * _equations(body.jaxpr) <= _UNROLLED or length <= 1):
+        is_constant = isinstance(length, int)
+        if is_constant and (length * _equations(body.jaxpr) <= _UNROLLED or length <= 1):
             return self._unrolled(body, length, reverse, constants, carry, list(map(self.plain, columns)))
         columns = [column if isinstance(column, Stored) else self._stored(column) for column in columns]
         inner: list[Array] = []
@@ -509,17 +509,17 @@ def _varying_while(
 def _scan_sizes(parameters: Parameters) -> tuple[int, int]:
     """Numbers of constants and of carried values of a scan."""
     if "ft_in" in parameters:  # JAX 0.12 and newer
-        constants, carry, _ = (len(list(part.vals)) for part in parameters["ft_in"].unpack())
+        constants, carry, _ = (len(list(group.vals)) for group in parameters["ft_in"].unpack())
         return constants, carry
     return parameters["num_consts"], parameters["num_carry"]
 
 
 def _varying(jaxpr: Jaxpr, inputs: Sequence[bool]) -> list[bool]:
     """Results that vary over lanes, given the inputs that do; results of branches and stored rows always vary."""
-    known = dict(zip(jaxpr.invars, inputs, strict=True))
+    varying = dict(zip(jaxpr.invars, inputs, strict=True))
 
     def read(variable: core.Var | core.Literal) -> bool:
-        return not isinstance(variable, core.Literal) and known.get(variable, False)
+        return not isinstance(variable, core.Literal) and varying.get(variable, False)
 
     for equation in jaxpr.eqns:
         varies, parameters = list(map(read, equation.invars)), equation.params
@@ -538,5 +538,5 @@ def _varying(jaxpr: Jaxpr, inputs: Sequence[bool]) -> list[bool]:
             results = _varying_while(parameters, varies[:begin], varies[begin:end], varies[end:])[0]
         elif equation.primitive.name == "cond":
             results = [True] * len(results)
-        known.update(zip(equation.outvars, results, strict=True))
+        varying.update(zip(equation.outvars, results, strict=True))
     return list(map(read, jaxpr.outvars))

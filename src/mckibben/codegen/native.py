@@ -127,7 +127,7 @@ class NativeFunction:
 
     def __init__(self, function: Callable[..., PyTree], flags: Sequence[str] = ()) -> None:
         self._function, self._flags = function, tuple(flags)
-        self._known: dict[object, Compiled | ExportError] = {}
+        self._programs: dict[object, Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
     def __call__(self, shared: PyTree, lanes: PyTree = None, *, single: bool = False) -> PyTree:
@@ -143,13 +143,13 @@ class NativeFunction:
         common, varying = Split.of(shared), Split.of(lanes, lanes=True)
         key = common.key, varying.key, single, *own_flags()  # which may change in a notebook
         with self._lock:
-            if (program := self._known.get(key)) is None:
+            if (program := self._programs.get(key)) is None:
                 try:
                     written = lambda: self.written(common, varying, single=single)  # noqa: E731
                     program = self.cached(key, written, many=bool(varying.arrays))
                 except ExportError as error:  # it will fail next time too
                     program = _without_frames(error)
-                self._known[key] = program
+                self._programs[key] = program
         if isinstance(program, ExportError):
             raise _without_frames(program)
         return program.bound(common.arrays, varying.arrays)
@@ -267,9 +267,9 @@ class Split:
 
     def filled(self, arrays: Sequence[NDArray]) -> PyTree:
         """The tree with new arrays."""
-        rest = iter(arrays)
+        remaining = iter(arrays)
         leaves = [
-            next(rest) if leaf is ARRAY else arrays[leaf.place] if isinstance(leaf, Repeated) else leaf
+            next(remaining) if leaf is ARRAY else arrays[leaf.place] if isinstance(leaf, Repeated) else leaf
             for leaf in self.static
         ]
         return jax.tree.unflatten(self.structure, leaves)
@@ -357,12 +357,12 @@ def compile_native(
     compiled = NativeFunction(function, EXACT).cached((*static, *sizes), written)
     ends = np.cumsum([math.prod(shape) for shape, _ in compiled.leaves]).tolist()
     columns = zip(ends, compiled.leaves, strict=True)
-    parts = [(slice(end - math.prod(shape), end), shape, kind) for end, (shape, kind) in columns]
+    spans = [(slice(end - math.prod(shape), end), shape, kind) for end, (shape, kind) in columns]
 
     def compute(*vectors: NDArray[np.float64]) -> PyTree:
         words, results = np.concatenate(vectors), np.empty(ends[-1])
         compiled.run(b"", words.ctypes.data, results.ctypes.data, 1)
-        values = [(results[part].reshape(shape), kind) for part, shape, kind in parts]
+        values = [(results[span].reshape(shape), kind) for span, shape, kind in spans]
         leaves = [x if kind[1] == "f" else x.view(np.int64).astype(kind) for x, kind in values]
         return jax.tree.unflatten(compiled.tree, leaves)
 

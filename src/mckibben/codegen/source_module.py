@@ -166,12 +166,12 @@ class SourceModule:
             (self.parameters, *arguments.values()),
             inputs,
         )
-        rest = map(self._lowering.plain, leaves)
+        remaining = map(self._lowering.plain, leaves)
         members_by_result, values = {}, {}
         for result, tree in shape.items():
             zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), tree)
             members_by_result[result] = self._members(result, zeros)
-            values[result] = [value for _ in jax.tree.leaves(tree) for value in next(rest).flat]
+            values[result] = [value for _ in jax.tree.leaves(tree) for value in next(remaining).flat]
             if result == "state":
                 members_by_result[result], values[result] = _changed(members_by_result[result], values[result])
         self.graph.scope = self.graph.root
@@ -189,7 +189,7 @@ class SourceModule:
         {'additions, products, comparisons': 6, 'divisions, roots': 5, 'functions of math.h': 5}
         """
         function = next(function for function in self.functions if function.name == name)
-        counts = sum(map(count_operations, (part.scope for part in (function, *function.guard))), Counter[str]())
+        counts = sum(map(count_operations, (piece.scope for piece in (function, *function.guard))), Counter[str]())
         slow, called = ({kind: counts[kind] for kind in kinds} for kinds in (_SLOW, _CALLED))
         other = counts.total() - sum(slow.values()) - sum(called.values())
         return {
@@ -205,8 +205,8 @@ class SourceModule:
     @property
     def state(self) -> list[Member]:
         """Members of the state, if a function has one; a function may return a part of it."""
-        structures = (part for function in self.functions for part in (function.arguments, function.results))
-        return max((part["state"] for part in structures if "state" in part), key=len, default=[])
+        structures = (structure for function in self.functions for structure in (function.arguments, function.results))
+        return max((structure["state"] for structure in structures if "state" in structure), key=len, default=[])
 
     @property
     def scopes(self) -> list[Scope]:
@@ -239,11 +239,11 @@ class SourceModule:
 
 def _changed(members: Sequence[Member], values: Sequence[Value]) -> tuple[list[Member], list[Value]]:
     """Members of the state that a function changes, and their values."""
-    rest, changed, results = iter(values), list[Member](), list[Value]()
+    remaining, changed, results = iter(values), list[Member](), list[Value]()
     for member in members:
-        elements = [next(rest) for _ in range(member.size)]
-        own = element_names("state", [member])
-        if any((value.operation, value.data) != ("input", name) for value, name in zip(elements, own, strict=True)):
+        elements = [next(remaining) for _ in range(member.size)]
+        inputs = element_names("state", [member])
+        if any((value.operation, value.data) != ("input", name) for value, name in zip(elements, inputs, strict=True)):
             changed.append(member)
             results += elements
     return changed, results

@@ -10,7 +10,7 @@ from mckibben.codegen.graph import Branch, Carried, ForLoop, Kind, Scope, Stored
 from mckibben.codegen.source_module import identifier
 
 _LONGEST = 100  # characters of an expression without its own variable
-ATOM, PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
+ATOM, PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = range(8, 0, -1)
 _INFIX = {
     "add": ("+", _SUM),
     "sub": ("-", _SUM),

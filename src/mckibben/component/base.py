@@ -153,10 +153,10 @@ class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  #
         for name, value in _rows(self):
             tables.setdefault(name.rpartition(".")[0].partition(".")[0], []).append((name, value))
         headings = "field", "value, SI if no unit is given"
-        own, *parts = (Listing.of("", headings, rows).to_html() for rows in tables.values())
-        opened = zip(list(tables)[1:], parts, strict=True)
+        first, *others = (Listing.of("", headings, rows).to_html() for rows in tables.values())
+        opened = zip(list(tables)[1:], others, strict=True)
         more = (f"<details><summary>{name}</summary>{table}</details>" for name, table in opened)
-        return f"<p>{type(self).__name__}</p>{own}{''.join(more)}"
+        return f"<p>{type(self).__name__}</p>{first}{''.join(more)}"
 
 
 class Checked(Described, Suggesting, metaclass=_TextWithUnits):
@@ -178,7 +178,9 @@ def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
     'above 0, up to 10000 mm'
     """
     marks = {name: {*marks_in(hint, Quantity | BoundedInt)} for name, hint in field_hints(kind).items()}
-    return {name: own.pop() for name, own in marks.items() if len(own) == 1}  # not a tuple of several quantities
+    return {
+        name: found_quantities.pop() for name, found_quantities in marks.items() if len(found_quantities) == 1
+    }  # not a tuple of several quantities
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,9 +230,9 @@ def _errors(instance: object, units: Units = _NO_UNITS) -> Iterator[RangeError]:
             _check_field(kind, field, value, units)
         except RangeError as error:
             yield error
-        for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, Component) and (inner := units_of_part(field_hints(kind).get(field.name)) or units):
-                yield from _errors(part, inner)
+        for member in value if isinstance(value, tuple) else (value,):
+            if isinstance(member, Component) and (inner := units_of_part(field_hints(kind).get(field.name)) or units):
+                yield from _errors(member, inner)
     for group in getattr(kind, "together", ()):
         missing = [name for name in group if getattr(instance, name) is None]
         if 0 < len(missing) < len(group):
@@ -292,7 +294,7 @@ def units_of_part(hint: object) -> Units:
 
 
 def _is_sequence(hint: object) -> bool:
-    origins = (get_origin(part) for part in (hint, *get_args(hint)))
+    origins = (get_origin(alternative) for alternative in (hint, *get_args(hint)))
     return any(isinstance(origin, type) and issubclass(origin, Sequence) for origin in origins)
 
 

@@ -130,26 +130,26 @@ class _Parameters(NamedTuple):
 
     def call(self, function: str) -> str:
         """Return the call with the arguments that it needs."""
-        shown = [name if name in self.places else f"{name}=..." for name in self.needed]
-        return f"{function}({', '.join([*shown, '...'] if len(self.names) > len(self.needed) else shown)})"
+        arguments = [name if name in self.places else f"{name}=..." for name in self.needed]
+        return f"{function}({', '.join([*arguments, '...'] if len(self.names) > len(self.needed) else arguments)})"
 
 
 def _unbound(
     function: Callable[..., object], parameters: list[inspect.Parameter], arguments: Arguments, reason: str
 ) -> CallError:
     """Return the error of arguments that are unknown, too many or missing."""
-    of, (args, named), known = function.__name__, arguments, _Parameters.of(parameters)
-    write = f"write {known.call(of)}"
+    of, (args, named), signature = function.__name__, arguments, _Parameters.of(parameters)
+    write = f"write {signature.call(of)}"
     if args and (reading := _reading(function, args[0])):
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
-    if unknown := next((name for name in named if name not in known.names), ""):
-        remedy = known.suggest(unknown, named) if known.names else write
+    if unknown := next((name for name in named if name not in signature.names), ""):
+        remedy = signature.suggest(unknown, named) if signature.names else write
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
-    if len(args) > len(known.places):
-        others = ", ".join(f"{name}=..." for name in known.names if name not in known.places)
-        text = f"{of} takes {len(known.places)} arguments by position, not {len(args)}"
+    if len(args) > len(signature.places):
+        others = ", ".join(f"{name}=..." for name in signature.names if name not in signature.places)
+        text = f"{of} takes {len(signature.places)} arguments by position, not {len(args)}"
         return CallError(text, value=args, remedy=f"give others by name: {others}" if others else write)
-    missing = [name for name in known.needed if name not in [*known.places[: len(args)], *named]]
+    missing = [name for name in signature.needed if name not in [*signature.places[: len(args)], *named]]
     if not args and not named and (other := getattr(function, "suggestions", {}).get("()", "")):
         write = f"{write}; {other.format(of)}"
     text = f"{of} needs {' and '.join(missing)}" if missing else f"{of}: {reason}"
@@ -175,8 +175,8 @@ def _remedy(value: object, kinds: list[type], others: list[object]) -> str:
     remedy = f"give {with_article(' or '.join(_NAMES.get(kind, kind.__name__) for kind in kinds))}"
     if reading := _reading(kinds[0], value):
         return f"{remedy}: {reading}"
-    if callable(getattr(type(value), made := kinds[0].__name__.lower(), None)):
-        return f"{remedy}: {type(value).__name__}.{made}() returns one"
+    if callable(getattr(type(value), method := kinds[0].__name__.lower(), None)):
+        return f"{remedy}: {type(value).__name__}.{method}() returns one"
     swapped = any(isinstance(other, kind) for other in others for kind in kinds if _is_ours(kind))
     return f"{remedy}; are arguments swapped?" if swapped else remedy
 
@@ -201,8 +201,8 @@ def _alternatives(hint: object) -> Iterator[object]:
     """Alternatives of a type."""
     origin = get_origin(hint)
     if origin in (Union, UnionType, Annotated):
-        for part in get_args(hint)[: 1 if origin is Annotated else None]:
-            yield from _alternatives(part)
+        for alternative in get_args(hint)[: 1 if origin is Annotated else None]:
+            yield from _alternatives(alternative)
     else:
         yield type if origin is type else hint
 
@@ -221,8 +221,8 @@ def _is_ours(kind: type) -> bool:
 def _cannot_be(value: object, kinds: list[type]) -> bool:
     """Whether a value cannot be an instance of these classes; a number may stand for an array and vice versa."""
     certain = (*_CERTAIN, Sequence) if isinstance(value, Number) else _CERTAIN
-    known = isinstance(value, NoneType | str | Mapping) or all(_is_ours(kind) or kind in certain for kind in kinds)
-    return known and not isinstance(value, tuple(kinds))
+    certainly = isinstance(value, NoneType | str | Mapping) or all(_is_ours(kind) or kind in certain for kind in kinds)
+    return certainly and not isinstance(value, tuple(kinds))
 
 
 def user_level() -> int:

@@ -85,10 +85,10 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """
     if not isinstance(value, kind):
         kinds = [option.__name__ for option in get_args(kind) or (kind,) if option is not NoneType]
-        hint, made = "" if isinstance(value, str) else "; are arguments swapped?", kinds[0].lower()
-        if callable(getattr(type(value), made, None)):
-            hint = f": {type(value).__name__}.{made}() returns one"
-        elif meant := getattr(type(value), "suggestions", {}).get(made):
+        hint, method = "" if isinstance(value, str) else "; are arguments swapped?", kinds[0].lower()
+        if callable(getattr(type(value), method, None)):
+            hint = f": {type(value).__name__}.{method}() returns one"
+        elif meant := getattr(type(value), "suggestions", {}).get(method):
             hint = f": {meant}"
         remedy = f"give {with_article(' or '.join(kinds))}{hint}"
         raise RangeError(f"{owner}: {name} is {described(value)}", field=name, value=value, remedy=remedy)
@@ -151,8 +151,8 @@ def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArr
         For a text or a flag.
     """
     if isinstance(value, str | bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool):
-        shown = quoted(value) if isinstance(value, str) else value
-        raise RangeError(f"{owner}: {name} is {shown}", field=name, value=value, remedy=as_number(value, unit))
+        text = quoted(value) if isinstance(value, str) else value
+        raise RangeError(f"{owner}: {name} is {text}", field=name, value=value, remedy=as_number(value, unit))
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
     if isinstance(value, tuple | list) and all(type(item) is float for item in value):

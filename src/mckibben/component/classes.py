@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from mckibben.binding import call
 from mckibben.component.extensions import module_origin
 from mckibben.errors import RangeError, quoted
 
@@ -38,13 +38,11 @@ class Catalog:
 
 
 _CATALOGS: dict[type, Catalog] = {}
-_BUILT_IN = "mckibben.catalog.entries"
-"""Module that registers the published entries: above this one, and loaded when a file names one."""
 
 
 def catalog_of(base: type) -> Catalog | None:
     """Return the catalog of a base, or of a class that it derives from."""
-    importlib.import_module(_BUILT_IN)
+    call("register_catalog")  # when a file names an entry
     return next((_CATALOGS[kind] for kind in base.__mro__ if kind in _CATALOGS), None)
 
 
@@ -96,8 +94,8 @@ def full_name(kind: type) -> str:
 
 def name_in_files(base: type, kind: type) -> str:
     """Return the name by which files find a class of a base: in full where another has the same name."""
-    own = class_name(kind)
-    return own if len(_named(base, own)) < 2 else full_name(kind)
+    short = class_name(kind)
+    return short if len(_named(base, short)) < 2 else full_name(kind)
 
 
 def find_class(base: type, name: str) -> type | None:
@@ -119,8 +117,8 @@ def find_class(base: type, name: str) -> type | None:
 
 def _named(base: type, name: str) -> list[type]:
     """Classes of a base with a name in files, which may follow that of a package, module or file."""
-    origin, _, own = name.rpartition(":")
-    named = [kind for kind in classes_of(base).values() if own in (kind.__name__, kind.__dict__.get("short_name"))]
+    origin, _, plain = name.rpartition(":")
+    named = [kind for kind in classes_of(base).values() if plain in (kind.__name__, kind.__dict__.get("short_name"))]
     return [kind for kind in named if not origin or _is_from(kind, origin)]
 
 

@@ -41,9 +41,9 @@ def declare(owner: str, labels: Mapping[str, Label]) -> None:
     An owner may declare its own again. Raises `ParameterError` if another owner gives a column a different unit.
     """
     for name, label in labels.items():
-        known, by = _LABELS.get(name, label), _OWNERS.get(name, owner)
-        if known.unit != label.unit and by != owner:
-            message = f"{owner} has the column {name!r} in {label.unit}, {by} in {known.unit}"
+        declared, by = _LABELS.get(name, label), _OWNERS.get(name, owner)
+        if declared.unit != label.unit and by != owner:
+            message = f"{owner} has the column {name!r} in {label.unit}, {by} in {declared.unit}"
             remedy = "give it another name"
             raise ParameterError(message, field="telemetry_labels", value=name, unit=label.unit, remedy=remedy)
         _LABELS[name], _OWNERS[name] = label, owner
@@ -53,7 +53,7 @@ def labels_of(kind: type) -> dict[str, Label]:
     """Return the labels of the fields of a class, such as ``angle: Annotated[Array, Label("rad", "joint angle")]``."""
     hints = get_type_hints(kind, vars(sys.modules[kind.__module__]), include_extras=True)
     marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: mark for name, own in marks.items() for mark in own if isinstance(mark, Label)}
+    return {name: mark for name, annotations in marks.items() for mark in annotations if isinstance(mark, Label)}
 
 
 def labelled(kind: K) -> K:

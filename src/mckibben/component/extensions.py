@@ -28,7 +28,7 @@ def load_extension(named: str | os.PathLike[str]) -> ModuleType:
         If there is none, or it cannot be run.
     """
     source = os.fspath(named)
-    is_module = all(part.isidentifier() for part in source.split(".")) and not Path(source).is_file()
+    is_module = all(word.isidentifier() for word in source.split(".")) and not Path(source).is_file()
     try:
         module = importlib.import_module(source) if is_module else _run_file(source)
     except ScenarioError:

@@ -168,16 +168,16 @@ def inherited_from(runtime: type, name: str) -> Inherited | None:
 
 def _type_in_files(hint: object, units: Units) -> Any:
     """Annotation of a field in files; None for a field that cannot appear there."""
-    origin, parts = get_origin(hint), get_args(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return next((kind for part in parts if (kind := _type_in_files(part, units)) is not None), None)
+        return next((kind for argument in arguments if (kind := _type_in_files(argument, units)) is not None), None)
     if origin is Literal:
-        return Annotated[str, OneOf(tuple(filter(None, parts)))]
+        return Annotated[str, OneOf(tuple(filter(None, arguments)))]
     if origin in (tuple, Sequence):
-        inner = _type_in_files(parts[0], units)
+        inner = _type_in_files(arguments[0], units)
         return None if inner is None else tuple[inner, ...]
     if origin is Annotated:
-        return _annotated_type(*parts, units=units)
+        return _annotated_type(*arguments, units=units)
     if not isinstance(hint, type):
         return None
     if issubclass(hint, Component | Checked):
@@ -282,8 +282,8 @@ class ComponentField:
         if not name.endswith(ENDINGS):
             names = catalog.names() if catalog else ()
             if catalog is None or name not in names:
-                known = [*names, *(classes_of(self.base) if is_abstract(self.base) else ())]
-                remedy = suggest(name, known) if known else self._expected(name)[1]
+                sources = [*names, *(classes_of(self.base) if is_abstract(self.base) else ())]
+                remedy = suggest(name, sources) if sources else self._expected(name)[1]
                 fail_validation(f"{quoted(name)} is not the name of {self._noun}", remedy, value=name)
             component = catalog.entry(name)
             return component if isinstance(component, dict) else _marked(component, origin=name)
@@ -308,28 +308,28 @@ class ComponentField:
         named = section["class"]
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:
-            known = classes_of(self.base)
-            remedy = suggest(str(named), list(known)) if known else "there is none yet"
-            own = "for a user-defined class, load its module first: `mckibben --extension FILE.py ...`, or a module"
-            for name, other in known.items():
+            classes = classes_of(self.base)
+            remedy = suggest(str(named), list(classes)) if classes else "there is none yet"
+            hint = "for a user-defined class, load its module first: `mckibben --extension FILE.py ...`, or a module"
+            for name, other in classes.items():
                 if places := _places(other, str(named)):
-                    remedy, own = f"write `class: {name}`", f"it can be its {' and its '.join(places)}"
+                    remedy, hint = f"write `class: {name}`", f"it can be its {' and its '.join(places)}"
             message = f"there is no class {quoted(named)} of {self.base.__name__}"
-            fail_validation(message, f"{remedy}; {own}", value=named)
+            fail_validation(message, f"{remedy}; {hint}", value=named)
         return kind
 
     def _default_class(self, section: Mapping[str, object]) -> type:
         """The class of a section that names none: the default of the base, unless its keys are those of others."""
-        known, kind, keys = classes_of(self.base), default_class(self.base), {*section}
-        if kind is not None and (keys <= _keys(kind) or len(known) == 1):
+        classes, kind, keys = classes_of(self.base), default_class(self.base), {*section}
+        if kind is not None and (keys <= _keys(kind) or len(classes) == 1):
             return kind
         if meant := next((key for key in section if find_class(self.base, key) is not None), ""):
             fail_validation("lacks the key `class`", f"write `class: {meant}`, and its fields in the same section")
-        if fitting := [name for name, other in known.items() if keys and keys <= _keys(other)]:
+        if fitting := [name for name, other in classes.items() if keys and keys <= _keys(other)]:
             fail_validation("lacks the key `class`", f"write `class: {' or '.join(fitting)}`")
         if kind is None or not any(closest(key, [*_keys(kind)]) for key in section):
             default = f"; without it the keys are {', '.join(field_types(kind))}" if kind else ""
-            fail_validation("lacks the key `class`", f"give one of {', '.join(known)}{default}")
+            fail_validation("lacks the key `class`", f"give one of {', '.join(classes)}{default}")
         return kind
 
     def section_keys(self, value: object) -> Collection[str]:
@@ -391,7 +391,7 @@ def _built(kind: type[C], fields: Mapping[str, object], scope: Scope) -> C:
 
 def _marked(component: C, **marks: object) -> C:
     """Component that knows its origin (`origin`, `inherited`): neither fields nor leaves, and lost by any change."""
-    component = component if "origin" not in marks else _made(component, {})  # entries of a catalog are shared
+    component = component if "origin" not in marks else _copied(component, {})  # entries of a catalog are shared
     for name, value in marks.items():
         object.__setattr__(component, f"_{name}", value)
     return component
@@ -417,15 +417,15 @@ def replaced(component: C, fields: Mapping[str, object]) -> C:
     """Return a component with other fields, checked again; what it inherited stays inherited."""
     if not fields:
         return component
-    return _marked(_made(component, fields), inherited=inherited_fields(component) - set(fields))
+    return _marked(_copied(component, fields), inherited=inherited_fields(component) - set(fields))
 
 
 def _copy(value: C) -> C:
     """A copy of a component: a controller's model is never the same object as that of the plant."""
-    return _made(value, {}) if isinstance(value, Component) else value
+    return _copied(value, {}) if isinstance(value, Component) else value
 
 
-def _made(component: C, fields: Mapping[str, object]) -> C:
+def _copied(component: C, fields: Mapping[str, object]) -> C:
     """Component with other fields; a class with its own constructor is made from the arguments of that."""
     kind = type(component)
     return kind(**{name: getattr(component, name) for name in declared_fields(kind)} | dict(fields))
@@ -438,7 +438,7 @@ def inherit(component: Any, scope: Scope) -> Any:
     changes.
     """
     if isinstance(component, tuple):
-        return tuple(inherit(part, scope) for part in component)
+        return tuple(inherit(member, scope) for member in component)
     if not isinstance(component, Component):
         return component
     kind, names = type(component), inherited_fields(component)
@@ -461,7 +461,7 @@ def independent(component: Any) -> Any:
     before = {name: getattr(component, name) for name in declared_fields(type(component))}
     fields = {name: independent(value) for name, value in before.items()}
     changed = {name: value for name, value in fields.items() if value is not before[name]}
-    return _made(component, changed) if changed or inherited_fields(component) else component
+    return _copied(component, changed) if changed or inherited_fields(component) else component
 
 
 def write(component: object, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:

@@ -132,7 +132,7 @@ def dotted(place: Place) -> str:
     >>> dotted(("reference", "angle", "amplitudes", 2))
     'reference.angle.amplitudes[2]'
     """
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{_short(part)}" for part in place)
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{_short(key)}" for key in place)
     return text.removeprefix(".")
 
 
@@ -215,16 +215,16 @@ def edit_yaml(text: str, values: Mapping[Place, str]) -> str:
 def _edited(text: str, place: Place, written: str) -> str:
     from ruamel.yaml import YAML
 
-    node, rest = YAML(typ="safe", pure=True).compose(text), list(place)
-    while rest and (inner := _child(node, rest[0])) is not None:
+    node, missing = YAML(typ="safe", pure=True).compose(text), list(place)
+    while missing and (inner := _child(node, missing[0])) is not None:
         node = inner
-        del rest[0]
+        del missing[0]
     start, end = node.start_mark.index, node.end_mark.index
-    if not rest:
+    if not missing:
         return text[:start] + written + text[end:]
-    for key in reversed(rest[1:]):
+    for key in reversed(missing[1:]):
         written = f"{{{key}: {written}}}"
-    entry = f"{rest[0]}: {written}"
+    entry = f"{missing[0]}: {written}"
     if node.id != "mapping":
         return f"{text[:start]}{{from: {text[start:end]}, {entry}}}{text[end:]}"
     last = _end(node.value[-1][1]) if node.value else start + 1

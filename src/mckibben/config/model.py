@@ -134,8 +134,8 @@ class DocumentModel(ConfigModel):
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write a file that `read` reads back to the last bit."""
-        with atomic_write(path, overwrite=True) as part:
-            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+        with atomic_write(path, overwrite=True) as temporary:
+            temporary.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
@@ -200,11 +200,11 @@ def _merged(content: Any, changes: Any) -> Any:
     if not isinstance(changes, dict) or content is None:
         return changes
     if isinstance(content, tuple):
-        known = [part.get("name", part.get("over")) if isinstance(part, dict) else None for part in content]
+        names = [entry.get("name", entry.get("over")) if isinstance(entry, dict) else None for entry in content]
         for name in changes:
-            if name not in known:
-                fail_validation(f"there is no part {quoted(name)}", suggest(name, list(filter(None, known))))
-        return tuple(_merged(part, changes.get(name, {})) for name, part in zip(known, content, strict=True))
+            if name not in names:
+                fail_validation(f"there is no part {quoted(name)}", suggest(name, list(filter(None, names))))
+        return tuple(_merged(entry, changes.get(name, {})) for name, entry in zip(names, content, strict=True))
     content = {"from": content} if isinstance(content, str) else content
     return {**content, **{key: _merged(content.get(key), change) for key, change in changes.items()}}
 
@@ -294,10 +294,10 @@ _KINDS = (
 """Keys that only one kind of file has, what it is, and what reads it."""
 
 
-def _kind_of(data: object, known: Collection[str]) -> str:
+def _kind_of(data: object, fields: Collection[str]) -> str:
     """What a file with this data is, and what reads it; empty if it may be of the kind with the `known` keys."""
     keys = {*data} if isinstance(data, dict) else set()
-    return next((what for marks, what in _KINDS if marks <= keys and not marks <= {*known}), "")
+    return next((what for marks, what in _KINDS if marks <= keys and not marks <= {*fields}), "")
 
 
 _MISSING, _UNKNOWN = "is missing", "is not a known key here"
@@ -318,9 +318,9 @@ class _Keys:
         for detail in error.errors(include_url=False):
             message, remedy = self._text(detail)
             if message:
-                shown = None if detail["type"] == "missing" else detail["input"]
-                cause = _ValidationError(message, remedy=remedy, follows=False, value=shown)
-                detail = {"type": "value_error", "loc": detail["loc"], "input": shown, "ctx": {"error": cause}}
+                entered = None if detail["type"] == "missing" else detail["input"]
+                cause = _ValidationError(message, remedy=remedy, follows=False, value=entered)
+                detail = {"type": "value_error", "loc": detail["loc"], "input": entered, "ctx": {"error": cause}}
             if message is not None:
                 details.append(detail)
         return ValidationError.from_exception_data(error.title, cast(Any, details))
@@ -410,8 +410,8 @@ def _problem(detail: ErrorDetails, document: Document) -> Problem:
     if value in ("", None):
         message, remedy = "has no value", "write one, or leave the key out"
     elif texts := _MESSAGES.get(detail["type"]):
-        shown = {**context, "value": described(value, of_file=True)}
-        message, remedy = (text.format(**shown) for text in texts)
+        values = {**context, "value": described(value, of_file=True)}
+        message, remedy = (text.format(**values) for text in texts)
     return Problem(message, document.line(place), dotted(place), remedy, value)
 
 
@@ -451,11 +451,11 @@ def marks_in(hint: object, kind: type[M]) -> Iterator[M]:
     >>> list(marks_in(tuple[Annotated[float, "N", 3], ...] | None, str))
     ['N']
     """
-    for part in get_args(hint):
-        if isinstance(part, kind):
-            yield part
+    for argument in get_args(hint):
+        if isinstance(argument, kind):
+            yield argument
         else:
-            yield from marks_in(part, kind)
+            yield from marks_in(argument, kind)
 
 
 def _model_in(annotation: object) -> type[BaseModel] | None:

@@ -44,7 +44,7 @@ from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
 from mckibben.errors import CompilerError, ExportError, McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Listing, Remark, Result
+from mckibben.result import Remark, Result, TableColumns, column, number, row_columns
 from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
 UNITS = Units(
@@ -76,11 +76,23 @@ class Finding:
         What was found, with the arguments at which, and what to do.
     """
 
-    kind: str
-    check: str
+    kind: str = column(title="class")
+    check: str = column(title="check")
     passed: bool | None
     found: str = ""
     remedy: str = ""
+
+    @property
+    @number(title="result")
+    def result(self) -> str:
+        """The result in words."""
+        return {True: "passed", False: "failed", None: "not checked"}[self.passed]
+
+    @property
+    @number(title="reason")
+    def reason(self) -> str:
+        """What was found."""
+        return self.found
 
 
 class ContractReport(Result):
@@ -93,6 +105,8 @@ class ContractReport(Result):
     findings
         Findings in the order of the classes and checks; a failed one is a severe remark.
     """
+
+    heading = "Contract"
 
     module: str
     findings: tuple[Finding, ...]
@@ -108,10 +122,9 @@ class ContractReport(Result):
                 text = f"{finding.kind}, {finding.check}: {finding.found}"
                 yield Remark.severe(finding.check, text, finding.remedy)
 
-    def listings(self) -> Iterator[Listing]:
-        words = {True: "passed", False: "failed", None: "not checked"}
-        rows = [(finding.kind, finding.check, words[finding.passed], finding.found) for finding in self.findings]
-        yield Listing.of("Contract", ("class", "check", "result", "reason"), rows)
+    def declared(self) -> TableColumns:
+        """Return the findings."""
+        return super().declared() | row_columns(Finding, self.findings)
 
 
 def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | None = None) -> list[Finding]:
@@ -137,15 +150,15 @@ def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | N
     if not kinds:
         remedy = "define a class that derives from a base, such as Valve, Geometry or Controller"
         raise ParameterError(f"{os.fspath(named)} does not define a component", value=os.fspath(named), remedy=remedy)
-    known = list(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
-    if unknown := [name for name in values if name not in known]:
-        remedy = f"known are {', '.join(known)}"
+    field_names = list(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
+    if unknown := [name for name in values if name not in field_names]:
+        remedy = f"known are {', '.join(field_names)}"
         raise ParameterError(f"no class has the field {unknown[0]!r}", value=unknown[0], remedy=remedy)
     findings = []
     for kind in kinds:
-        own = {name: value for name, value in values.items() if name in declared_fields(kind)}
-        instances = [] if own else [value for value in vars(module).values() if type(value) is kind]
-        findings += check_class(kind, own, instances)
+        relevant = {name: value for name, value in values.items() if name in declared_fields(kind)}
+        instances = [] if relevant else [value for value in vars(module).values() if type(value) is kind]
+        findings += check_class(kind, relevant, instances)
     return findings
 
 
@@ -153,9 +166,9 @@ def _own_classes(module: ModuleType) -> Iterator[type]:
     """Components that a module or its package defines; not abstract bases of its other components."""
     package = module.__name__.partition(".")[0]
     kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Component)]
-    own = [kind for kind in dict.fromkeys(kinds) if kind.__module__.partition(".")[0] == package]
-    for kind in own:
-        is_base = inspect.isabstract(kind) and any(issubclass(other, kind) and other is not kind for other in own)
+    local = [kind for kind in dict.fromkeys(kinds) if kind.__module__.partition(".")[0] == package]
+    for kind in local:
+        is_base = inspect.isabstract(kind) and any(issubclass(other, kind) and other is not kind for other in local)
         if not kind.__name__.startswith("_") and not is_base:
             yield kind
 
@@ -186,15 +199,15 @@ def check_class(
     """
     findings = [_finding(kind, "units", lambda: _check_units(kind))]
     if not instances:
-        made: list[Component] = []
-        findings.append(_finding(kind, "instance", lambda: made.append(_made(kind, fields or {}))))
-        instances = made
+        built: list[Component] = []
+        findings.append(_finding(kind, "instance", lambda: built.append(_built(kind, fields or {}))))
+        instances = built
     for instance in instances:
         findings += _check_instance(instance)
     worst: dict[str, Finding] = {}
     for finding in findings:
-        known = worst.setdefault(finding.check, finding)
-        if known.passed is not False and finding.passed is not True:
+        recorded = worst.setdefault(finding.check, finding)
+        if recorded.passed is not False and finding.passed is not True:
             worst[finding.check] = finding
     return list(worst.values())
 
@@ -257,7 +270,7 @@ def _base_of(kind: type) -> type:
     return next((base for base in kind.__mro__ if Component in base.__bases__), kind)
 
 
-def _made(kind: type, fields: Mapping[str, str]) -> Component:
+def _built(kind: type, fields: Mapping[str, str]) -> Component:
     """Component as a file with some of its fields gives it; `ParameterError` names what is missing."""
     if inspect.isabstract(kind):
         missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
@@ -297,7 +310,7 @@ def _has_bare_float(hint: object) -> bool:
     """Whether a type contains a float without a unit."""
     if get_origin(hint) is Annotated and any(isinstance(mark, Quantity | BoundedInt) for mark in get_args(hint)[1:]):
         return False
-    return hint is float or any(_has_bare_float(part) for part in get_args(hint))
+    return hint is float or any(_has_bare_float(argument) for argument in get_args(hint))
 
 
 def _check_file(component: Component) -> None:
@@ -350,7 +363,7 @@ class _Sampled:
     def __init__(self, component: Component, probes: Probes, function: Callable[..., Any]) -> None:
         self.component, self.probes, self.function = component, probes, function
         self.ranges = probes.ranges(function, component)
-        parameters, self._rest = eqx.partition(numeric(component), _is_parameter)
+        parameters, self._static = eqx.partition(numeric(component), _is_parameter)
         vector, self._restore = ravel_pytree(parameters)
         values, leaves = np.asarray(vector, float), jax.tree_util.tree_leaves_with_path(parameters)
         names = [jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves for _ in range(np.size(leaf))]
@@ -368,7 +381,7 @@ class _Sampled:
     def __call__(self, point: Array) -> Array:
         """Results, flat."""
         count = len(self.ranges)
-        component = eqx.combine(self._restore(point[count:]), self._rest)
+        component = eqx.combine(self._restore(point[count:]), self._static)
         results = self.function(component, *(point[i] for i in range(count)))
         return jnp.concatenate([jnp.ravel(jnp.asarray(leaf, float)) for leaf in jax.tree.leaves(results)])
 

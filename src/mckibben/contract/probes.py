@@ -273,9 +273,9 @@ def _equilibrium(tendon: Tendon, path: Num, pressure: Num) -> tuple[Tree, Tree]:
     return length + tendon.extension(muscle.tension(contraction, pressure)), path
 
 
-def _angles(part: Geometry | MusclePath) -> Ranges:
+def _angles(geometry: Geometry | MusclePath) -> Ranges:
     low, high = _RANGES["angle"]
-    return {"angle": (max(float(part.angle_range[0]), low), min(float(part.angle_range[1]), high))}
+    return {"angle": (max(float(geometry.angle_range[0]), low), min(float(geometry.angle_range[1]), high))}
 
 
 def _arms(geometry: Geometry, angle: Num) -> Tree:
@@ -335,7 +335,7 @@ def _composed(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed
     return twice, valve.after(*moving, command2, 2.6 * elapsed)
 
 
-def _rest(valve: Valve, pressure: Num, elapsed: Num) -> tuple[Tree, Tree]:
+def _at_rest(valve: Valve, pressure: Num, elapsed: Num) -> tuple[Tree, Tree]:
     """`command_for(p, 0)` keeps the pressure p of a valve at rest."""
     return valve.after(pressure, valve.init(pressure), valve.command_for(pressure, 0.0), elapsed)[0], pressure
 
@@ -371,13 +371,13 @@ def _commands(
     return _stepped(controller, Setpoint(setpoint, stiffness), measurements)
 
 
-def _robot_step(part: RobotController, setpoint: Num, stiffness: Num, angle: Num, pressure: Num, force: Num) -> Tree:
+def _robot_step(system: RobotController, setpoint: Num, stiffness: Num, angle: Num, pressure: Num, force: Num) -> Tree:
     measurement = RobotMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)
-    return _stepped(part, (Setpoint(setpoint, stiffness),) * 2, [measurement] * 2)
+    return _stepped(system, (Setpoint(setpoint, stiffness),) * 2, [measurement] * 2)
 
 
-def _scheduled(part: PressureSchedule, time: Num) -> Tree:
-    return part.step((), time, RobotMeasurement((), (), time), PERIOD)[1]
+def _scheduled(system: PressureSchedule, time: Num) -> Tree:
+    return system.step((), time, RobotMeasurement((), (), time), PERIOD)[1]
 
 
 def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[Tree]) -> Tree:
@@ -409,11 +409,11 @@ def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num, jerk: N
     return feedback.step(state, error, turn, jerk, PERIOD)[1], feedback.lag
 
 
-def _observed(observer: Observer, angle1: Num, angle2: Num, known: Num, period: Num) -> Tree:
+def _observed(observer: Observer, angle1: Num, angle2: Num, acceleration: Num, period: Num) -> Tree:
     """Estimated motion after three samples, and gains."""
-    motion = observer.init(angle1, known)
+    motion = observer.init(angle1, acceleration)
     for angle in (angle2, angle1):
-        motion = observer.step(motion, angle, known, period)
+        motion = observer.step(motion, angle, acceleration, period)
     return tuple(motion), observer.gains(period)
 
 
@@ -481,7 +481,7 @@ _PROBES: dict[type, Probes] = {
     ),
     Valve: Probes(
         (_rates, _response),
-        (Identity("composition", _composed, _STATE), Identity("rest", _rest, _START)),
+        (Identity("composition", _composed, _STATE), Identity("rest", _at_rest, _START)),
         limits=lambda valve: {"command": (-1.0, 1.0)} if valve.direct else {},
     ),
     Actuator: Probes((_rates,), limits=lambda actuator: {"command": (-1.0, 1.0)} if actuator.direct else {}),

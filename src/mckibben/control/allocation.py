@@ -7,12 +7,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator import Actuator
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import cached_trace
-from mckibben.numerics.elementary import floating
 
 Scalar = Float[Array, ""]
 
@@ -143,14 +141,6 @@ def achieved(model: AntagonisticJoint, commands: Pair, cocontraction: ArrayLike)
     if model.springs[1]:
         return jnp.asarray(cocontraction) - command1, jnp.asarray(cocontraction)
     return (command2 - command1) / 2, (command1 + command2) / 2
-
-
-def command_limits(model: AntagonisticJoint, valve: Actuator) -> tuple[Pair, Pair]:
-    """Lowest and highest commands [Pa]: those of the model's domains, and at most the supply of the valves."""
-    both = enumerate((model.muscle1, model.muscle2))
-    ranges = [valve.for_muscle(i).command_range(muscle.domain) for i, muscle in both]
-    (low1, high1), (low2, high2) = ((floating(low), floating(high)) for low, high in ranges)
-    return (low1, low2), (high1, high2)
 
 
 def clip_commands(model: AntagonisticJoint, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Pair, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
@@ -20,6 +20,7 @@ from mckibben.component.columns import Labelled
 from mckibben.control.reference import ReferenceDerivatives, Signal, as_signal
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
+from mckibben.muscle import Muscle
 from mckibben.units import Angle, Stiffness
 
 Scalar = Float[Array, ""]
@@ -66,10 +67,10 @@ ValveModel = Annotated[Actuator, Inherited(_valve_model)]
 """A controller's model of the valves; in a file, by default, the valve of the plant."""
 
 
-def check_valve_model(owner: str, valve: Actuator, joint: AntagonisticJoint) -> None:
-    """Raise `RangeError` if the response of a model of the valves in a joint is unknown."""
+def check_valve_model(owner: str, valve: Actuator, muscles: Sequence[Muscle]) -> None:
+    """Raise `RangeError` if the response of a model of the valves at muscles is unknown."""
     if valve.holds_air:
-        for muscle in (joint.muscle1, joint.muscle2):
+        for muscle in muscles:
             muscle.specimen.check_volume(f"a {type(valve).__name__} as the model of the valves")
     elif valve.lag is None:
         message = f"{owner}: the time constant of a {type(valve).__name__} is unknown"
@@ -119,13 +120,22 @@ class DiscreteTimeSystem(Labelled, Component, Generic[State]):
         """Return the signals to record each period, by name."""
         return {}
 
+    def foresee(self, state: State, setpoint: PyTree, period: ArrayLike) -> State:
+        """Return the state before the first step after one of the setpoints that precede that of this step."""
+        return state
+
     def ahead(self, setpoints: PyTree, period: ArrayLike) -> PyTree:
         """Return the setpoints of the steps of a run, each `samples_ahead`, from those of its control periods [s]."""
-        return setpoints
+        if not (count := self.samples_ahead):
+            return setpoints
+        return jax.tree.map(lambda values: values[count:], extended(setpoints, count, period))
 
     def foreseeing(self, state: State, setpoints: PyTree, period: ArrayLike) -> State:
         """Return the state before the first step that knows the setpoints of a run before those of the step."""
-        return state
+        if not (count := self.samples_ahead):
+            return state
+        first = jax.tree.map(lambda values: values[:count], extended(setpoints, count, period))
+        return lax.scan(lambda held, setpoint: (self.foresee(held, setpoint, period), None), state, first)[0]
 
 
 class Delegated:
@@ -161,21 +171,6 @@ class Controller(DiscreteTimeSystem[State]):
     minimum_tension = Delegated()
     """Lower limit of each muscle's tension [N]; None without one."""
 
-    def foresee(self, state: State, setpoint: Setpoint, period: ArrayLike) -> State:
-        """Return the state before the first step after one of the setpoints that precede that of this step."""
-        return state
-
-    def ahead(self, setpoints: Setpoint, period: ArrayLike) -> Setpoint:
-        if not (count := self.samples_ahead):
-            return setpoints
-        return jax.tree.map(lambda values: values[count:], extended(setpoints, count, period))
-
-    def foreseeing(self, state: State, setpoints: Setpoint, period: ArrayLike) -> State:
-        if not (count := self.samples_ahead):
-            return state
-        first = jax.tree.map(lambda values: values[:count], extended(setpoints, count, period))
-        return lax.scan(lambda held, setpoint: (self.foresee(held, setpoint, period), None), state, first)[0]
-
     @abc.abstractmethod
     def init(self, measurement: Measurement) -> State:
         """Return the state before the first step, for a bumpless start from the measured pressures."""
@@ -194,8 +189,10 @@ class Controller(DiscreteTimeSystem[State]):
         """
 
 
-def extended(setpoints: Setpoint, count: int, period: ArrayLike) -> Setpoint:
-    """Setpoints [rad, N*m/rad], shape (periods, ...), and a number of further ones, extrapolated."""
+def extended(setpoints: Setpoint | tuple[Setpoint, ...], count: int, period: ArrayLike) -> Any:
+    """Setpoints [rad, N*m/rad], shape (periods, ...), or those of each joint, and further ones, extrapolated."""
+    if not isinstance(setpoints, Setpoint):
+        return tuple(extended(joint, count, period) for joint in setpoints)
     angle, stiffness = map(jnp.asarray, setpoints)
     last = ReferenceDerivatives.init(angle[0])
     for sample in angle[-4:]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,9 @@ from mckibben.numerics.spatial import product, total
 from mckibben.units import bar
 
 Scalar = Float[Array, ""]
+
+_TORQUE = 30.0  # weight of the torques, relative to the errors of the stiffness
+_CENTRED = 1e-3  # weight of the distance from the middle of the range, which selects among equal solutions
 
 
 class BoundedSolution(NamedTuple):
@@ -38,6 +42,24 @@ class BoundedSolution(NamedTuple):
     active: tuple[Scalar, ...]
     gap: Scalar
 
+    @classmethod
+    def at(cls, pressures: Sequence[Array]) -> BoundedSolution:
+        """Return a start at pressures [Pa], without active limits."""
+        zero = jnp.zeros_like(pressures[0])
+        return cls(tuple(pressure / bar for pressure in pressures), (zero,) * len(pressures), zero)
+
+
+class JointAllocation(NamedTuple):
+    """Pressures [Pa] of all muscles, torques [N*m] of all joints, and whether a limit was met.
+
+    `solution` is that of the quadratic program, () of pairs in closed form.
+    """
+
+    pressures: tuple[Scalar, ...]
+    torques: tuple[Scalar, ...]
+    saturated: Array
+    solution: BoundedSolution | tuple[()] = ()
+
 
 def allocate_pairs(
     terms: JointTerms,
@@ -45,9 +67,9 @@ def allocate_pairs(
     stiffness: Sequence[Number],
     lower: Sequence[Array],
     upper: Sequence[Array],
-    springs: Sequence[tuple[bool, bool]],
-) -> BoundedSolution:
-    """Return the pressures [bar] of robots whose muscles are a pair of each joint, in closed form.
+    springs: Sequence[bool],
+) -> JointAllocation:
+    """Return the allocation for muscles that are a pair of each joint, in closed form.
 
     The torque of each joint [N*m] has priority over its stiffness [N*m/rad]; see `prioritise_torque`.
 
@@ -56,26 +78,46 @@ def allocate_pairs(
     lower, upper
         Limits of the pressures [Pa].
     springs
-        Whether muscles 1 and 2 of each pair are return springs.
+        Whether each muscle is a return spring.
     """
-    values: dict[int, Array] = {}
+    pressures: dict[int, Array] = {}
+    pairs = []
     for joint, row in enumerate(terms.torque):
-        first, second = row
+        first, second = muscles = tuple(row)
 
         def affine(row: Row) -> AffineMap:
-            slopes = (jnp.asarray(row[muscle][1]) for muscle in (first, second))  # noqa: B023
+            slopes = (jnp.asarray(row[muscle][1]) for muscle in muscles)  # noqa: B023
             return AffineMap(jnp.asarray(offset_of(row)), *slopes)
 
         both = TorqueStiffnessMap(affine(row), affine(terms.stiffness[joint, joint]))
         low, high = ((limit[first], limit[second]) for limit in (lower, upper))
-        pressures = prioritise_torque(both, torques[joint], stiffness[joint], low, high, springs[joint]).pressures
-        values[first], values[second] = pressures
-    ordered = [values[muscle] for muscle in range(len(lower))]
-    active = tuple(
-        jnp.where(value <= low, -1.0, jnp.where(value >= high, 1.0, 0.0))
-        for value, low, high in zip(ordered, lower, upper, strict=True)
-    )
-    return BoundedSolution(tuple(value / bar for value in ordered), active, jnp.zeros_like(ordered[0]))
+        held = springs[first], springs[second]
+        pairs.append(prioritise_torque(both, torques[joint], stiffness[joint], low, high, held))
+        pressures |= zip(muscles, pairs[-1].pressures, strict=True)
+    saturated = functools.reduce(operator.or_, (pair.saturated for pair in pairs))
+    ordered = tuple(pressures[muscle] for muscle in range(len(lower)))
+    return JointAllocation(ordered, tuple(pair.torque for pair in pairs), saturated)
+
+
+def allocate_bounded(
+    terms: JointTerms,
+    torques: Sequence[Number],
+    stiffness: Sequence[Number],
+    lower: Sequence[Array],
+    upper: Sequence[Array],
+    springs: Sequence[bool],
+    start: BoundedSolution,
+) -> JointAllocation:
+    """Return the allocation for any muscles by a quadratic program, continued from the last solution.
+
+    Arguments are those of `allocate_pairs`; torques have priority by their weight.
+    """
+    low, high = (tuple(limit / bar for limit in limits) for limits in (lower, upper))
+    errors = terms.errors(torques, stiffness, _TORQUE, _CENTRED, lower, upper)
+    solution = bounded_least_squares(*errors, low, high, start)
+    pressures = tuple(value * bar for value in solution.values)
+    held = [active != 0 for active, spring in zip(solution.active, springs, strict=True) if not spring]
+    return JointAllocation(pressures, terms.torque_at(pressures), functools.reduce(operator.or_, held), solution)
 
 
 def bounded_least_squares(

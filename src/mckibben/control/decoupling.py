@@ -2,70 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Annotated, NamedTuple, Self
+from typing import cast
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Float, PyTree
+from jaxtyping import ArrayLike
 
-from mckibben.actuator.base import Attainable
-from mckibben.control.allocation import keep_taut, linearise, pressure_range, prioritise_torque
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
-from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
+from mckibben.control.linearisation import LinearisedState, LinearisingControl
+from mckibben.control.model_based import FrictionShare, ModelBasedControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
-from mckibben.control.reference import ReferenceDerivatives
-from mckibben.errors import RangeError
-from mckibben.joint import TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.compiled import cached_trace
-from mckibben.numerics.elementary import exp
-from mckibben.units import Percent, PositiveTime
-
-Scalar = Float[Array, ""]
-FrictionShare = Annotated[float, Percent("1", "%", 0, 100)]
-
-_SECOND_ZERO = 6.63  # of the weights of a smoothed reference
-_SHARE, _LEAST = 0.5, 0.05  # of the rate of the torque, for the feedback
+from mckibben.units import PositiveTime
 
 
-def smoothing_weights(half: int) -> np.ndarray:
-    r"""Weights of the samples of a reference, from `half` before to `half` after, that smooth it without a lag.
-
-    With the preview P the smoothed reference y follows r by the least
-    :math:`\int (y - r)^2 + \dddot y^2 / \omega^6 \, dt`, a Butterworth filter forwards and backwards in time,
-
-    .. math:: \frac{y}{r} = \frac{1}{1 + (\omega_r / \omega)^6}, \quad
-              w \propto e^{-x} + 2 e^{-x/2} \cos(\sqrt 3 x / 2 - \pi / 3), \quad x = \omega |t|
-
-    whose weights are cut at their second zero, :math:`\omega = 6.63 / P`, and corrected so that a parabola stays one.
-
-    >>> weights, times = smoothing_weights(50), np.arange(-50, 51)
-    >>> print(abs(round(float(weights @ times**2), 9)), round(float(weights @ np.cos(0.02 * times)), 2))
-    0.0 1.0
-
-    References
-    ----------
-    M. Tomizuka, Optimal continuous finite preview problem, IEEE Trans. Automatic Control 20, 1975.
-    """
-    times = np.arange(-half, half + 1) / half
-    x = _SECOND_ZERO * np.abs(times)
-    weights = np.exp(-x) + 2 * np.exp(-x / 2) * np.cos(np.sqrt(3) / 2 * x - np.pi / 3)
-    zeroth, second, fourth = (float(weights @ times**power) for power in (0, 2, 4))
-    return weights * (fourth - second * times**2) / (zeroth * fourth - second**2)
-
-
-class DecouplingState(NamedTuple):
-    """Estimates, and the state of the feedback."""
-
-    estimates: Estimates
-    feedback: PyTree
-
-
-class DecouplingControl(ModelBasedControl[DecouplingState]):
+class DecouplingControl(ModelBasedControl[LinearisedState], LinearisingControl):
     r"""Exact linearisation: pressures that give a commanded acceleration and stiffness at once.
 
     A `Feedback` adds an acceleration to that of the reference. The torque for it (`Load.required_torque`) and the
@@ -121,6 +72,12 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
         (`AntagonisticJoint.secant_stiffness`). Default: the isobaric stiffness.
 
+    impedance
+        Whether the joint is a spring of its stiffness about its reference, with 0.55 of critical damping, for contact
+        (Hogan 1985), in place of feedback that rejects every disturbance. A push then feels the stiffness within 15 %
+        up to the resonance of inertia and stiffness. Friction is compensated as the observer predicts it: what
+        `friction_in_observer` leaves of it is felt as well.
+
     References
     ----------
     A. Isidori, Nonlinear Control Systems, 3rd ed., Springer 1995, ch. 5 (exact linearisation); J. Han, From PID to
@@ -134,109 +91,13 @@ class DecouplingControl(ModelBasedControl[DecouplingState]):
     pressure_observer: PressureObserver = PressureObserver()
     friction_in_observer: FrictionShare | None = eqx.field(kw_only=True, default=None)
     preview: PositiveTime | None = eqx.field(kw_only=True, static=True, default=None)
-    samples_ahead: int = eqx.field(kw_only=True, static=True, default=0)
-    lead: int = eqx.field(kw_only=True, static=True, default=0)  # control periods within the delay
+    impedance: bool = eqx.field(kw_only=True, static=True, default=False)
 
-    def with_period(self, period: float) -> Self:
-        prepared = super().with_period(period)
-        if self.preview is None:
-            return prepared
-        lead, half = self.whole_periods(period), max(round(self.preview / period), 2)
-        return dataclasses.replace(prepared, lead=lead, samples_ahead=lead + half)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if self.friction_in_observer is not None and not self.friction_compensation:
-            raise RangeError(
-                "DecouplingControl: friction_in_observer without friction_compensation; nothing would compensate the "
-                "friction, which the estimated disturbance then leaves out",
-                field="friction_in_observer",
-                value=self.friction_in_observer,
-                remedy="set friction_compensation too",
-            )
-
-    def init_coming(self, angle: Scalar, stiffness: Scalar) -> PyTree:
-        if self.preview is None:
-            return ()
-        constant = jnp.zeros(2 * (self.samples_ahead - self.lead) + 1)
-        return Setpoint(constant + angle, constant + stiffness)
-
-    def _follow(self, last: Estimates, setpoint: Setpoint, period: ArrayLike) -> tuple[ReferenceDerivatives, PyTree]:
-        if self.preview is None:
-            return super()._follow(last, setpoint, period)
-        coming = jax.tree.map(lambda samples, value: jnp.append(samples[1:], value), last.coming, setpoint)
-        return last.reference.update(self._smoothed(coming).angle, period), coming
-
-    def _at_arrival(
-        self, reference: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
-    ) -> tuple[ReferenceDerivatives, Setpoint]:
-        if self.preview is None:
-            return super()._at_arrival(reference, coming, setpoint, period)
-        ahead = reference.after(self._delay - self.lead * jnp.asarray(period))
-        return ahead, Setpoint(ahead.angle, self._smoothed(coming).stiffness)
-
-    def _smoothed(self, coming: Setpoint) -> Setpoint:
-        """Setpoint at the last sample within the delay."""
-        weights = jnp.asarray(smoothing_weights(self.samples_ahead - self.lead))
-        middle = coming.angle[self.samples_ahead - self.lead]  # differences: a constant stays one to the last bit
-        stiffness = coming.stiffness[self.samples_ahead - self.lead]
-        return Setpoint(
-            middle + jnp.dot(weights, coming.angle - middle), stiffness + jnp.dot(weights, coming.stiffness - stiffness)
-        )
-
-    def init(self, measurement: Measurement) -> DecouplingState:
-        return DecouplingState(self.init_estimates(measurement), self.feedback.init(jnp.zeros_like(measurement.angle)))
+    def init(self, measurement: Measurement) -> LinearisedState:
+        return self.init_linearised((measurement.angle,), measurement.pressures)
 
     def step(
-        self, state: DecouplingState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
-    ) -> tuple[DecouplingState, Pair]:
-        lag = self.feedback.lag
-        estimates, expected = self.update(state.estimates, setpoint, measurement, period)
-        setpoint, position, ahead, valves = expected
-        motion, reference = ahead.motion, ahead.reference
-        angle = motion.angle + lag * motion.velocity
-        affine, lower, upper, torque_rate = self._attainable(angle, valves, period)
-
-        error, rate = setpoint.angle - position, reference.velocity - motion.velocity
-        jerk = self._jerk(torque_rate, reference, estimates.stiffness)
-        feedback, correction = self.feedback.step(state.feedback, error, rate, jerk, period)
-        acceleration = reference.acceleration_after(lag, period) + correction - motion.disturbance
-        torque = self.load.required_torque(angle, motion.velocity, acceleration) - ahead.friction
-
-        stiffness = setpoint.stiffness - ahead.added_stiffness
-        allocation = prioritise_torque(affine, torque, stiffness, lower, upper, self.model.springs)
-        commands = valves.commands_toward(allocation.pressures, lag, period)
-
-        feedback = self.feedback.track(feedback, (torque - allocation.torque) / self.load.total_inertia, period)
-        estimates = estimates._replace(sent=(commands, *estimates.sent[:-1]), saturated=allocation.saturated)
-        return DecouplingState(estimates, feedback), commands
-
-    def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:
-        return self.estimates_telemetry(state.estimates)
-
-    @cached_trace
-    def _attainable(
-        self, angle: Scalar, valves: Valves, period: ArrayLike
-    ) -> tuple[TorqueStiffnessMap, Pair, Pair, Scalar]:
-        """Torque and stiffness over the pressures at an angle [rad], their limits, and the torque's rate [N*m/s]."""
-        lowest, highest = pressure_range(self.model, angle, self.minimum_tension)
-        covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)  # part of the way in a period
-
-        def window(i: int, attainable: Attainable) -> tuple[Scalar, Scalar, Scalar]:
-            pressure = valves.pressures[i]
-            slowest, fastest = ((limit - pressure) / covered for limit in attainable(pressure))
-            upper = jnp.minimum(jnp.minimum(highest[i], valves.commands[1][i]), pressure + fastest)
-            return jnp.minimum(jnp.maximum(lowest[i], pressure + slowest), upper), upper, fastest - slowest
-
-        reach1, reach2 = valves.attainable(period)
-        (lower1, upper1, swing1), (lower2, upper2, swing2) = window(0, reach1), window(1, reach2)
-        affine = linearise(self.model, angle, keep_taut(valves.pressures, lowest))
-        _, t1, t2 = affine.torque
-        rate = (jnp.abs(t1) * swing1 + jnp.abs(t2) * swing2) / (2 * self.feedback.lag)
-        return affine, (lower1, lower2), (upper1, upper2), rate
-
-    def _jerk(self, torque_rate: Scalar, reference: ReferenceDerivatives, stiffness: Scalar) -> Scalar:
-        """Rate of the acceleration [rad/s^3] that the valves leave to the feedback, above that of the reference."""
-        stiffness, inertia = stiffness + self.load.gravity_stiffness(reference.angle), self.load.total_inertia
-        needed = jnp.abs(inertia * reference.jerk + stiffness * reference.velocity)
-        return jnp.maximum(_SHARE * (torque_rate - needed), _LEAST * torque_rate) / inertia
+        self, state: LinearisedState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[LinearisedState, Pair]:
+        state, commands = self.steer(state, (setpoint,), (measurement.angle,), measurement.pressures, period)
+        return state, cast(Pair, commands)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, cast
 
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.base import Inherited
 from mckibben.control.base import Controller, Measurement, Setpoint, controllers_within
-from mckibben.control.model_based import Estimates, StatePrediction
+from mckibben.control.model_based import Estimates, PairPrediction, StatePrediction
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
 from mckibben.errors import RangeError
 from mckibben.joint.geometry import Pair
@@ -32,7 +32,7 @@ class DelayState(NamedTuple):
     estimates: Estimates
 
 
-class DelayCompensation(StatePrediction[DelayState]):
+class DelayCompensation(PairPrediction[DelayState]):
     r"""Wrapper that gives a controller, such as a PID, the measurement to be expected when its commands arrive.
 
     The prediction is that of `StatePrediction`. The controller gets the predicted angle and pressures in place of the
@@ -69,14 +69,17 @@ class DelayCompensation(StatePrediction[DelayState]):
                 )
 
     def init(self, measurement: Measurement) -> DelayState:
-        return DelayState(self.controller.init(measurement), self.init_estimates(measurement))
+        return DelayState(
+            self.controller.init(measurement), self.init_estimates((measurement.angle,), measurement.pressures)
+        )
 
     def step(
         self, state: DelayState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DelayState, Pair]:
-        estimates, expected = self.update(state.estimates, setpoint, measurement, period)
-        predicted = Measurement(expected.angle, expected.estimates.pressures)
-        inner, commands = self.controller.step(state.inner, expected.setpoint, predicted, period)
+        angles, measured = (measurement.angle,), measurement.pressures
+        estimates, expected = self.update(state.estimates, (setpoint,), angles, measured, period)
+        predicted = Measurement(expected.angles[0], cast(Pair, expected.estimates.pressures))
+        inner, commands = self.controller.step(state.inner, expected.setpoints[0], predicted, period)
         unused = ("torque", "stiffness", "added_stiffness", "saturated")  # not computed in exported C
         estimates = estimates._replace(**{name: getattr(state.estimates, name) for name in unused})
         return DelayState(inner, estimates._replace(sent=(commands, *estimates.sent[:-1]))), commands

@@ -77,7 +77,7 @@ class InverseModelControl(Controller[InverseModelState]):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        check_valve_model("InverseModelControl", self.valve, self.loops.model)
+        check_valve_model("InverseModelControl", self.valve, self.loops.model.muscles)
 
     def init(self, measurement: Measurement) -> InverseModelState:
         angle, (pressure1, pressure2) = measurement

@@ -2,12 +2,13 @@
 
 # No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
 
+import abc
 import dataclasses
 import functools
 import math
 import operator
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,34 +20,38 @@ from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
 from mckibben.actuator.base import Point, air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
-from mckibben.control.allocation import command_limits
 from mckibben.control.base import (
     Controller,
+    DiscreteTimeSystem,
     JointModel,
     LoadModel,
-    Measurement,
     Setpoint,
     State,
     ValveModel,
     check_valve_model,
 )
+from mckibben.control.mechanics import HingeMechanics, Mechanics, Scalars
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import ParameterError, RangeError
-from mckibben.joint.antagonistic import NO_STATES, MuscleStates
-from mckibben.joint.geometry import Pair
-from mckibben.units import AngleScale, CommandDelay, Force, ms
+from mckibben.joint.route import init_states, update_states
+from mckibben.muscle import MuscleState
+from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.elementary import floating
+from mckibben.units import AngleScale, CommandDelay, Force, Percent, ms
 
 Scalar = Float[Array, ""]
 
 _LEAST_STEPS, _LONGEST_STEP = 2, 4 * ms  # of the prediction
 _ROUNDING = 1e-9  # steps
 
+FrictionShare = Annotated[float, Percent("1", "%", 0, 100)]
+
 
 class Valves(NamedTuple):
     """Model of the valves at their estimated pressures [Pa] and states, and the range of their commands [Pa].
 
-    Tuples are over muscles, for functions of a joint pairs.
+    Tuples are over muscles.
     """
 
     model: Actuator
@@ -77,36 +82,55 @@ class Valves(NamedTuple):
             yield self.model.for_muscle(i), at, value
 
 
-class Estimates(NamedTuple):
-    """Estimates at a sample, and the commands given then."""
+class SlipStates(NamedTuple):
+    """Internal states of the friction of muscles and joints; () for those without."""
 
-    motion: MotionEstimate
-    pressures: Pair
-    reference: ReferenceDerivatives  # at the newest setpoint
-    coming: PyTree  # what is known of the reference ahead
-    muscles: MuscleStates  # of the model, along the reference
-    moved: MuscleStates  # of the model, along the estimated motion
-    torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
-    stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
-    added_stiffness: Scalar  # minus the isobaric one [N*m/rad]
-    friction: Scalar  # compensated torque [N*m]
-    resistance: Scalar  # torque of the friction with which the motion is predicted [N*m]
-    sent: tuple[Pair, ...]  # commands on their way [Pa], the last first
-    actuators: tuple[PyTree, PyTree]  # states of the model of the valves
+    muscles: tuple[MuscleState, ...] = ()
+    joints: tuple[FrictionState, ...] = ()
+
+
+class Estimates(NamedTuple):
+    """Estimates at a sample, and the commands given then; tuples are over joints, or muscles."""
+
+    motion: tuple[MotionEstimate, ...]
+    pressures: Scalars
+    reference: tuple[ReferenceDerivatives, ...]  # at the newest setpoints
+    coming: tuple[PyTree, ...]  # what is known of the references ahead
+    slips: SlipStates  # of the model, along the references
+    moved: SlipStates  # of the model, along the estimated motion
+    torque: Scalars  # of the model's muscles at the estimated pressures, without friction [N*m]
+    stiffness: Scalars  # of the model, for the amplitude of the controller [N*m/rad]
+    added_stiffness: Scalars  # minus the isobaric one [N*m/rad]
+    friction: Scalars  # compensated torque [N*m]
+    resistance: Scalars  # torque of the friction with which the motion is predicted [N*m]
+    sent: tuple[Scalars, ...]  # commands on their way [Pa], the last first
+    actuators: tuple[PyTree, ...]  # states of the model of the valves
     saturated: Array
+
+    def of_joint(self) -> Any:
+        """Return the estimates of a single joint, without tuples over joints."""
+        over_muscles = {"pressures", "sent", "actuators", "saturated", "slips", "moved"}
+        return self._replace(**{name: getattr(self, name)[0] for name in set(self._fields) - over_muscles})
 
 
 class Expected(NamedTuple):
-    """Predicted setpoint, angle [rad] and estimates at the arrival of the next commands, and the valves there."""
+    """Predicted setpoints, angles and estimates at the arrival of the next commands, and the valves there."""
 
-    setpoint: Setpoint
-    angle: Scalar  # measured, or predicted over the delay
+    setpoints: tuple[Setpoint, ...]
+    angles: Scalars  # measured, or predicted over the delay
     estimates: Estimates
     valves: Valves
 
 
-class StatePrediction(Controller[State]):
-    r"""Base of controllers that estimate the state by a model of joint, load and valves, and predict it over a delay.
+class _Motion(NamedTuple):
+    angles: Scalars
+    rates: Scalars
+    pressures: Scalars
+    actuators: tuple[PyTree, ...]
+
+
+class StatePrediction(DiscreteTimeSystem[State]):
+    r"""Base of controllers that estimate the state by a model of mechanics and valves, and predict it over a delay.
 
     A command arrives at the valves after the delay d. An observer estimates motion, pressures and disturbance from the
     measurement and the commands that have arrived; the model then predicts the motion and the pressures over d with the
@@ -136,18 +160,37 @@ class StatePrediction(Controller[State]):
 
     observer: eqx.AbstractVar[Observer]
     pressure_observer: eqx.AbstractVar[PressureObserver]
-    model: JointModel
-    load: LoadModel
-    valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
-    command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
-        kw_only=True, default=None
-    )
+    valve: eqx.AbstractVar[Actuator]
+    command_delay: eqx.AbstractVar[float | None]
     periods: int | None = eqx.field(kw_only=True, default=None, static=True)
     steps: int = eqx.field(kw_only=True, default=_LEAST_STEPS, static=True)
+    if TYPE_CHECKING:  # of a `DelayCompensation` that of the inner controller
+        stiffness_amplitude: Any
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        check_valve_model(type(self).__name__, self.valve, self.model)
+        name, muscles = type(self).__name__, self.mechanics.muscles
+        check_valve_model(name, self.valve, muscles)
+        rough = any(muscle.has_friction for muscle in muscles) or any(self.mechanics.frictions)
+        if self.friction_compensation and not rough:
+            raise RangeError(
+                f"{name}: no muscle of its model has friction to compensate",
+                field="friction_compensation",
+                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
+            )
+        if self.friction_in_observer is not None and not self.friction_compensation:
+            raise RangeError(
+                f"{name}: friction_in_observer without friction_compensation; nothing would compensate the friction, "
+                "which the estimated disturbance then leaves out",
+                field="friction_in_observer",
+                value=self.friction_in_observer,
+                remedy="set friction_compensation too",
+            )
+
+    @property
+    @abc.abstractmethod
+    def mechanics(self) -> Mechanics:
+        """Model of joints and muscles."""
 
     def with_period(self, period: float) -> Self:
         prepared = super().with_period(period)
@@ -174,74 +217,93 @@ class StatePrediction(Controller[State]):
             )
         return self.periods or 0
 
-    def init_estimates(self, measurement: Measurement) -> Estimates:
-        """Estimates before the first step, at rest."""
-        angle, pressures = measurement
-        torque, stiffness, added = self._torque_and_stiffness(angle, pressures)
-        zero = jnp.zeros_like(angle)
-        muscles = self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES
+    def init_estimates(self, angles: Sequence[ArrayLike], pressures: Sequence[ArrayLike]) -> Estimates:
+        """Estimates before the first step, at rest at angles [rad] and pressures [Pa]."""
+        angles, pressures = tuple(map(floating, angles)), tuple(map(floating, pressures))
+        torque, stiffness, added = self._torque_and_stiffness(angles, pressures)
+        still = (jnp.zeros_like(angles[0]),) * len(angles)
+        known = self.mechanics.accelerations(angles, still, torque, 0.0)
+        slips = self._init_slips(angles, pressures)
         return Estimates(
-            motion=self.observer.init(angle, self.load.acceleration(angle, zero, torque)),
+            motion=tuple(map(self.observer.init, angles, known)),
             pressures=pressures,
-            reference=ReferenceDerivatives.init(angle),
-            coming=self.init_coming(angle, stiffness),
-            muscles=muscles,
-            moved=NO_STATES if self.friction_in_observer is None else muscles,
+            reference=tuple(map(ReferenceDerivatives.init, angles)),
+            coming=tuple(map(self.init_coming, angles, stiffness)),
+            slips=slips,
+            moved=SlipStates() if self.friction_in_observer is None else slips,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
-            friction=zero,
-            resistance=zero,
+            friction=still,
+            resistance=still,
             sent=(pressures,) * (self._periods + 1),
-            actuators=tuple(self.valve.for_muscle(i).init_model(pressures[i]) for i in (0, 1)),  # type: ignore
+            actuators=tuple(self.valve.for_muscle(i).init_model(pressure) for i, pressure in enumerate(pressures)),
             saturated=jnp.asarray(False),
         )
 
     def update(
-        self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+        self,
+        last: Estimates,
+        setpoints: Sequence[Setpoint],
+        angles: Scalars,
+        measured: Scalars,
+        period: ArrayLike,
     ) -> tuple[Estimates, Expected]:
-        """Estimates after a further sample, and their prediction at the arrival of the next commands."""
-        angle = measurement.angle
-        delay = self._delay / jnp.asarray(period)
+        """Estimates after a further sample [rad, Pa], and their prediction at the arrival of the next commands."""
+        delay, rates = self._delay / jnp.asarray(period), tuple(motion.velocity for motion in last.motion)
         arrived = mean_commands(last.sent, delay, delay + 1) if self._periods else last.sent[0]
-        valves = self._valves(angle, last.motion.velocity, last.pressures, last.actuators)
+        valves = self._valves(_Motion(angles, rates, last.pressures, last.actuators))
         predicted, actuators = valves.predict(arrived, period)
-        pressures = self.pressure_observer.step(predicted, measurement.pressures, period)
-        torque, stiffness, added = self._torque_and_stiffness(angle, pressures)
-        reference, coming = self._follow(last, setpoint, period)
-        ahead, setpoint = self._at_arrival(reference, coming, setpoint, period)
-        muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
-        moved, resistance = last.moved, friction_torque
+        pressures = self.pressure_observer.step(predicted, measured, period)
+        torque, stiffness, added = self._torque_and_stiffness(angles, pressures)
+        reference, coming = self._followed(last, setpoints, period)
+        joints = zip(reference, coming, setpoints, strict=True)
+        ahead, there = zip(*(self._at_arrival(*joint, period) for joint in joints), strict=True)
+        slips, friction = self._friction(last.slips, [reference.angle for reference in ahead], pressures)
+        moved, resistance = last.moved, friction
         if (share := self.friction_in_observer) is not None:
-            moved, along = self._friction(moved, last.motion.angle + period * last.motion.velocity, pressures)
-            resistance = share * along + (1 - share) * friction_torque
-        known = self.load.acceleration(angle, last.motion.velocity, torque + resistance)
+            moving = [motion.angle + period * motion.velocity for motion in last.motion]
+            moved, along = self._friction(moved, moving, pressures)
+            resistance = _sums([share * torque for torque in along], [(1 - share) * torque for torque in friction])
+        known = self.mechanics.accelerations(angles, rates, _sums(torque, resistance), period)
+        observed = zip(last.motion, angles, known, strict=True)
         estimates = last._replace(
-            motion=self.observer.step(last.motion, angle, known, period),
+            motion=tuple(self.observer.step(*joint, period) for joint in observed),
             pressures=pressures,
             reference=reference,
             coming=coming,
-            muscles=muscles,
+            slips=slips,
             moved=moved,
             actuators=actuators,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
-            friction=friction_torque,
+            friction=friction,
             resistance=resistance,
         )
         expected = estimates
         if self._periods:
             expected = self._predicted(estimates, period)
-            angle = expected.motion.angle
+            angles = tuple(motion.angle for motion in expected.motion)
         expected = expected._replace(reference=ahead)
-        now = self._valves(angle, expected.motion.velocity, expected.pressures, expected.actuators)
-        return estimates, Expected(setpoint, angle, expected, now)
+        rates = tuple(motion.velocity for motion in expected.motion)
+        now = self._valves(_Motion(angles, rates, expected.pressures, expected.actuators))
+        return estimates, Expected(there, angles, expected, now)
 
-    def foresee(self, state: State, setpoint: Setpoint, period: ArrayLike) -> State:
+    def foresee(self, state: State, setpoint: PyTree, period: ArrayLike) -> State:
+        """Return the state before the first step after one of the setpoints that precede that of this step."""
         estimates: Estimates = state.estimates  # type: ignore[attr-defined]
-        reference, coming = self._follow(estimates, setpoint, period)
+        setpoints = (setpoint,) if isinstance(setpoint, Setpoint) else setpoint
+        reference, coming = self._followed(estimates, setpoints, period)
         return state._replace(estimates=estimates._replace(reference=reference, coming=coming))  # type: ignore
+
+    def _followed(
+        self, last: Estimates, setpoints: Sequence[Setpoint], period: ArrayLike
+    ) -> tuple[tuple[ReferenceDerivatives, ...], tuple[PyTree, ...]]:
+        """Derivatives at further setpoints, and what is known of the references ahead."""
+        joints = zip(last.reference, last.coming, setpoints, strict=True)
+        reference, coming = zip(*(self._follow(*joint, period) for joint in joints), strict=True)
+        return reference, coming
 
     def init_coming(self, angle: Scalar, stiffness: Scalar) -> PyTree:
         """Return what is known of the reference ahead at the start, at a constant angle [rad] and stiffness [N*m/rad].
@@ -250,99 +312,146 @@ class StatePrediction(Controller[State]):
         """
         return ()
 
-    def _follow(self, last: Estimates, setpoint: Setpoint, period: ArrayLike) -> tuple[ReferenceDerivatives, PyTree]:
-        """Derivatives at a further setpoint, and what is known of the reference ahead."""
-        return last.reference.update(setpoint.angle, period), ()
+    def _follow(
+        self, last: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
+    ) -> tuple[ReferenceDerivatives, PyTree]:
+        """Derivatives at a further setpoint of a joint, and what is known of its reference ahead."""
+        return last.update(setpoint.angle, period), ()
 
     def _at_arrival(
         self, reference: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
     ) -> tuple[ReferenceDerivatives, Setpoint]:
-        """Reference and setpoint at the arrival of the next commands."""
+        """Reference and setpoint of a joint at the arrival of the next commands."""
         ahead = reference.after(self._delay) if self._periods else reference
         return ahead, setpoint._replace(angle=ahead.angle)
 
     def _predicted(self, estimates: Estimates, period: ArrayLike) -> Estimates:
         """Estimates when the next commands arrive."""
-        steps = self.steps
+        steps, mechanics = self.steps, self.mechanics
         delay, step = self._delay / jnp.asarray(period), jnp.asarray(self._delay) / steps
-        pairs = [
+        means = [
             mean_commands(estimates.sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)
         ]
-        commands = jnp.stack([first for first, _ in pairs]), jnp.stack([second for _, second in pairs])
+        disturbances = [motion.disturbance for motion in estimates.motion]
+
+        def advance(at: _Motion, commands: Scalars) -> tuple[_Motion, None]:
+            midway = _moved(at.angles, at.rates, step / 2)  # one evaluation of the geometry
+            following, actuators = self._valves(at._replace(angles=midway)).predict(commands, step)
+            middle = tuple((first + second) / 2 for first, second in zip(at.pressures, following, strict=True))
+            torques = _sums(mechanics.torques(midway, middle), estimates.resistance)
+            accelerations = _sums(mechanics.accelerations(midway, at.rates, torques, step), disturbances)
+            angles = _moved(at.angles, _moved(at.rates, accelerations, step / 2), step)
+            return _Motion(angles, _moved(at.rates, accelerations, step), following, actuators), None
+
         motion = estimates.motion
-
-        def advance(state: tuple[Scalar, Scalar, Pair, PyTree], commands: Pair) -> tuple[PyTree, None]:
-            angle, velocity, pressures, actuators = state
-            midway = angle + step / 2 * velocity  # one evaluation of the geometry
-            valves = self._valves(midway, velocity, pressures, actuators)
-            following, actuators = valves.predict(commands, step)
-            middle = tuple((first + second) / 2 for first, second in zip(pressures, following, strict=True))
-            torque = self.model.torque(midway, (middle[0], middle[1])) + estimates.resistance
-            acceleration = self.load.acceleration(midway, velocity, torque) + motion.disturbance
-            moved = angle + step * (velocity + step / 2 * acceleration)
-            return (moved, velocity + step * acceleration, following, actuators), None
-
-        start = motion.angle, motion.velocity, estimates.pressures, estimates.actuators
-        (angle, velocity, pressures, actuators), _ = lax.scan(advance, start, commands)
-        torque, stiffness, added = self._torque_and_stiffness(angle, pressures)
+        angles, rates = zip(*((of.angle, of.velocity) for of in motion), strict=True)
+        start = _Motion(angles, rates, estimates.pressures, estimates.actuators)
+        end = lax.scan(advance, start, tuple(map(jnp.stack, zip(*means, strict=True))))[0]
+        torque, stiffness, added = self._torque_and_stiffness(end.angles, end.pressures)
+        joints = zip(motion, end.angles, end.rates, strict=True)
         return estimates._replace(
-            motion=motion._replace(angle=angle, velocity=velocity),
-            pressures=pressures,
-            actuators=actuators,
+            motion=tuple(of._replace(angle=angle, velocity=rate) for of, angle, rate in joints),
+            pressures=end.pressures,
+            actuators=end.actuators,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
         )
 
-    def estimates_telemetry(self, estimates: Estimates) -> dict[str, Scalar]:
+    def estimates_telemetry(self, estimates: Estimates) -> dict[str, PyTree]:
         """Signals to record, by name."""
+        motion, form = estimates.motion, self.mechanics.like_joints
+        angles, still = [of.angle for of in motion], [jnp.zeros_like(of.angle) for of in motion]
+        rows = self.mechanics.equations(angles, still).matrix
+        disturbances = [sum(a * of.disturbance for a, of in zip(row, motion, strict=True)) for row in rows]
         return {
-            "stiffness_estimate": estimates.stiffness,
+            "stiffness_estimate": form(estimates.stiffness),
             "saturated": estimates.saturated,
-            "velocity_estimate": estimates.motion.velocity,
-            "disturbance_estimate": self.load.dynamic_torque(0.0, estimates.motion.disturbance),
-            "friction_compensation": estimates.friction,
+            "velocity_estimate": form([of.velocity for of in motion]),
+            "disturbance_estimate": form(disturbances),
+            "friction_compensation": form(estimates.friction),
         }
 
-    def _valves(self, angle: ArrayLike, velocity: ArrayLike, pressures: Pair, states: tuple[PyTree, PyTree]) -> Valves:
-        """Model of the valves at a motion of the joint."""
-        valve: Any = self.valve
-        air: Any = (None, None)
+    def _valves(self, at: _Motion) -> Valves:
+        """Model of the valves at a motion."""
+        valve, muscles = self.valve, self.mechanics.muscles
+        own = [valve.for_muscle(i) for i in range(len(muscles))]
+        air: Sequence[AirVolume | None] = (None,) * len(muscles)
         if valve.holds_air:
-            dead1, dead2 = (valve.for_muscle(i).attached_volume for i in (0, 1))
-            air = air_volumes(self.model.routes(angle), (velocity,), pressures, dead_volumes=(dead1, dead2))
-        return Valves(valve, pressures, states, air, command_limits(self.model, valve))
+            dead = [muscle.attached_volume for muscle in own]
+            air = air_volumes(self.mechanics.routes(at.angles), at.rates, at.pressures, dead_volumes=dead)
+        ranges = [actuator.command_range(muscle.domain) for actuator, muscle in zip(own, muscles, strict=True)]
+        commands = tuple(tuple(map(floating, limits)) for limits in zip(*ranges, strict=True))
+        return Valves(valve, at.pressures, at.actuators, air, commands)
 
-    def _torque_and_stiffness(self, angle: ArrayLike, pressures: Pair) -> tuple[Scalar, Scalar, Scalar]:
+    def _torque_and_stiffness(self, angles: Scalars, pressures: Scalars) -> tuple[Scalars, Scalars, Scalars]:
         """Torque [N*m] and controlled stiffness of the model, and its difference from the isobaric one [N*m/rad]."""
-        torque, isobaric = self.model.evaluate(angle, pressures)
-        if self.stiffness_amplitude is None:
-            return torque, isobaric, jnp.zeros_like(isobaric)
-        stiffness = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
-        return torque, stiffness, stiffness - isobaric
+        mechanics, amplitude = self.mechanics, self.stiffness_amplitude
+        torque, isobaric = mechanics.evaluate(angles, pressures)
+        if amplitude is None:
+            return torque, isobaric, tuple(map(jnp.zeros_like, isobaric))
+        stiffness = mechanics.stiffness_for(angles, pressures, amplitude)
+        return torque, stiffness, tuple(secant - slope for secant, slope in zip(stiffness, isobaric, strict=True))
 
-    def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
-        """Internal states of the model's muscles after a motion to an angle [rad], and their friction torque [N*m]."""
+    def _init_slips(self, angles: Scalars, pressures: Scalars) -> SlipStates:
+        """Unstressed friction of muscles and joints; muscles of the model do not creep."""
         if not self.friction_compensation:
-            return muscles, jnp.zeros_like(pressures[0])
-        torque = self.model.friction_torque(angle, None, pressures, muscles)  # the same before and after the update
-        return self.model.update_state(muscles, angle, pressures), torque
+            return SlipStates()
+        joints = zip(self.mechanics.frictions, angles, strict=True)
+        return SlipStates(
+            tuple(state._replace(creep=()) for state in init_states(self.mechanics.routes(angles), pressures)),
+            tuple(() if friction is None else friction.initial(angle) for friction, angle in joints),
+        )
+
+    def _friction(self, slips: SlipStates, angles: Sequence[Array], pressures: Scalars) -> tuple[SlipStates, Scalars]:
+        """States of the friction after a motion to angles [rad], and its torques [N*m], the same before and after."""
+        torques: list[Any] = [jnp.zeros_like(angle) for angle in angles]
+        if not self.friction_compensation:
+            return slips, tuple(torques)
+        routes, joints = self.mechanics.routes(angles), []
+        for route, pressure, state in zip(routes, pressures, slips.muscles, strict=True):
+            if state.friction:
+                force = route.forces(pressure, state, None)[0] - route.tension(pressure)
+                for joint, slope in route.slopes.items():
+                    torques[joint] = torques[joint] - slope * force
+        for i, (friction, held) in enumerate(zip(self.mechanics.frictions, slips.joints, strict=True)):
+            if friction is not None:
+                torques[i] = torques[i] - friction.resisting_torque(held, angles[i])
+                held = friction.project(held, angles[i])
+            joints.append(held)
+        return SlipStates(update_states(routes, slips.muscles, pressures), tuple(joints)), tuple(torques)
 
 
-class ModelBasedControl(StatePrediction[State]):
+class PairPrediction(StatePrediction[State], Controller[State]):
+    """Base of controllers of a joint that predict with a model of joint and load."""
+
+    model: JointModel
+    load: LoadModel
+    valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
+    command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
+        kw_only=True, default=None
+    )
+
+    @property
+    def mechanics(self) -> HingeMechanics:
+        return HingeMechanics(self.model, self.load)
+
+
+class ModelBasedControl(PairPrediction[State]):
     """Base of controllers whose commands follow from a model of joint, load and valves."""
 
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if self.friction_compensation and not self.model.has_friction:
-            raise RangeError(
-                f"{type(self).__name__}: no muscle of its model has friction to compensate",
-                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
-            )
+
+def _sums(first: Sequence[Array], second: Sequence[Array]) -> Scalars:
+    return tuple(map(operator.add, first, second))
+
+
+def _moved(values: Sequence[Array], rates: Sequence[Array], time: ArrayLike) -> Scalars:
+    """Values after a time [s] at constant rates."""
+    return tuple(value + time * rate for value, rate in zip(values, rates, strict=True))
 
 
 def mean_commands(sent: tuple[tuple[Scalar, ...], ...], newest: ArrayLike, oldest: ArrayLike) -> Any:

@@ -158,18 +158,20 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         zero = jnp.zeros_like(measurement.angle)
         pressure1, pressure2 = measurement.pressures
         policy = constant((pressure1 / bar, pressure2 / bar), self.stages)
-        return PredictiveState(self.init_estimates(measurement), (zero, zero), policy)
+        return PredictiveState(self.init_estimates((measurement.angle,), measurement.pressures), (zero, zero), policy)
 
     def init_coming(self, angle: Scalar, stiffness: Scalar) -> PyTree:
         constant = jnp.zeros(self.samples_ahead + 1)
         held = ComingReference(*(constant for _ in ComingReference._fields))
         return held._replace(angle=constant + angle, stiffness=constant + stiffness) if self.preview else ()
 
-    def _follow(self, last: Estimates, setpoint: Setpoint, period: ArrayLike) -> tuple[ReferenceDerivatives, PyTree]:
-        reference, coming = super()._follow(last, setpoint, period)
+    def _follow(
+        self, last: ReferenceDerivatives, coming: PyTree, setpoint: Setpoint, period: ArrayLike
+    ) -> tuple[ReferenceDerivatives, PyTree]:
+        reference = last.update(setpoint.angle, period)
         if self.preview:
             newest = ComingReference(*reference[:4], setpoint.stiffness)
-            coming = jax.tree.map(lambda samples, value: jnp.append(samples[1:], value), last.coming, newest)
+            coming = jax.tree.map(lambda samples, value: jnp.append(samples[1:], value), coming, newest)
         return reference, coming
 
     def _at_arrival(
@@ -183,8 +185,10 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
     def step(
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PredictiveState, Pair]:
-        estimates, expected = self.update(state.estimates, setpoint, measurement, period)
-        setpoint, angle, ahead, valves = expected
+        angles, measured = (measurement.angle,), measurement.pressures
+        estimates, expected = self.update(state.estimates, (setpoint,), angles, measured, period)
+        (setpoint,), (angle,), ahead, valves = expected
+        ahead = ahead.of_joint()
         reference = ahead.reference
         new = 1 - exp(-jnp.asarray(period) / _FREQUENCY_MEMORY)
         jerk_velocity, velocity_sq = state.averages
@@ -215,7 +219,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         return self.estimates_telemetry(state.estimates)
 
     def _errors(
-        self, problem: HorizonProblem, estimates: Estimates, angle: Scalar, setpoint: Setpoint
+        self, problem: HorizonProblem, estimates: PyTree, angle: Scalar, setpoint: Setpoint
     ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """State of the problem now: errors of angle, velocity, acceleration and stiffness over their scales."""
         unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
@@ -231,7 +235,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
     def _problem(
         self,
         local: LocalModel,
-        estimates: Estimates,
+        estimates: PyTree,
         valves: Valves,
         angle: Scalar,
         frequency_sq: Scalar,

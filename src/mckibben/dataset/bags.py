@@ -14,6 +14,7 @@ import numpy as np
 
 from mckibben.dataset.raw import Budget, RawColumn, RawTable, needs, readable
 from mckibben.dataset.table import question, refusal
+from mckibben.storage.mcap import SAMPLES
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 """First bytes of a file; of a rosbag2 that is a folder, of its files."""
@@ -66,24 +67,41 @@ def _json_messages(data: bytes, path: Path, table: RawTable) -> Iterator[Message
         from mcap.records import Attachment, Channel, Schema
         from mcap.records import Message as McapMessage
         from mcap.stream_reader import CRCValidationError, StreamReader
-    schemas, channels = dict[int, dict[str, str]](), dict[int, Any]()
+    schemas, channels, bench = dict[int, dict[str, str]](), dict[int, Any](), dict[str, Any]()
     try:
         for record in StreamReader(io.BytesIO(data), validate_crcs=True).records:
             if isinstance(record, Schema):
                 fields = json.loads(record.data or b"{}").get("properties", {})
                 schemas[record.id] = {name: str(about.get("unit", "")) for name, about in fields.items()}
             elif isinstance(record, Attachment) and b'"mckibben record"' in record.data[:99]:
-                remedy = f"`mckibben rig data {path.parent}` reads its points, with --recording all samples"
-                raise refusal(path, "is a record of this program", remedy)
+                header = json.loads(record.data)["header"]
+                bench = header.get("bench", {})
+                if not bench:
+                    remedy = f"`mckibben rig data {path.parent}` reads its points, with --recording all samples"
+                    if "scenario" in header:
+                        remedy = f"`mckibben calibrate` reads {path.parent / 'result.nc'}"
+                    raise refusal(path, "is a record of a joint, or of an earlier version", remedy)
+                table.comments |= {name: str(value) for name, value in bench["origin"].items()}
             elif isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, McapMessage):
                 channel, content = channels[record.channel_id], json.loads(record.data)
                 numbers = {name: float(x) for name, x in content.items() if type(x) in (int, float)}
-                yield channel.topic, record.log_time / 1e9, numbers, schemas.get(channel.schema_id, {})
+                units = schemas.get(channel.schema_id, {})
+                if bench and channel.topic == SAMPLES:
+                    numbers, units = _contracted(numbers, bench), units | {"contraction": "1"}
+                if not bench or channel.topic == SAMPLES:
+                    yield channel.topic, record.log_time / 1e9, numbers, units
     except (McapError, CRCValidationError, struct.error) as error:
         text = f"is damaged, or was cut: {error or type(error).__name__}; the rest is not read"
         table.questions.append(question(text, "corrupt"))
+
+
+def _contracted(numbers: dict[str, float], bench: Mapping[str, Any]) -> dict[str, float]:
+    """Sample of a rig with the contraction in place of the position of its motor and the number of the plateau."""
+    kept = {name: number for name, number in numbers.items() if name not in ("time", "position", "plateau")}
+    contraction = bench["mounted_at"] - numbers["position"] / bench["initial_length"]
+    return kept | {"contraction": contraction}
 
 
 def _ros_messages(path: Path) -> Iterator[Message]:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
 SLACK, _TAUT = 0.05, 0.15  # of the largest force: up to which a muscle may be slack, and from which it is not
+_CREEP = 0.1  # of the largest force: changes within a recording
 _RANK = 1e-9  # of the largest singular value: less is rounding
 _SHORTENS, _STRETCHED = ("unloading", "filling"), ("loading", "venting")  # or would, at a fixed length
 _REMEDIES = {
@@ -231,14 +232,14 @@ def _copies(points: Points) -> Iterator[Question]:
 def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
     """First of up to four rows at the end of others that are their averages, deviations and ends.
 
-    Several may have fewer decimals than the others.
+    They may have fewer decimals than the others.
     """
     rows, averages = points.table[order], (np.mean, np.median, np.std, partial(np.std, ddof=1))
     usual = [_resolution(column) for column in rows.T]
     for count in range(1, min(5, len(rows) - 2)):
         others, last = rows[:-count], rows[-count:]
-        fewer = [[min(1.0, _resolution(value)) for value in row] for row in last] if count > 1 else 0.0
-        tolerance = 0.6 * np.maximum(usual, fewer)
+        coarsest = 1.0 if count == 1 else 10.0  # bar, % and N: a lone row may agree by chance
+        tolerance = 0.6 * np.maximum(usual, np.minimum(_last_decimal(last[None]), coarsest))
         values = [of(others, axis=0) for of in (*averages, np.min, np.max)]
         values.insert(0, values[3] / np.sqrt(len(others)))  # standard error
         equal = [np.all(np.abs(value - last) <= tolerance, axis=1) for value in values]
@@ -247,18 +248,24 @@ def _summaries(points: Points, order: NDArray[np.int64]) -> Iterator[int]:
             yield int(order[-count])
 
 
-def _resolution(values: Floats | float) -> float:
+def _resolution(values: Floats) -> float:
     """Power of ten of the last decimal of numbers, or their least difference where another unit was written.
 
     >>> _resolution(np.array([1.25, 3.0])), _resolution(np.array([120.0, 50.0])), _resolution(0.9765625 * np.arange(4))
     (0.01, 10.0, 0.9765625)
     """
-    steps, error = 10.0 ** -np.arange(-3, 6), 2e-16 * np.max(np.abs(values), initial=0.0)
-    fits = (step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step + error))
-    if (step := next(fits, None)) is not None:
-        return float(step)
+    if step := float(_last_decimal(values)):
+        return step
     differences = np.diff(np.unique(values))
-    return float(differences[differences > 1e-9].min(initial=np.inf)) if len(differences) else 1e-9
+    return float(differences[differences > 1e-9].min(initial=np.inf))
+
+
+def _last_decimal(values: Floats) -> Floats:
+    """Power of ten, from 1e3 to 1e-5, of the last decimal of all numbers along the first axis; 0 if they have more."""
+    steps = 10.0 ** -np.arange(-3, 6).reshape(-1, *np.ones(values.ndim, int))
+    error = 1e-6 * steps + 2e-16 * np.abs(values).max(initial=0.0)
+    rounded = np.abs(values - steps * np.round(values / steps)) <= error
+    return np.max(steps[:, 0] * rounded.all(axis=1), axis=0)
 
 
 def _saturated(points: Points) -> Iterator[Question]:
@@ -386,7 +393,7 @@ def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     means at rest also the scatter of their forces.
     """
     taut = np.flatnonzero(points.taut)
-    if len(taut) < fewest or (points.timed and not points.scatter):
+    if len(taut) < fewest:
         return
     side = np.zeros(len(points.force)) if points.side is None else points.side
     rows, side = points.table[taut], side[taut]
@@ -396,7 +403,8 @@ def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     row, size, change, _, median = shifts[quantity]
     largest = points.force.max()
     least = (0.5, 0.5, SLACK * largest)[quantity]
-    if median <= 0.5 * usual and abs(size) >= least and change >= points.scatter * largest:
+    scatter = points.scatter or (_CREEP if points.timed else 0.0)
+    if median <= 0.5 * usual and abs(size) >= least and change >= scatter * largest:
         name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
         text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
         yield points.ask("order", text, int(taut[row]), name, "shift")

@@ -17,7 +17,7 @@ from mckibben.result import draw
 from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mckibben.result import Figure
 
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
 

@@ -91,10 +91,14 @@ def pressure_levels(pressure: Floats, tolerance: float = _LEVEL) -> Floats:
 
 def level_means(values: Floats, tolerance: float) -> Floats:
     """As `pressure_levels`, of any quantity: means of the values that follow each other closely, NaN in a sweep."""
-    ranked = pd.Series(values).sort_values()
-    groups = ranked.groupby((ranked.diff() > tolerance).cumsum())
-    narrow = groups.transform("max") - groups.transform("min") <= 3 * tolerance
-    return groups.transform("mean").where(narrow).sort_index().to_numpy()
+    order = np.argsort(values)
+    ranked = values[order]
+    first = np.flatnonzero(np.diff(ranked, prepend=-np.inf) > tolerance)
+    sizes = np.diff(first, append=len(ranked))
+    narrow = ranked[first + sizes - 1] - ranked[first] <= 3 * tolerance
+    means = np.empty(len(ranked))
+    means[order] = np.repeat(np.where(narrow, np.add.reduceat(ranked, first) / sizes, np.nan), sizes)
+    return means
 
 
 def _at_held_pressures(table: xr.Dataset) -> tuple[xr.Dataset, Ints, list[str]]:

@@ -19,7 +19,7 @@ from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mckibben.result import Figure
 
 _STEEPEST = 0.1  # contraction over which no muscle loses more than its largest force
 _CONTINUOUS = "fit the samples of loops and sweeps: mk.read_dataset(path) (command line: mckibben identify FILE)"

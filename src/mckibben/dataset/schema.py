@@ -18,13 +18,14 @@ from mckibben.dataset.raw import Budget, check_regular, hdf5_nodes, readable
 from mckibben.dataset.table import refusal
 from mckibben.errors import DatasetError, Problem, Suggesting
 from mckibben.storage.files import atomic_write
+from mckibben.units import atm
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from mckibben.dataset.table import Table
 
-VACUUM = -101325.0
+VACUUM = -atm
 """Lowest possible gauge pressure [Pa]: vacuum at a standard atmosphere."""
 
 WORDS: Mapping[str, tuple[str, ...]] = {"direction": ("loading", "unloading"), "phase": ("filling", "venting")}

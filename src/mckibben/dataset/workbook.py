@@ -6,6 +6,7 @@ import io
 import re
 import zipfile
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from mckibben.dataset.table import question, refusal
 from mckibben.dataset.text import find_layout, read_lines
 
 if TYPE_CHECKING:
+    from openpyxl import Workbook
     from openpyxl.worksheet.worksheet import Worksheet
 
 _SHEET_BYTES = 2**24  # of XML of a workbook
@@ -34,11 +36,7 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
 
     Raises a `DatasetError` if there are several such sheets or none, or the file is damaged or too large.
     """
-    with needs(path, "openpyxl", "excel"):
-        from openpyxl import load_workbook
-    with readable(path, "a workbook"):
-        texts = _parts(path, data)
-        book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
+    texts, book = _opened(path, data)
     lines = {sheet.title: _lines(sheet, budget) for sheet in book.worksheets}
     find, read = (find_matrix, read_matrix) if {*MATRIX} <= {*mapping} else (find_layout, read_lines)
     tables = {title: layout for title, sheet in lines.items() if (layout := find(sheet, mapping))}
@@ -61,6 +59,15 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     asked = [*_hidden(sheet, table.lines[0]), *_noted(sheet, texts)]
     table.questions += [question(text, "layout", field="layout") for text in asked]
     return table
+
+
+@lru_cache(maxsize=1)  # several sheets of a workbook are read in turn
+def _opened(path: Path, data: bytes) -> tuple[dict[str, str], Workbook]:
+    """Texts of the parts of a workbook by name, and its sheets."""
+    with needs(path, "openpyxl", "excel"):
+        from openpyxl import load_workbook
+    with readable(path, "a workbook"):
+        return _parts(path, data), load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
 
 
 def _parts(path: Path, data: bytes) -> dict[str, str]:

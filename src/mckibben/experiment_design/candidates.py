@@ -149,8 +149,8 @@ class CandidateSet:
         passes: dict[tuple[int, int], list[int]] = {}
         points = []
         for candidate in chosen:
-            place, rest = divmod(candidate, len(self.directions) * REPEATS)
-            direction, repeat = divmod(rest, REPEATS)
+            place, remainder = divmod(candidate, len(self.directions) * REPEATS)
+            direction, repeat = divmod(remainder, REPEATS)
             row, column = self.states.places[place]
             seen = passes.setdefault((int(row), direction), [])
             if repeat not in seen:

@@ -112,18 +112,18 @@ def plan(
     gradients = np.pad(linear.gradients, ((0, 0), (0, prior.friction)))  # friction itself is of no interest
     subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::REPEATS], prior.rows]))
     _check_identifiable(quantity, gradients, subspace, prior)
-    wanted = condensed(gradients @ subspace.basis)
+    targets = condensed(gradients @ subspace.basis)
     # prior standard deviation: 100 of the largest forces; a weaker prior would be lost in rounding
     weakest = 1 / (100 * float(states.force[states.allowed].max())) ** 2, 1e-10 / prior.noise.point**2
     weak = np.eye(subspace.basis.shape[1]) * max(weakest)
-    known = information_matrix(prior.rows @ subspace.basis, prior.strokes, prior.noise)
+    prior_information = information_matrix(prior.rows @ subspace.basis, prior.strokes, prior.noise)
     rows = candidates.rows @ subspace.basis
-    problem = ExchangeProblem(rows, candidates.strokes, known + weak, prior.noise, wanted)
-    estimator = ErrorEstimator(known, weak)
+    problem = ExchangeProblem(rows, candidates.strokes, prior_information + weak, prior.noise, targets)
+    estimator = ErrorEstimator(prior_information, weak)
 
     chosen = exchange(problem, points)
     added = [problem.added(chosen[: i + 1]) for i in range(points)]
-    errors = [estimator.error(wanted), *(estimator.error(wanted, more) for more in added)]
+    errors = [estimator.error(targets), *(estimator.error(targets, more) for more in added)]
     unit_vectors = np.eye(len(prior.names))
     unidentifiable = subspace.unidentifiable_part(unit_vectors) > _UNIDENTIFIABLE
     now, after = (
@@ -186,7 +186,7 @@ def _diagnostics(prior: PriorData, free: Floats) -> tuple[str, ...]:
 def _tied(names: list[str], space: Floats) -> str:
     """Names of the unknowns that take part in combinations, shape (unknowns, combinations)."""
     share = np.abs(space).max(axis=1)
-    return ", ".join(name for name, part in zip(names, share, strict=True) if part > 0.05 * share.max())
+    return ", ".join(name for name, amount in zip(names, share, strict=True) if amount > 0.05 * share.max())
 
 
 def _check_identifiable(

@@ -67,11 +67,11 @@ class Coefficient(QuantityOfInterest):
         return LinearizedQuantity(gradients, np.array([float(getattr(law, self.name))]))
 
     def _parameter(self, law_type: type[ForceLaw]) -> Parameter:
-        known = {p.name: p for p in law_type.parameters()}
-        if self.name not in known:
-            remedy = f"give stiffness, force, or a coefficient; {law_type.__name__} has {', '.join(known)}"
+        parameters = {p.name: p for p in law_type.parameters()}
+        if self.name not in parameters:
+            remedy = f"give stiffness, force, or a coefficient; {law_type.__name__} has {', '.join(parameters)}"
             raise ParameterError(f"{self.name!r} is not a quantity of interest", value=self.name, remedy=remedy)
-        return known[self.name]
+        return parameters[self.name]
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,9 @@ class JointStiffness(QuantityOfInterest):
 
     def __str__(self) -> str:
         angles = np.atleast_1d(np.asarray(self.angle, float)) / deg
-        shown = f"{angles[0]:.4g}" if len(angles) == 1 else f"{angles[0]:.4g}..{angles[-1]:.4g}"
+        angle_text = f"{angles[0]:.4g}" if len(angles) == 1 else f"{angles[0]:.4g}..{angles[-1]:.4g}"
         p1, p2 = (pressure / bar for pressure in self.pressures)
-        return f"stiffness at {shown} deg, {p1:.4g} bar, {p2:.4g} bar"
+        return f"stiffness at {angle_text} deg, {p1:.4g} bar, {p2:.4g} bar"
 
     def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
         return "N*m/rad", "N*m/rad"
@@ -209,21 +209,21 @@ def parse_quantity_of_interest(
     force at contraction 0..10 %, pressure 3..6 bar
     stiffness at 5 deg, 2 bar, 4 bar
     """
-    kind, _, place = (part.strip() for part in text.partition(" at "))
-    parts = [part.strip() for part in place.split(",")] if place else []
+    kind, _, place = (word.strip() for word in text.partition(" at "))
+    values = [word.strip() for word in place.split(",")] if place else []
     if kind not in _FORMS:
         coefficient = Coefficient(text.strip())
         coefficient.unit(law_type)  # raises for a name that the law lacks
         return coefficient
-    if len(parts) not in _FORMS[kind]:
-        raise ParameterError(f"{text!r} has {len(parts)} values", value=text, remedy=_PLACES[kind == "force"])
+    if len(values) not in _FORMS[kind]:
+        raise ParameterError(f"{text!r} has {len(values)} values", value=text, remedy=_PLACES[kind == "force"])
     try:
         if kind == "force":
-            return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")) if parts else None)
-        if not parts:
+            return Force(Domain(*parse_range(values[0], "1"), *parse_range(values[1], "Pa")) if values else None)
+        if not values:
             return JointStiffness(joint())
-        low, high = parse_range(parts[0], "rad")
-        pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
+        low, high = parse_range(values[0], "rad")
+        pressures = [quantity(word, "Pa") for word in values[1:]] or [3 * bar]
     except UnitError as error:
         raise UnitError(f"{text!r}: {error}; {_PLACES[kind == 'force']}", value=text) from None
     angle = low if low == high else tuple(np.linspace(low, high, 5).tolist())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from mckibben.experiment_design.information import Floats, NoiseModel
 from mckibben.experiment_design.quantities import QuantityOfInterest
 from mckibben.muscle import ForceLaw
 from mckibben.muscle.slopes import unphysical
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Remark, Result, TableColumns, column, row_columns, table
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
 
@@ -28,13 +29,13 @@ class PlannedPoint:
     undetermined; `gain` is its relative reduction by this point, 0 to 1.
     """
 
-    pressure: float
-    contraction: float
-    direction: str
-    repeat: int
-    force: float
-    standard_error: float
-    gain: float
+    pressure: float = column("Pa", "pressure", "bar")
+    contraction: float = column("1", "contraction", "%")
+    direction: str = column(title="direction")
+    repeat: int = column(title="pass")
+    force: float = column("N", "force", digits=3)
+    standard_error: float = column("", "standard error after it", digits=3)
+    gain: float = column("1", "gain", "%", digits=3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +94,7 @@ class ExperimentPlan(Result):
     target_states: Floats
 
     figures = ("planned",)
+    heading = "points to measure next"
     files = ("plan.csv",)
 
     @property
@@ -120,29 +122,27 @@ class ExperimentPlan(Result):
             )
         return remarks
 
-    def listings(self) -> list[Listing]:
-        """Points in order of gain, and the standard errors of the parameters."""
+    def declared(self) -> TableColumns:
+        """The points in order of gain, and the quantity with its standard errors, in its unit."""
         si, _ = self.quantity.unit(type(self.law))
-        rows = self.points
-        columns: dict[str, tuple[Column, Any]] = {
-            "pressure": (Column("Pa", shown="bar"), [row.pressure for row in rows]),
-            "contraction": (Column("1", shown="%"), [row.contraction for row in rows]),
-            "direction": (Column(), [row.direction or "either" for row in rows]),
-            "pass": (Column(), [row.repeat + 1 for row in rows]),
-            "force": (Column("N", digits=3), [row.force for row in rows]),
-            "standard error after it": (Column(si, shown=self.unit, digits=3), [row.standard_error for row in rows]),
-            "gain": (Column("1", shown="%", digits=3), [row.gain for row in rows]),
-        }
-        parameters = type(self.law).parameters()
+        unit = partial(Column, si, shown=self.unit)
+        points = row_columns(PlannedPoint, self.points)
+        points["direction"] = points["direction"][0], [row.direction or "either" for row in self.points]
+        points["repeat"] = points["repeat"][0], [row.repeat + 1 for row in self.points]
+        points["standard_error"] = unit("standard error after it", digits=3), points["standard_error"][1]
+        value = {} if self.value is None else {"value": (unit("value by the law"), self.value)}
         errors = {
-            p.name: (Column(p.unit, shown=p.shown, digits=3), list(pair))
-            for p, pair in zip(parameters, self.parameter_errors.values(), strict=True)
+            "error_now": (unit("standard error now", digits=3), self.error_now),
+            "error_after": (unit("standard error after these points", digits=3), self.error_after),
         }
-        state = {"": (Column(), ["now", "after"])}
-        return [
-            Listing("points to measure next", columns),
-            Listing("standard errors of the parameters", state | errors, detail=True),
-        ]
+        return super().declared() | value | errors | points
+
+    @table("standard errors of the parameters", detail=True)
+    def parameters(self) -> TableColumns:
+        """The standard errors of the parameters, now and after."""
+        pairs = zip(type(self.law).parameters(), self.parameter_errors.values(), strict=True)
+        errors = {p.name: (Column(p.unit, shown=p.shown, digits=3), list(pair)) for p, pair in pairs}
+        return {"": (Column(), ["now", "after"])} | errors
 
     def write(self, folder: Path) -> None:
         """Write the points in test order; add a column ``force_N`` of measured forces to make it a data file."""
@@ -151,8 +151,8 @@ class ExperimentPlan(Result):
             f"{p.pressure / bar:.9g},{p.contraction / percent:.9g},{p.direction or 'unknown'},{p.repeat}"
             for p in sorted(self.points, key=_rig_order)
         ]
-        with atomic_write(folder / "plan.csv", overwrite=True) as part:
-            part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        with atomic_write(folder / "plan.csv", overwrite=True) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def _rig_order(point: PlannedPoint) -> tuple[Any, ...]:

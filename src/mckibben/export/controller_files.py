@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-import mckibben
 from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js
 from mckibben.codegen.source_module import element_names
@@ -18,6 +17,7 @@ from mckibben.export.evaluation import find_function
 from mckibben.export.targets import Exported, filled
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
+from mckibben.version import __version__
 
 _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 
@@ -42,7 +42,7 @@ def c_files(
     """
     made, text = controller_module(scenario, name, limits), scenario.dumps(folder=folder)
     comment = (
-        f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
+        f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
     sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
@@ -78,7 +78,7 @@ def js_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, lim
         return ", ".join(name.partition(".")[2] for name in element_names(argument, step.arguments[argument]))
 
     comment = (
-        f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
+        f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}.\n"
         f"  const self = {name}.defaults();\n"
         f"  {name}.init(self, {period!r}, measurement); // once: period [s], first measurement\n"
         f"  const {{commands, telemetry}} = {name}.step(self, setpoint, measurement); // in each period\n"

@@ -1,33 +1,53 @@
-"""Firmware of a joint: its controller on a board, the drivers of its parts, and the serial protocol."""
+"""Firmware of a joint or robot: its controller on a board, the drivers of its parts, and the serial protocol."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
+from collections.abc import Sequence
+from itertools import compress
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.c import comment_text, write_c
-from mckibben.codegen.source_module import SourceModule
+from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.errors import ExportError
 from mckibben.export.controller import controller_functions, stepping_module, units_of
-from mckibben.export.hardware import Hardware
+from mckibben.export.evaluation import find_function
+from mckibben.export.hardware import AngleSensor, Hardware, PressureSensor, RegulatorOutput
 from mckibben.export.targets import Exported
 from mckibben.numerics.compiled import numeric
-from mckibben.rig.compiled import vented_angle
-from mckibben.rig.simulated.joint import rated_commands
+from mckibben.rig.channels import Channels
+from mckibben.rig.compiled import rated_commands, starting_state, vented_state
 from mckibben.scenario import Scenario
-from mckibben.serial_protocol import LONGEST, VERSION, CommandSource, FaultCode, FirmwareState, Hello, MessageKind
+from mckibben.scenario.robot import RobotScenario
+from mckibben.serial_protocol import (
+    LONGEST,
+    VERSION,
+    CommandSource,
+    FaultCode,
+    FirmwareState,
+    Hello,
+    MessageKind,
+    Sample,
+)
+from mckibben.version import __version__
 
 _ENUMS = {"KIND": MessageKind, "STATE": FirmwareState, "CODE": FaultCode, "SOURCE": CommandSource}
 """Enumerations of the protocol by their prefixes in C."""
 _CONVERTERS = {"uno_r4": (5.0, 14), "teensy4": (3.3, 12), "esp32": (3.3, 12), "stm32": (3.3, 12)}
 """Reference [V] and bits of the analog inputs of each board."""
+
+
+_OF_A_JOINT = "angle", "pressure1", "pressure2", "valve1", "valve2"
+"""Parts of a joint without a name."""
 
 
 def link_files() -> dict[str, str]:
@@ -36,82 +56,150 @@ def link_files() -> dict[str, str]:
     return _filled(("link.h", "link.c"), {"protocol": VERSION, "longest": LONGEST, "enums": enums})
 
 
-def firmware_files(scenario: Scenario, name: str, folder: Path, *, hardware: Hardware) -> Exported:
-    """Project of a board: a sketch of its Arduino core, or C with a simulated joint for this computer.
+def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, hardware: Hardware) -> Exported:
+    """Project of a board: a sketch of its Arduino core, or C with simulated joints for this computer.
 
-    A muscle without air, such as a spring, needs neither sensor nor valve. Raises `ExportError` for a missing part.
+    A muscle without air, such as a spring, needs neither sensor nor valve. Raises `ExportError` for a missing part, for
+    angle sensors that share an address, and for more channels than a message has.
     """
-    air = [high > 0 for _, high in rated_commands(scenario.plant())]
-    parts = [[f"{kind}{i}" for i, takes in enumerate(air, start=1) if takes] for kind in ("pressure", "valve")]
-    needed = ("board",) if hardware.board == "host" else ("board", "angle", *parts[0], *parts[1], "vent")
-    for field in needed:
-        if getattr(hardware, field) is None:
-            message, remedy = f"the firmware needs {field}", f"give {field} in the hardware file"
-            raise ExportError(message, field=field, remedy=remedy)
+    plant, names = scenario.plant(), Channels.of(scenario)
+    air = [high > 0 for _, high in rated_commands(plant)]
+    parts = BoardParts.of(hardware, names, air)
     source, text = controller_functions(scenario, hardware.limits), scenario.dumps(folder=folder)
     module = stepping_module("controller", source)
-    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}."
+    comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}."
     program = write_c(module, comment, single=hardware.single, wide=("setpoint",), units=units_of(module, "Pa, gauge"))
-    channels = [("angle", "rad"), ("pressure1", "Pa"), ("pressure2", "Pa"), *[("force", "N")] * bool(hardware.force)]
+    angles, pressures = names.by_joint("angle"), names.by_muscle("pressure")
+    channels = [(channel, "rad") for channel in angles] + [(channel, "Pa") for channel in pressures]
+    channels += [("force", "N")] * bool(hardware.force)
     hello = Hello(
-        f"mckibben {mckibben.__version__} {hardware.board}",
+        f"mckibben {__version__} {hardware.board}",
         round(source.period * 1e6),
         scenario.digest,
         channels,
-        [("valve1", "Pa"), ("valve2", "Pa")],
-        [("angle", "rad"), ("stiffness", "N*m/rad")],
+        [(channel, "Pa") for channel in names.valves],
+        [*((angle, "rad") for angle in angles), *((one, "N*m/rad") for one in names.by_joint("stiffness"))],
     )
+    most = (LONGEST - len(Sample(0, 0, 0, 0, 0, 0, ()).pack())) // 4
+    if (count := len(channels) + len(names.muscles)) > most:
+        remedy = "use a board for each of its limbs"
+        raise ExportError(
+            f"a sample of {count} channels is longer than a message",
+            field="robot",
+            value=count,
+            upper=most,
+            remedy=remedy,
+        )
+    step = find_function(module.functions, "step").arguments
+    measured, setpoints = (
+        [element.partition(".")[2] for element in element_names(part, step[part])]
+        for part in ("measurement", "setpoint")
+    )
+    converter = _CONVERTERS.get(str(hardware.board), (0, 0))
     values = {
-        **{field: getattr(hardware, field) for field in ("board", "angle", "vent", "force")},
+        **parts._asdict(),
+        **{field: getattr(hardware, field) for field in ("board", "vent", "force")},
+        "kinds": [angle.sensor for angle in parts.angles if angle],
         "air": air,
-        "pressures": [hardware.pressure1, hardware.pressure2],
-        "valves": [hardware.valve1, hardware.valve2],
-        "volts": _CONVERTERS.get(str(hardware.board), (0, 0))[0],
-        "bits": _CONVERTERS.get(str(hardware.board), (0, 0))[1],
+        "measured": measured,
+        "readings": len(angles) + len(pressures),
+        "setpoints": setpoints,
+        "volts": converter[0],
+        "bits": converter[1],
         "title": comment_text(" ".join(scenario.name.split())),
         "real": "float" if hardware.single else "double",
         "period": repr(source.period),
         "microseconds": hello.period,
         "silence": round(hardware.silence * 1e6),
         "measurements": [channel for channel, _ in channels],
-        "hello": list(hello.pack()),
+        "hello": list(map(list, hello.pack())),
     }
     files = {"controller.h": program.header, "controller.c": program.source, **link_files()}
     files |= _filled(("firmware.h", "firmware.c"), values)
-    left_out: tuple[str, ...] = ()
+    left_out = ["force on the foot: measured as 0"] * ("ground_force" in measured and plant.mechanism.has_contacts)
     if hardware.board == "host":
+        moving = _plant(scenario, source.period)
+        values |= {"weight": not names.is_named, "plant_angles": _angles(moving)}
         files |= _filled(("host.c", "simulated.c", "simulated.h", "host.mk"), values)
         files["Makefile"] = files.pop("host.mk")
-        left_out = ("delay of the commands",) if source.plant.command_delay is not None else ()
-        files |= dict(zip(("plant.h", "plant.c"), write_c(_plant(scenario, source.period)), strict=True))
+        left_out += ["delay of the commands"] * (source.plant.command_delay is not None)
+        files |= dict(zip(("plant.h", "plant.c"), write_c(moving), strict=True))
     else:
         files[f"{name}.ino"] = _filled(("board.ino",), values)["board.ino"]
     folder_name = f"{name}/" if hardware.board != "host" else ""  # a sketch stands in a folder of its name
     contents = {f"{folder_name}{path}": content for path, content in files.items()}
     return Exported(
-        {**contents, "scenario.yaml": text}, left_out, module.worst_case("step"), period=scenario.control_period
+        {**contents, "scenario.yaml": text}, tuple(left_out), module.worst_case("step"), period=scenario.control_period
     )
 
 
-def _plant(scenario: Scenario, period: float) -> SourceModule:
-    """Simulated joint with ideal sensors: `init`, hanging without pressure, and `advance` by a control period.
+class BoardParts(NamedTuple):
+    """Sensors and valves of a board in the order of its channels; None for one that is not needed."""
 
-    The joint that advances has a weight [kg] on its limb, at a distance [m].
+    angles: Sequence[AngleSensor | None]
+    pressures: Sequence[PressureSensor | None]
+    valves: Sequence[RegulatorOutput | None]
+
+    @classmethod
+    def of(cls, hardware: Hardware, names: Channels, air: Sequence[bool]) -> BoardParts:
+        """Parts in a file; `ExportError` for one that is missing, left over, or not told from others by its address."""
+        ends = {"angle": names.joints, "pressure": names.muscles, "valve": names.muscles}
+        named = {kind: [f"{kind}{'s' * names.is_named}{end}" for end in own] for kind, own in ends.items()}
+        given = {name: getattr(hardware, name) for name in _OF_A_JOINT if getattr(hardware, name) is not None}
+        for kind in ends:
+            given |= {f"{kind}s.{name}": part for name, part in getattr(hardware, f"{kind}s").items()}
+        known = [name for own in named.values() for name in own]
+        for name in sorted(given.keys() - {*known}):
+            message, remedy = f"{name} belongs to no joint or muscle", f"choose from {', '.join(known)}"
+            raise ExportError(message, field=name, remedy=remedy)
+        filled = [name for kind in ("pressure", "valve") for name in compress(named[kind], air)]
+        given |= {name: getattr(hardware, name) for name in ("board", "vent")}
+        needed = ["board"] if hardware.board == "host" else ["board", *named["angle"], *filled, "vent"]
+        for name in needed:
+            if given.get(name) is None:
+                remedy = f"give {name} in the hardware file"
+                raise ExportError(f"the firmware needs {name}", field=name, remedy=remedy)
+        parts = cls(*([given.get(name) for name in own] for own in named.values()))
+        parts.check_addresses()
+        return parts
+
+    def check_addresses(self) -> None:
+        """Raise `ExportError` for angle sensors that their addresses do not tell apart."""
+        places = [angle.channel for angle in self.angles if angle and angle.sensor == "as5600"]
+        if len(places) > 1 and (None in places or len({*places}) < len(places)):
+            remedy = "give each the channel of a TCA9548A, or use quadrature encoders"
+            raise ExportError("all AS5600 have one address on their bus", field="channel", remedy=remedy)
+
+
+def _angles(module: SourceModule) -> list[str]:
+    """Members of the state of a plant that are the angles of its joints."""
+    return [member.name for member in module.state if re.fullmatch(r"position(\.angles\.\d+)?", member.path)]
+
+
+def _plant(scenario: Scenario | RobotScenario, period: float) -> SourceModule:
+    """Simulated joints with ideal sensors: `init`, hanging without pressure, and `advance` by a control period.
+
+    A joint that advances has a weight [kg] on its limb, at a distance [m]; a robot has none.
     """
-    hanging = vented_angle(scenario.plant())
-    plant, substeps, zeros = numeric(scenario.plant().with_ideal_io()), scenario.needed_substeps(), (np.zeros(()),) * 2
+    plant, substeps = scenario.plant().with_ideal_io(), scenario.needed_substeps()
+    hanging = jax.tree.map(np.asarray, vented_state(plant, starting_state(scenario, plant)))
+    plant = numeric(plant)
     numbers, fixed = eqx.partition(plant, eqx.is_inexact_array_like)
-    module, state = SourceModule("plant", numbers), jax.tree.map(np.asarray, plant.init_state(hanging, (0.0, 0.0)))
+    module, zero = SourceModule("plant", numbers), np.zeros(())
 
     def init(parameters: PyTree) -> dict[str, PyTree]:
-        return {"state": eqx.combine(parameters, fixed).init_state(hanging, (0.0, 0.0))}
+        return {"state": jax.tree.map(jnp.asarray, hanging)}
 
-    def advance(parameters: PyTree, state: PyTree, commands: PyTree, weight: PyTree) -> dict[str, PyTree]:
+    def advance(parameters: PyTree, state: PyTree, commands: PyTree, weight: PyTree = None) -> dict[str, PyTree]:
         plant = eqx.combine(parameters, fixed)
-        plant = dataclasses.replace(plant, load=plant.load.with_weight(weight["mass"], weight["distance"]))
+        if weight is not None:
+            load = plant.load.with_weight(weight["mass"], weight["distance"])
+            plant = dataclasses.replace(plant, load=load)
         return {"state": plant.advance(state, plant.clip_commands(commands), period, substeps)}
 
-    inputs = {"state": state, "commands": zeros, "weight": {"mass": zeros[0], "distance": zeros[0]}}
+    inputs = {"state": hanging, "commands": (zero,) * len(plant.muscles)}
+    if not scenario.joint_names:
+        inputs |= {"weight": {"mass": zero, "distance": zero}}
     module.add("init", "state at rest without pressure", init, {})
     module.add("advance", "state after a control period", advance, inputs)
     return module
@@ -119,5 +207,5 @@ def _plant(scenario: Scenario, period: float) -> SourceModule:
 
 def _filled(names: tuple[str, ...], values: dict[str, object]) -> dict[str, str]:
     """Templates of this package with values."""
-    values = {"version": mckibben.__version__, **values}
+    values = {"version": __version__, **values}
     return {name: templates.filled(name, values, "mckibben.export") for name in names}

@@ -14,7 +14,6 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import mckibben
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.languages import c_language
@@ -24,6 +23,7 @@ from mckibben.errors import CompilerError, ExportError
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, variables_of
 from mckibben.export.model_description import NOMINAL, model_description
 from mckibben.export.targets import filled
+from mckibben.version import __version__
 
 _PLATFORM = "linux64"  # folder of the binary
 _DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive, so that equal FMUs are identical files
@@ -37,7 +37,7 @@ def fmu(unit: FunctionalUnit, scenario: str) -> tuple[bytes, list[str]]:
     """
     name = unit.module.name
     variables, fixed = variables_of(unit)
-    comment = f"{unit.title}\nWritten by mckibben {mckibben.__version__}; the scenario is in resources/scenario.yaml."
+    comment = f"{unit.title}\nWritten by mckibben {__version__}; the scenario is in resources/scenario.yaml."
     program = write_c(unit.module, comment, units=dict(unit.units))
     sources = _headers() | {"fmu.c": _sources(unit, variables)}
     sources |= {f"{name}.h": program.header, f"{name}.c": program.source}

@@ -5,6 +5,7 @@ Each is a `FunctionalUnit`: functions of a state and of inputs, from which `fmi`
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -30,6 +31,7 @@ def plant_fmu(scenario: Scenario | RobotScenario, name: str, folder: Path) -> Ex
     """
     plant, _, initial = parts_of(scenario)
     unit = plant_unit(plant, initial, name, scenario.control_period, scenario.needed_substeps())
+    unit = replace(unit, joints=scenario.joint_names, muscles=scenario.muscle_names)
     left_out = []
     if not unit.model_exchange:
         left_out.append(f"model exchange: a {type(plant.valve).__name__} switches at steps of the integration")
@@ -77,6 +79,7 @@ def controller_fmu(
     if (plant := scenario.plant()).valve.direct:
         units |= {f"results.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}
     title = f"Controller of the scenario {scenario.name!r}"
-    unit = FunctionalUnit(module, title, scenario.control_period, units, sampled=True)
+    names = {"joints": scenario.joint_names, "muscles": scenario.muscle_names}
+    unit = FunctionalUnit(module, title, scenario.control_period, units, sampled=True, **names)
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, tuple(missing))

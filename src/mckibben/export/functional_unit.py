@@ -22,6 +22,8 @@ class FunctionalUnit:
         Longest step [s] of `advance`; a communication step is a whole number of them if `sampled`.
     units
         Units of the variables by structure and path, such as ``state.angle``.
+    joints, muscles
+        Names of joints and muscles, by which variables are described.
     """
 
     module: SourceModule
@@ -30,6 +32,8 @@ class FunctionalUnit:
     units: Mapping[str, str]
     sampled: bool = False
     model_exchange: bool = False
+    joints: Sequence[str] = ()
+    muscles: Sequence[str] = ()
 
 
 class ScalarVariable(NamedTuple):
@@ -85,6 +89,27 @@ def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
     yield ScalarVariable("time", "time", "t")
 
 
+_OF_MUSCLES = re.compile(r"(?:\b(?:pressure|temperature|command|tension)(\d+)$|\bmuscles\[(\d+)\])")
+_OF_JOINTS = re.compile(
+    r"\b(?:angles|velocities|torques|stiffness|friction|(?:stiffness|disturbance)_estimate|torque)\[(\d+)\]"
+)
+
+
+def description(name: str, joints: Sequence[str], muscles: Sequence[str]) -> str:
+    """Joint or muscle that a variable belongs to, by its name; empty for others.
+
+    Examples
+    --------
+    >>> joints, muscles = ("hip", "knee"), ("hip1", "hip2", "knee1", "knee2")
+    >>> [description(name, joints, muscles) for name in ("measurement.pressure3", "angles[2]", "time")]
+    ['muscle knee1', 'joint knee', '']
+    """
+    for kind, names, pattern in (("muscle", muscles, _OF_MUSCLES), ("joint", joints, _OF_JOINTS)):
+        if names and (match := pattern.search(name.removeprefix("der(").removesuffix(")"))):
+            return f"{kind} {names[int(next(filter(None, match.groups()))) - 1]}"
+    return ""
+
+
 def per_second(unit: str) -> str:
     """Unit of a rate.
 
@@ -110,7 +135,7 @@ def _short(path: str) -> str:
     >>> [_short(path) for path in ("measurement.pressures.0", "air.temperatures.1", "position.angles.0", "position")]
     ['measurement.pressure1', 'temperature2', 'angles.0', 'angle']
     """
-    path = re.sub(r"^(air\.(?=temperatures)|position\.)", "", re.sub(r"^position$", "angle", path))
+    path = re.sub(r"^(air\.(?=temperatures)|position\.)", "", re.sub("^position$", "angle", path))
     path = re.sub(r"^velocity\.angles\.", "velocities.", re.sub(r"^torque\.", "torques.", path))
     return re.sub(r"(pressure|temperature)s\.(\d+)$", lambda match: f"{match[1]}{int(match[2]) + 1}", path)
 

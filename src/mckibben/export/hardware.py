@@ -28,7 +28,8 @@ class PressureSensor(ConfigModel):
 class AngleSensor(ConfigModel):
     """AS5600 on I2C, or a quadrature encoder with its number of `counts` per turn, zero at its position at the start.
 
-    The angle of the joint is that of the sensor minus `zero` [rad], with the opposite sign if `reversed`.
+    The angle of the joint is that of the sensor minus `zero` [rad], with the opposite sign if `reversed`. All AS5600
+    have one address: several need a TCA9548A at its first address, each at its own `channel`.
     """
 
     sensor: Literal["as5600", "quadrature"]
@@ -37,6 +38,7 @@ class AngleSensor(ConfigModel):
     pin_a: Pin = "2"
     pin_b: Pin = "3"
     counts: Annotated[int, BoundedInt(4, 10_000_000)] = 4096
+    channel: Annotated[int, BoundedInt(0, 7)] | None = None
 
 
 class RegulatorOutput(ConfigModel):
@@ -50,7 +52,7 @@ class RegulatorOutput(ConfigModel):
 
 
 class VentOutput(ConfigModel):
-    """Output of the valve that opens both muscles to the atmosphere at a level; it has to do so without current."""
+    """Output of the valve that opens all muscles to the atmosphere at a level; it has to do so without current."""
 
     pin: Pin
     open: Literal["low", "high"]
@@ -79,7 +81,9 @@ class Hardware(DocumentModel):
     board
         Kind of board: one with an Arduino core, or ``host``, this computer with a simulated joint.
     angle, pressure1, pressure2, valve1, valve2, vent, force
-        Parts, needed for all boards but ``host``; without `force` there is no load cell.
+        Parts of a joint, needed for all boards but ``host``; without `force` there is no load cell.
+    angles, pressures, valves
+        Those of a robot, by the names of its joints and muscles.
     """
 
     kind: ClassVar[str] = "hardware file"
@@ -94,5 +98,8 @@ class Hardware(DocumentModel):
     pressure2: PressureSensor | None = None
     valve1: RegulatorOutput | None = None
     valve2: RegulatorOutput | None = None
+    angles: dict[str, AngleSensor] = Field(default_factory=dict)
+    pressures: dict[str, PressureSensor] = Field(default_factory=dict)
+    valves: dict[str, RegulatorOutput] = Field(default_factory=dict)
     vent: VentOutput | None = None
     force: ForceSensor | None = None

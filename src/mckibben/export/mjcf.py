@@ -30,8 +30,8 @@ from mckibben.plant import JointPlant
 from mckibben.plant.robot_plant import RobotPlant
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
+from mckibben.units import GRAVITY
 
-_GRAVITY = 9.81  # m/s^2
 _LIGHT = 1e-12  # mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass
 
 UnitOf = Callable[[PyTree], PyTree]
@@ -119,7 +119,7 @@ class Assembly:
         self.bodies, self.joints, self.parents = bodies, joints, parents
         self.drives: list[Drive] = []
         self.left_out: list[str] = []
-        self.gravity = _GRAVITY
+        self.gravity = GRAVITY
         self.position: list[ArrayLike] = []
         self.velocity: list[ArrayLike] = []
         self.contacts: list[Attributes] = []
@@ -472,7 +472,7 @@ def mass_point(load: Load) -> MassPoint:
 
 def gravity_of(load: Load) -> float:
     """Gravitational acceleration [m/s^2] of a load."""
-    return float(getattr(load, "gravity", _GRAVITY))
+    return float(getattr(load, "gravity", GRAVITY))
 
 
 def _known_mass(load: Load) -> float | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable
+from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, description
 from mckibben.export.targets import filled
 from mckibben.units import deg, dimensions
 
@@ -46,7 +46,7 @@ def model_description(
         "units": {unit: {base: power for base, power in powers[unit] if power} for unit in units},
         "shown": _SHOWN,
         "step": float(unit.longest),
-        "variables": [_attributes(number, variable, states) for number, variable in enumerate(variables)],
+        "variables": [_attributes(unit, number, variable, states) for number, variable in enumerate(variables)],
         "structure": _structure(variables),
     }
     return filled("modelDescription.xml", values)
@@ -63,7 +63,7 @@ def _structure(variables: Sequence[ScalarVariable]) -> dict[str, list[int]]:
 
 
 def _attributes(
-    reference: int, variable: ScalarVariable, states: Sequence[int]
+    unit: FunctionalUnit, reference: int, variable: ScalarVariable, states: Sequence[int]
 ) -> tuple[dict[str, object], dict[str, object]]:
     """Attributes of a scalar variable, and of its real number; None for those that it does not have.
 
@@ -77,6 +77,7 @@ def _attributes(
     causality, variability, initial = _ATTRIBUTES[variable.kind]
     scalar: dict[str, object] = {
         "name": variable.name,
+        "description": None if variable.kind == "p" else description(variable.name, unit.joints, unit.muscles) or None,
         "valueReference": reference,
         "causality": causality if variable.rate_of is None else "local",
         "variability": variability,

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 
-import mckibben
 from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
 from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
@@ -20,6 +19,7 @@ from mckibben.joint import RigidTendon, Tendon
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.rig.compiled import FlatTree
+from mckibben.version import __version__
 
 
 class Activations(NamedTuple):
@@ -211,7 +211,7 @@ def plugin_files(model: MuscleModel, title: str) -> Exported:
     """MJCF of a model, the plugin, and instructions, in which it has a title."""
     name = model.module.name
     left_out = ("controller and reference: set data.ctrl yourself", *model.left_out)
-    sources = write_c(model.module, f"Muscles of {title}, written by mckibben {mckibben.__version__}.")
+    sources = write_c(model.module, f"Muscles of {title}, written by mckibben {__version__}.")
     contents = {
         f"{name}.xml": model.xml,
         f"{name}.h": sources.header,

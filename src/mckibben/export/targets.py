@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import mckibben
 from mckibben.codegen import templates
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, closest, quoted
 from mckibben.export.hardware import Hardware
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Remark, Result
 from mckibben.scenario import Scenario
 from mckibben.simulation import Margins, margin_remarks
-from mckibben.storage.files import atomic_write, check_free, make_folder
+from mckibben.storage.files import atomic_write, check_free, make_folder, remove_files, write_json
 from mckibben.units import ms
+from mckibben.version import __version__
 
 if TYPE_CHECKING:
     from mckibben.scenario.robot import RobotScenario
@@ -37,6 +40,8 @@ class Exported(Result):
         Operations of a step of a controller by kind, at most.
     margins
         Stability margins of the loop of a controller, if they were computed.
+    format
+        One of `TARGETS`.
     period
         Control period [s] of a program for a board; 0 for others.
     """
@@ -46,6 +51,7 @@ class Exported(Result):
     worst_case: Mapping[str, int] | None = None
     margins: Margins | None = None
     period: float = 0.0
+    format: str = ""
 
     @property
     def step_time(self) -> float:
@@ -68,28 +74,41 @@ class Exported(Result):
         for part in self.left_out:
             yield Remark.warning("left_out", f"left out: {part}")
 
-    def listings(self) -> Iterator[Listing]:
-        """Files and their sizes, and the worst case of a step."""
+    def declared(self) -> dict[str, tuple[Column, object]]:
+        """Files and their sizes, the worst case of a step, and the least margin."""
         sizes = [len(content.encode() if isinstance(content, str) else content) for content in self.contents.values()]
-        columns = {"file": (Column(), list(self.contents)), "bytes": (Column(), sizes)}
-        yield Listing("files", columns)
-        if self.worst_case:
-            columns = {"operations": (Column(), [*self.worst_case]), "at most": (Column(), [*self.worst_case.values()])}
-            on = f", {self.step_time / ms:.2g} ms on {PROCESSOR}" if self.period else ""
-            yield Listing(f"worst case of a step{on}", columns)
+        numbers: dict[str, tuple[Column, object]] = {
+            kind: (Column(title=f"{kind} of a step, at most"), count) for kind, count in (self.worst_case or {}).items()
+        }
+        if self.worst_case and self.period:
+            numbers["step_time"] = Column("s", f"longest step on {PROCESSOR}", "ms"), self.step_time
+        if self.margins is not None:
+            numbers["disk_margin"] = Column("1", "least disk margin"), float(self.margins.disk.min())
+        return numbers | {"file": (Column(), [*self.contents]), "bytes": (Column(), sizes)}
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> list[str]:
-        """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set."""
-        folder = make_folder(folder)
+        """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set.
+
+        With it, files that an earlier export in this format has written are removed. exports.json lists them by format.
+        """
+        folder, listed = make_folder(folder), dict[str, list[str]]()
+        with contextlib.suppress(OSError, ValueError, TypeError):  # there is none, or it is another program's
+            listed = {name: [*map(str, paths)] for name, paths in json.loads((folder / _LISTED).read_bytes()).items()}
         if not force:
             check_free(folder, self.contents, "choose another folder, or give overwrite=True (command line: --force)")
+        before = {*listed.pop(self.format, ())} - {*self.contents}
+        if force:
+            remove_files(folder, before - {path for paths in listed.values() for path in paths})
+            before = set()
         for path, content in self.contents.items():
             make_folder((folder / path).parent)
             with atomic_write(folder / path, overwrite=force) as temporary:
                 temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return list(self.contents)
+        write_json(folder / _LISTED, listed | {self.format: [*self.contents, *sorted(before)]})
+        return [*self.contents]
 
 
+_LISTED = "exports.json"
 PROCESSOR = "a Cortex-M7 at 600 MHz"
 """Processor of the estimated time of a step; see docs/deploy.md."""
 _CLOCK, _INSTRUCTIONS = 600e6, 10  # of that processor [1/s], and of it for an operation
@@ -105,9 +124,6 @@ TARGETS = {
 """Function of each format, ``(scenario, name, folder) -> Exported``, and the default name."""
 CONTROLLERS = "c", "firmware", "js", "fmu-controller"
 """Formats of a controller."""
-ROBOT_TARGETS = "c", "js", "fmu", "fmu-controller", "mjcf"
-"""Formats of a robot."""
-
 
 _MEANT = {
     **dict.fromkeys(("arduino", "teensy", "esp32", "stm32", "board", "sketch"), "firmware"),
@@ -115,13 +131,13 @@ _MEANT = {
 }
 
 
-def check_target(target: str, targets: Collection[str] = TARGETS, owner: str = "joint") -> None:
-    """Raise `ParameterError` unless a format is one of these; the remedy names the one that is meant."""
-    if target not in targets:
-        names = {**_MEANT, **{name: name for name in targets}}
-        meant = names.get(closest(target, [*names]), "")
-        remedy = f"did you mean {meant}?" if meant in targets else f"give {' or '.join(targets)}"
-        raise ParameterError(f"{quoted(target)} is not a format of a {owner}", field="to", value=target, remedy=remedy)
+def check_target(target: str) -> None:
+    """Raise `ParameterError` unless it is a format; the remedy names the one that is meant."""
+    if target not in TARGETS:
+        names = {**_MEANT, **{name: name for name in TARGETS}}
+        meant = names.get(closest(target, [*names]))
+        remedy = f"did you mean {meant}?" if meant else f"give {' or '.join(TARGETS)}"
+        raise ParameterError(f"{quoted(target)} is not a format", field="to", value=target, remedy=remedy)
 
 
 @checked_call
@@ -132,30 +148,34 @@ def export(
     *,
     name: str = "",
     hardware: Hardware | None = None,
+    margins: bool = False,
     overwrite: bool = False,
 ) -> Exported:
     """Write a scenario of a joint or a robot, or its controller, in another format into a folder.
 
     Raises `ExportError` for parts that cannot be exported, before any file is written; `FileError` if the files exist,
-    unless they may be overwritten.
+    unless they may be overwritten: other files of an earlier export in this format are then removed.
 
     Parameters
     ----------
     target
-        One of `TARGETS`, or of `ROBOT_TARGETS` for a robot.
+        One of `TARGETS`.
     name
         Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``joint`` or ``robot``,
         according to the format.
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
+    margins
+        Whether to compute the stability margins of the loop of a controller.
     """
-    targets, owner = (tuple(TARGETS), "joint") if isinstance(scenario, Scenario) else (ROBOT_TARGETS, "robot")
-    check_target(target, targets, owner)
+    check_target(target)
     place, default = TARGETS[target]
-    name = check_name(name or (owner if default == "joint" else default))
+    name = check_name(name or ("robot" if default == "joint" and scenario.joint_names else default))
     module, function = place.split(":")
     options = _options(hardware, target)
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)
+    computed = scenario.margins() if margins and target in CONTROLLERS else None
+    exported = replace(exported, margins=computed, format=target)
     exported.save(out, force=overwrite)
     return exported
 
@@ -195,4 +215,4 @@ def filled(template: str, values: Mapping[str, object]) -> str:
 
     Raises `jinja2.UndefinedError` for a value that is missing.
     """
-    return templates.filled(template, {**values, "version": mckibben.__version__}, "mckibben.export")
+    return templates.filled(template, {**values, "version": __version__}, "mckibben.export")

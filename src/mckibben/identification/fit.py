@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -28,17 +28,26 @@ from mckibben.identification.storage import read_fields, write_fit
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier, hull_distance
 from mckibben.muscle import ForceLaw, forces
 from mckibben.muscle.base import check_point
-from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw
+from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw, number, table
 from mckibben.units import factor
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mckibben.result import Figure
 
 
 def warning_texts(notes: Iterable[Remark]) -> list[str]:
     """Texts of remarks that are not mere details."""
     shown = [note for note in notes if note.severity is not Severity.NOTE]
     return [f"{note.text}; {note.remedy}" if note.remedy else note.text for note in shown]
+
+
+def data_remarks(points: IsobaricDataset) -> Iterator[Remark]:
+    """Yield notes on the reading of the points, and on a missing length, which scenarios need."""
+    if points.table.attrs.get("initial_length") is None:
+        text = "no muscle.yaml for scenarios, since the initial length is unknown"
+        yield Remark.note("initial_length", text, "give --initial-length")
+    for text in points.table.attrs.get("preprocessing", "").splitlines():
+        yield Remark.note("data", text)
 
 
 def parameter_listing(
@@ -242,10 +251,16 @@ class Fit(Result, metaclass=CheckedCalls):
                 text += f"; {self.regression.solution.effective_parameters:.1f} effective parameters in total"
             yield Remark.note("law", text)
 
-    def listings(self) -> Iterable[Listing]:
-        """Return the numbers of the fit, and the parameters in published units with 95 % intervals."""
-        yield from super().listings()
-        yield self.parameter_table()
+    @property
+    @number("N", "error at pressures left out", digits=3)
+    def held_out_error(self) -> float | None:
+        """Root mean square error at left-out pressures [N]; None without cross-validation."""
+        return self.leave_one_pressure_out.rmse if self.leave_one_pressure_out else None
+
+    @table()
+    def parameters_with_intervals(self) -> list[Listing]:
+        """Parameters in published units, with 95 % intervals."""
+        return [self.parameter_table()]
 
     def parameter_table(self, level: float = 0.95) -> Listing:
         """Parameters in published units, with intervals of a confidence level."""

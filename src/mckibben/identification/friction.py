@@ -29,17 +29,18 @@ from mckibben.identification.loading_path import (
     TURN_TRAVELS,
     DriftBasis,
     LoadingPaths,
+    half_gap_of_lengths,
     loop_half_width,
     with_last_motion,
 )
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.summary import DatasetSummary, Outlier, left_out
 from mckibben.muscle import ExponentialLaw, ForceLaw, MaxwellSlip
-from mckibben.result import Column, Listing, Remark, Result, column, draw
+from mckibben.result import Column, Listing, Remark, Result, column, draw, table
 from mckibben.units import factor, show
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mckibben.result import Figure
 
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
@@ -60,7 +61,7 @@ class HysteresisFit(Result):
     fit
         Fit of the static law, midway between loading and unloading, to the points without friction and drift.
     corrected_points
-        These points.
+        These points, used and slack; those that are slack, as measured or by the law, remain slack.
     friction
         Hysteresis, with the parameters of its form.
     form
@@ -131,9 +132,9 @@ class HysteresisFit(Result):
         """Return the notes."""
         return self.notes
 
-    def listings(self) -> Iterable[Listing]:
+    @table()
+    def friction_and_drift(self) -> Iterable[Listing]:
         """Return the parameters of the friction and the drift, and the comparison of forms."""
-        yield from super().listings()
         rows = []
         for name, (unit, at) in _SHOWN.items():
             if value := getattr(self.friction, name):
@@ -163,18 +164,6 @@ class HysteresisFit(Result):
     def plot(self, data: IsobaricDataset) -> Figure:  # pyrefly: ignore[bad-override]
         """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
         return draw("loops", data, self)
-
-    def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Used and slack points of the identified dataset without friction and drift, to fit a static law.
-
-        Points that are slack, as measured or by the law, remain slack.
-        """
-        means = with_loads(dataset)
-        if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
-            raise IdentificationError(
-                f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
-            )
-        return self.corrected_points
 
 
 _SHOWN = {
@@ -262,21 +251,20 @@ def identify_hysteresis(
     bases, about_creep = _with_creep(model, bases, start)
     model = dataclasses.replace(model, drift=bases[-1])
     comparison: Mapping[FrictionForm, float] = {}
-    free = set(FRICTION)
-    if at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
-        form, free = form or FrictionForm.COULOMB, free - {"half_width"}
-        start["half_width"] = half_gap
+    if fixed := at_fixed_lengths(means):  # lengths are few: the regression knows what they leave open
+        form, start["half_width"] = form or FrictionForm.COULOMB, half_gap
     if form is None:
         form, comparison, start = _compare_forms(model, start)
     else:
         start = model.start(start, form)
-    names = tuple(name for name in form.free if name in free)
+    names = tuple(name for name in form.free if not (fixed and name == "half_width"))
     model, solution = _with_drift(_with_tension(model, start)[0].smoothed(start), bases, start, names)
     solution, undetermined, about_presliding = _presliding(model, solution)
     result = _result(model, solution, taut, form, comparison, law)
-    if "half_width" not in free:
+    if fixed:
         result.standard_errors["half_width"] = gap_error
     notes = [*left_out(outliers), *about_creep, *about_presliding, *_doubts(model, solution, result)]
+    notes += _released(means, used & taut) if fixed else []
     return dataclasses.replace(result, notes=tuple(notes), outliers=outliers, undetermined=undetermined)
 
 
@@ -296,7 +284,8 @@ def _started(model: PathDependentModel, law: ForceLaw, half_gap: float) -> tuple
     """Best of the models, and its values: the state at the start of paths, and whether the muscle rested at turns."""
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap}
     start["log_presliding"] = float(np.log(USUAL_PRESLIDING * model.initial_length))
-    form = FrictionForm.CONSTANT if model.rate is None else FrictionForm.VISCOUS
+    few = FrictionForm.CONSTANT if model.missing(FrictionForm.PRESSURE) else FrictionForm.PRESSURE
+    form = few if model.rate is None else FrictionForm.VISCOUS
     start, measured, held = model.start(start, form), model, held_loads(model.means.table) is not None
     if held:
         model = model.with_held_loads(law, start)
@@ -478,6 +467,18 @@ def _presliding(
     )
     remark = Remark.warning("presliding_length", text, "record a short stroke with a reversal: long ones are averaged")
     return held, {"presliding_length": float(most)}, [remark]
+
+
+def _released(means: IsobaricDataset, taut: Bools) -> list[Remark]:
+    """Remark on fixed lengths at whose end the friction is less than the motion left (95 %)."""
+    (first, error, freedom), (last, other, _) = (half_gap_of_lengths(means, taut, last=end) for end in (False, True))
+    if not first - last > t_quantile(0.95, freedom) * np.hypot(error, other):
+        return []
+    text = f"the friction is {first:.3g} N after a move, and {last:.3g} N at the end of a length"
+    why = "the frame yields as the pressure changes, and the law has part of the friction"
+    return [
+        Remark.warning("friction", f"{text}: {why}", "measure strokes at constant pressures, or in a stiffer frame")
+    ]
 
 
 def _doubts(model: PathDependentModel, solution: PathSolution, result: HysteresisFit) -> Iterable[Remark]:

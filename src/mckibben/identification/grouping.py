@@ -54,8 +54,13 @@ def at_fixed_lengths(points: IsobaricDataset) -> bool:
 
 
 def holds(points: IsobaricDataset, order: Ints) -> Ints:
-    """Number of the fixed length of each row in the order of the test, shape (points,)."""
+    """Number of the fixed length of each row in the order of the test, shape (points,).
+
+    Points without a phase are the first of a length, if there are such: at others the frame yields to the force.
+    """
     moved = np.abs(np.diff(points.contraction[order], prepend=points.contraction[order[:1]])) > RESOLUTION
+    stepped = points.table["phase"].to_numpy()[order] != ""
+    moved &= ~stepped | stepped.all()
     return np.cumsum(moved, dtype=np.int64)[np.argsort(order)]
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-import mckibben
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
@@ -20,6 +19,7 @@ from mckibben.identification.estimator import Floats
 from mckibben.result import Remark, Result, column
 from mckibben.storage.files import atomic_write
 from mckibben.units import show
+from mckibben.version import __version__
 
 
 class InverseTable(Result):
@@ -87,7 +87,7 @@ class InverseTable(Result):
         starts = np.searchsorted(2 * row + (self.direction == "loading"), np.arange(2 * len(loads) + 1))
         values = {"loads": loads.tolist(), "starts": starts.tolist(), "rmse": f"{self.rmse:.3g}"}
         values |= {name: columns[name].tolist() for name in ("contraction", "pressure")}
-        header = filled("inverse.h", values | {"version": mckibben.__version__}, "mckibben.identification")
+        header = filled("inverse.h", values | {"version": __version__}, "mckibben.identification")
         table = pd.DataFrame(columns).rename(columns=names).to_csv(index=False)
         for name, text in zip(self.files, (table, header), strict=True):
             with atomic_write(folder / name, overwrite=True) as sibling:

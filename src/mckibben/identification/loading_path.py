@@ -9,8 +9,8 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import Bools, Floats, IndependentErrors, Ints, robust_errors
-from mckibben.identification.grouping import at_fixed_lengths, held_values, holds, row_numbers
+from mckibben.identification.estimator import Bools, Floats, Ints
+from mckibben.identification.grouping import RESOLUTION, at_fixed_lengths, held_values, holds, row_numbers
 from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
@@ -210,13 +210,18 @@ def _check_order(
 
 
 def _turns(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
-    """1 or -1 at a row of another direction than the row before it, at its position or behind it; else 0."""
+    """1 or -1 at a row of another direction than the row before it, at its position or behind it; else 0.
+
+    The muscle moves on from there: where a held load sticks over several rows, its turn was measured.
+    """
     turns = np.zeros(len(length))
     for path in paths:
         move, turn = np.diff(length[path]), np.diff(loading[path].astype(float))
         size = np.abs(move)
-        neighbours = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
-        turns[path[1:]] = np.where((size <= _NEAR * neighbours) | (move * turn < 0), turn, 0.0)
+        following = np.append(size[1:], size[-1:])
+        near = size <= _NEAR * np.minimum(np.append(size[:1], size[:-1]), following)
+        moves_on = following > _NEAR * np.median(size)
+        turns[path[1:]] = np.where((near | (move * turn < 0)) & moves_on, turn, 0.0)
     return turns
 
 
@@ -318,40 +323,52 @@ def with_last_motion(means: IsobaricDataset) -> IsobaricDataset:
     return IsobaricDataset(means.table.assign(direction=("point", direction)))
 
 
-def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, float]:
-    """Force of loading minus that of unloading [N], its standard error and degrees of freedom, by regression.
+def _half_gap(means: IsobaricDataset, rows: Bools | Ints, degree: int) -> tuple[float, float, int]:
+    """Half the force of loading minus that of unloading [N], its standard error and degrees of freedom.
 
-    Of points at fixed lengths, the errors of a length are common to its points, and the force is quadratic without
-    pressure, as lengths are few.
+    It is the coefficient of the direction of some rows beside a polynomial of a degree in the contraction and, if their
+    pressures differ, another one times the pressure.
     """
-    powers, fixed = np.vander(means.contraction[taut], 4), at_fixed_lengths(means)
-    pressure, side = means.pressure[taut, None] / bar, np.where(loading[taut], 1.0, -1.0)
-    basis = np.concatenate([powers[:, 1:] if fixed else powers, powers * pressure, side[:, None]], axis=1)
+    place, pressure = means.contraction[rows], means.pressure[rows] / bar
+    side = np.where(means.table["direction"].to_numpy()[rows] == "loading", 1.0, -1.0)
+    powers = np.vander(place, degree + 1)
+    by_pressure = powers * pressure[:, None] if len(np.unique(means.levels[rows])) > 1 else powers[:, :0]
+    basis = np.concatenate([powers, by_pressure, side[:, None]], axis=1)
     freedom = len(basis) - basis.shape[1]
     if freedom < 1:
         remedy = f"measure at {basis.shape[1] + 1} points or more"
         raise NoHysteresisError(f"{len(basis)} taut points show no friction", value=len(basis), remedy=remedy)
-    factor, residuals = np.linalg.qr(basis).R, means.force[taut]
-    half = np.linalg.lstsq(basis, residuals, rcond=None)[0]
-    if fixed:
-        labels = np.unique(holds(means, in_time(means))[taut], return_inverse=True)[1]
-        model = robust_errors(basis, residuals - basis @ half, labels)
-        if isinstance(model, IndependentErrors):
-            remedy = "move to more lengths, from both sides"
-            raise NoHysteresisError(f"{labels.max() + 1} lengths show no friction", remedy=remedy)
-        variance, few = model.variance(np.eye(basis.shape[1])[-1:])
-        return 2 * float(half[-1]), 2 * float(np.sqrt(variance[0])), float(few[0])
-    noise = float(np.sqrt(np.sum((residuals - basis @ half) ** 2) / freedom))
-    return 2 * float(half[-1]), 2 * noise / abs(float(factor[-1, -1])), freedom
+    factor, force = np.linalg.qr(basis).R, means.force[rows]
+    solution = np.linalg.lstsq(basis, force, rcond=None)[0]
+    noise = float(np.sqrt(np.sum((force - basis @ solution) ** 2) / freedom))
+    return float(solution[-1]), noise / abs(float(factor[-1, -1])), freedom
 
 
-def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.99865) -> tuple[float, float]:
+def half_gap_of_lengths(means: IsobaricDataset, taut: Bools, *, last: bool = False) -> tuple[float, float, int]:
+    """As `loop_half_width`, by the first points of fixed lengths, or the last ones, with the degrees of freedom.
+
+    At first the friction is as the motion left it; then the frame yields to the force, which may release it. Errors are
+    common to the points of a length. The polynomial has as high a degree, up to four, as leaves two degrees of freedom.
+    """
+    order = in_time(means)[taut[in_time(means)]]
+    order = order[::-1] if last else order
+    rows = order[np.unique(holds(means, in_time(means))[order], return_index=True)[1]]
+    lengths = len(np.unique(np.round(means.contraction[rows] / RESOLUTION)))
+    degree = min(4, lengths - 1, (len(rows) - 3) // min(2, len(np.unique(means.levels[rows]))) - 1)
+    if degree < 2:
+        remedy = "move to more lengths, from both sides, and start each at the same pressure"
+        raise NoHysteresisError(f"{len(rows)} lengths show no friction", value=len(rows), remedy=remedy)
+    return _half_gap(means, rows, degree)
+
+
+def loop_half_width(means: IsobaricDataset, taut: Bools) -> tuple[float, float]:
     """Half-difference [N] between the directions at the same pressure and contraction, and its standard error.
 
     The error is that of a normal distribution with the same interval for 95 %.
 
     It is the regression coefficient of the direction beside a force that is cubic in the contraction and affine in the
-    pressure. Its significance is tested by the one-sided t quantile of a `level`: three standard errors of many points.
+    pressure; at fixed lengths, that of `half_gap_of_lengths`. Its significance is tested by the one-sided t quantile of
+    three standard errors of many points or, as lengths are few, by the interval for 95 %.
 
     Raises
     ------
@@ -360,23 +377,23 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
     IdentificationError
         If loading is significantly below unloading.
     """
-    direction = means.table["direction"].to_numpy()
-    middle, error, freedom = _gap_by_regression(means, taut & (direction != ""), direction == "loading")
+    directed, fixed = taut & (means.table["direction"].to_numpy() != ""), at_fixed_lengths(means)
+    middle, error, freedom = half_gap_of_lengths(means, directed) if fixed else _half_gap(means, directed, 3)
     from scipy.special import stdtrit
 
-    if not abs(middle) > float(stdtrit(freedom, level)) * error:
+    if not abs(middle) > float(stdtrit(freedom, 0.975 if fixed else 0.99865)) * error:
         raise NoHysteresisError(
-            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N ({freedom:.3g} degrees "
-            "of freedom): the data show no hysteresis",
-            value=middle,
+            f"loading is {2 * middle:.2g} N above unloading, with a standard error of {2 * error:.2g} N ({freedom} "
+            "degrees of freedom): the data show no hysteresis",
+            value=2 * middle,
             unit="N",
-            remedy="fit the law alone (`identify`), or measure with less noise",
+            remedy=f"fit the law alone (`identify`), or measure {'at more lengths' if fixed else 'with less noise'}",
         )
     if middle < 0:
-        message = f"loading is {-middle:.2g} N below unloading, which friction cannot be"
+        message = f"loading is {-2 * middle:.2g} N below unloading, which friction cannot be"
         remedy = (
             "loading is being stretched, unloading is shortening; if they are exchanged: columns={'loading': "
             "'unloading', 'unloading': 'loading'} (command line: --column loading=unloading --column unloading=loading)"
         )
-        raise IdentificationError(message, value=middle, unit="N", remedy=remedy)
-    return middle / 2, error / 2 * float(stdtrit(freedom, 0.975) / stdtrit(np.inf, 0.975))
+        raise IdentificationError(message, value=2 * middle, unit="N", remedy=remedy)
+    return middle, error * float(stdtrit(freedom, 0.975) / stdtrit(np.inf, 0.975))

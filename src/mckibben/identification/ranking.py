@@ -14,6 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import held_loads
 from mckibben.errors import IdentificationError
 from mckibben.identification.design import check_design
+from mckibben.identification.fit import data_remarks
 from mckibben.identification.fitting import check_law_type
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
@@ -30,7 +31,7 @@ from mckibben.identification.with_friction import (
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.muscle.slopes import unphysical
 from mckibben.notebook import Progress, notebook_progress
-from mckibben.result import Column, Listing, Remark, Result, Severity, column
+from mckibben.result import Column, Remark, Result, Severity, TableColumns, column
 from mckibben.units import show
 
 BLOCKS = ("pressure", "contraction")
@@ -108,6 +109,7 @@ class Ranking(Result):
     """
 
     figures: ClassVar = ("ranking",)
+    heading: ClassVar = "laws"
 
     entries: tuple[RankedLaw, ...]
     points: IsobaricDataset
@@ -143,6 +145,7 @@ class Ranking(Result):
 
     def remarks(self) -> Iterable[Remark]:
         """Return remarks on points and tests that are left out, on the choice, and on each law."""
+        yield from data_remarks(self.points)
         yield from left_out(self.outliers)
         fitted = [entry for entry in self.entries if entry.fit]
         if not fitted:
@@ -163,11 +166,10 @@ class Ranking(Result):
                 if any(texts):
                     yield Remark.note(entry.law, f"{what} {entry.law.removesuffix('Law')}: {'; '.join(texts)}")
 
-    def listings(self) -> Iterable[Listing]:
+    def declared(self) -> TableColumns:
         """Return the laws with their errors, the best first."""
-        yield from super().listings()
         fits = [(entry, entry.fit) for entry in self.entries if entry.fit]
-        columns: dict[str, tuple[Column, list[object]]] = {
+        columns: dict[str, tuple[Column, object]] = {
             "law": (Column(), [entry.law.removesuffix("Law") for entry, _ in fits]),
             "parameters": (Column(), [entry.parameters for entry, _ in fits]),
             "rmse": (Column("N", "RMSE", digits=3), [fit.rmse for _, fit in fits]),
@@ -184,7 +186,7 @@ class Ranking(Result):
         else:  # with friction the laws are not fitted to the same numbers
             least = min((entry.aicc for entry, _ in fits if entry.aicc == entry.aicc), default=0.0)
             columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry, _ in fits]
-        yield Listing("laws", columns)
+        return super().declared() | columns
 
     @property
     def held(self) -> str:

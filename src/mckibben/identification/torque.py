@@ -28,7 +28,7 @@ from mckibben.identification.fitting import check_law_type
 from mckibben.identification.least_squares import FitProblem, design_matrix, grid_search, solve
 from mckibben.muscle import Domain, ForceLaw, SmoothLaw, forces
 from mckibben.muscle.slopes import unphysical
-from mckibben.result import Listing, Remark, Result, column
+from mckibben.result import Listing, Remark, Result, column, table
 from mckibben.units import kPa
 
 FRICTION = {"half_width": "N", "joint_friction": "N*m"}
@@ -81,12 +81,12 @@ class TorqueFit(Result):
         """Return the notes."""
         return self.notes
 
-    def listings(self) -> Iterable[Listing]:
+    @table()
+    def parameters(self) -> list[Listing]:
         """Return the parameters with their errors and intervals."""
-        yield from super().listings()
         shown = {p.name: (p.shown, p.unit, p.meaning) for p in type(self.law).parameters()}
         shown |= {name: (unit, unit, "friction") for name, unit in FRICTION.items() if name in self.estimates}
-        yield parameter_listing(shown, self.estimates, self.standard_errors, self.intervals)
+        return [parameter_listing(shown, self.estimates, self.standard_errors, self.intervals)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from mckibben.errors import IdentificationError, RangeError, printable
 from mckibben.identification.estimator import Bools
 from mckibben.identification.fit import Fit
 from mckibben.muscle import ForceLaw, forces
-from mckibben.result import Listing, Result, column
+from mckibben.result import Result, TableColumns, column, row_columns, table
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,10 @@ class Validation(Result):
         errors = ", ".join(f"{law} {self.of(law).rmse:.3g} N" for law in self.laws)
         return f"RMSE at the taut points of {self.specimen or 'an unnamed specimen'}: {errors}"
 
-    def listings(self) -> Iterable[Listing]:
+    @table("errors")
+    def error_rows(self) -> TableColumns:
         """Return the errors, a row per law, pressure and direction; without a pressure or direction: over all."""
-        yield from super().listings()
-        marks = {field.name: field.metadata["column"] for field in fields(ErrorStatistics)}
-        columns = {name: (mark, [getattr(row, name) for row in self.errors]) for name, mark in marks.items()}
-        yield Listing("errors", columns)
+        return row_columns(ErrorStatistics, self.errors)
 
 
 @checked_call

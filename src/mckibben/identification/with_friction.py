@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable
 from dataclasses import field, replace
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from mckibben.binding import call
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.fit import Fit
+from mckibben.identification.fit import Fit, data_remarks
 from mckibben.identification.fitting import WITH_FRICTION, fit_law
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
@@ -21,11 +21,11 @@ from mckibben.identification.grouping import at_fixed_lengths
 from mckibben.identification.loading_path import NoHysteresisError, loop_half_width, with_last_motion
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
-from mckibben.result import Listing, Remark, column
+from mckibben.result import Listing, Remark, column, table
 from mckibben.units import Diameter, Volume
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from mckibben.result import Figure
 
 
 class FitWithFriction(Fit):
@@ -57,8 +57,7 @@ class FitWithFriction(Fit):
     def write(self, folder: Path) -> None:
         """Write the fit and, with an initial length, the muscle for scenarios and protocols."""
         self.to_yaml(folder / "fit.yaml")
-        scenario = importlib.import_module("mckibben.scenario")  # is above this package
-        scenario.write_identified(folder / "muscle.yaml", self, self.points.table.attrs)
+        call("write_identified", folder / "muscle.yaml", self)
 
     def verdict(self) -> str:
         """Return the verdict of the law, and that of the friction."""
@@ -70,11 +69,12 @@ class FitWithFriction(Fit):
             yield Remark.note("friction", self.note) if self.hysteresis else Remark.warning("friction", self.note)
         yield from super().remarks()
         yield from self.hysteresis.notes if self.hysteresis else ()
+        yield from data_remarks(self.points)
 
-    def listings(self) -> Iterable[Listing]:
-        """Return the tables of the law and of the friction."""
-        yield from titled(super().listings(), "law")
-        yield from titled(self.hysteresis.listings(), "law and friction") if self.hysteresis else ()
+    @table()
+    def law_and_friction(self) -> Iterable[Listing]:
+        """Return the tables of the law and friction, identified together."""
+        return titled(self.hysteresis.listings(), "law and friction") if self.hysteresis else ()
 
     @property
     def friction(self) -> MaxwellSlip | None:

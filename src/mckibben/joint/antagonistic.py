@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Num
 
+from mckibben.binding import call
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import check_positive, check_within
@@ -26,9 +26,6 @@ from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.result import Remark
 from mckibben.units import deg
-
-if TYPE_CHECKING:
-    from mckibben.scenario import Scenario
 
 SMALL_MOTION = 0.1 * deg
 """Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
@@ -147,7 +144,7 @@ class AntagonisticJoint(Component):
                 if isinstance(muscle.friction, MaxwellSlip):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
                     rates = (muscle.friction.viscous_growth, muscle.friction.viscous_length_growth)
-                    if any(part is not None for part in (*rates, muscle.friction.rate_growth)):
+                    if any(coefficient is not None for coefficient in (*rates, muscle.friction.rate_growth)):
                         message = f"{owner}: friction needs the rate of the muscle's length, which is unknown there"
                         remedy = "leave out viscous_growth, viscous_length_growth and rate_growth, or the spring"
                         raise RangeError(message, field="friction", remedy=remedy)
@@ -163,7 +160,7 @@ class AntagonisticJoint(Component):
         return f"<AntagonisticJoint: {printable(eqx.tree_pformat(self.geometry, width=1000), 200)}, {muscles}{tendon}>"
 
     @checked_call
-    def scenario(self, load: object, **sections: object) -> Scenario:
+    def scenario(self, load: object, **sections: object) -> Any:  # is above this package
         """Return a `mckibben.Scenario` of this joint with a load, to be simulated, tuned and changed.
 
         Load and further sections are objects, or as in a file: ``joint.scenario({"class": "pendulum", "mass": "1 kg",
@@ -171,7 +168,7 @@ class AntagonisticJoint(Component):
         of first order, a sine of the angle and a step of the stiffness between two that the joint can have. Raises
         `ScenarioError` for sections that cannot be, and `RangeError` if the joint cannot carry the load.
         """
-        return import_module("mckibben.scenario").starting_scenario(self, load, sections)
+        return call("starting_scenario", self, load, sections)
 
     @property
     def muscles(self) -> tuple[Muscle, Muscle]:

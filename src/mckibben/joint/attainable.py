@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +22,8 @@ from jaxtyping import Array, ArrayLike
 from mckibben.component.calls import user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
-from mckibben.joint.geometry import Pair
-from mckibben.joint.tendon import RigidTendon
+from mckibben.joint.geometry import Geometry, Pair, Pressures
+from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.muscle.muscle import CHECK_LAW
 from mckibben.numerics.calculus import value_and_derivative
@@ -31,14 +31,32 @@ from mckibben.numerics.compiled import jit, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
-if TYPE_CHECKING:
-    from mckibben.joint.antagonistic import AntagonisticJoint
-
 _SCANNED = 401
 _SCANNED_FRICTION = 33
 _TOLERANCE = 1e-6  # relative tolerance of a stiffness
 _ROUNDING = 1e-12  # relative tolerance of a tension
 _INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
+
+
+class Antagonistic(Protocol):
+    """The part of an `AntagonisticJoint` that attainable sets follow from."""
+
+    muscle1: Muscle
+    muscle2: Muscle
+    geometry: Geometry
+    tendon: Tendon
+
+    @property
+    def muscles(self) -> tuple[Muscle, Muscle]: ...
+
+    @property
+    def springs(self) -> tuple[bool, bool]: ...
+
+    def contractions(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
+
+    def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
+
+    def secant_stiffness(self, angle: ArrayLike, pressures: Pressures, amplitude: ArrayLike) -> Array: ...
 
 
 def check_angle(angle: ArrayLike) -> None:
@@ -50,7 +68,7 @@ def check_angle(angle: ArrayLike) -> None:
 
 @jit_inline
 def torque_range(
-    joint: AntagonisticJoint, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
+    joint: Antagonistic, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> Pair:
     """See `AntagonisticJoint.attainable_torque`."""
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(floating(angle))
@@ -63,7 +81,7 @@ def torque_range(
 
 @jit_inline
 def stiffness_range(
-    joint: AntagonisticJoint,
+    joint: Antagonistic,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
@@ -85,7 +103,7 @@ class StaticSolution(NamedTuple):
 
 
 @jit
-def solve_static(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+def solve_static(joint: Antagonistic, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the pressures for a torque [N*m] and a stiffness [N*m/rad] at an angle [rad].
 
     A stiffness of NaN selects the middle of the segment of co-contraction. Compiled; differentiable with respect to the
@@ -96,16 +114,16 @@ def solve_static(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, 
 
 
 @jit
-def _solve_many(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+def _solve_many(joint: Antagonistic, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the solutions for arrays of shape (n,)."""
     return jax.vmap(lambda *numbers: solve_static(joint, *numbers))(angle, torque, stiffness)
 
 
-def pressures_for(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
+def pressures_for(joint: Antagonistic, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
     """See `AntagonisticJoint.pressures_for`."""
     check_finite(angle=angle, torque=torque, stiffness=0.0 if stiffness is None else stiffness)
-    wanted = math.nan if stiffness is None else stiffness
-    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, torque, wanted)))
+    target = math.nan if stiffness is None else stiffness
+    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, torque, target)))
     shape = numbers[0].shape
     solution = _solve_many(joint, *map(np.ravel, numbers)) if shape else solve_static(joint, *numbers)
     missing = np.flatnonzero(~np.asarray(solution.exists))
@@ -123,7 +141,7 @@ def check_finite(**numbers: ArrayLike) -> None:
 
 
 def raise_unattainable(
-    joint: AntagonisticJoint, solution: StaticSolution, angle: float, torque: float, stiffness: float
+    joint: Antagonistic, solution: StaticSolution, angle: float, torque: float, stiffness: float
 ) -> NoReturn:
     """Raise an error that says why a static state does not exist; a stiffness of NaN stands for any."""
     where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
@@ -149,7 +167,7 @@ def raise_unattainable(
 
 
 def unattainable(
-    joint: AntagonisticJoint,
+    joint: Antagonistic,
     angle: float,
     torque: float,
     pressure_limits: tuple[float, float] | None = None,
@@ -172,14 +190,14 @@ def unattainable(
     return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
 
 
-def leaves_domain(joint: AntagonisticJoint, angles: ArrayLike, unheld: ArrayLike) -> str:
+def leaves_domain(joint: Antagonistic, angles: ArrayLike, unheld: ArrayLike) -> str:
     """Error text of a muscle that leaves its domain at the first infeasible angle [rad]; empty if there is none."""
     first = np.asarray(angles)[np.asarray(unheld)][:1]
     error = _outside_domain(joint, float(first[0])) if first.size else None
     return f"at {first[0] / deg:.4g} deg, {error}" if error else ""
 
 
-def _outside_domain(joint: AntagonisticJoint, angle: float) -> RangeError | None:
+def _outside_domain(joint: Antagonistic, angle: float) -> RangeError | None:
     """Return the error of a contraction that leaves its muscle's domain at an angle; None if neither does."""
     contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
     for number, (muscle, contraction) in enumerate(zip(joint.muscles, contractions, strict=True), 1):
@@ -197,7 +215,7 @@ def _outside_domain(joint: AntagonisticJoint, angle: float) -> RangeError | None
 
 
 def warn_unattainable(
-    joint: AntagonisticJoint,
+    joint: Antagonistic,
     angle: ArrayLike,
     torque: ArrayLike,
     lowest: Array,
@@ -231,14 +249,14 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
         return profile(fraction)[1]
 
     unspecified = jnp.isnan(stiffness)
-    wanted = jnp.where(unspecified, 0.0, stiffness)
+    target = jnp.where(unspecified, 0.0, stiffness)
 
     # Bracket by neighbours. A spring that reaches its stop makes the stiffness jump: take the smallest step.
     def scan(scanned: _Scan, fraction: Array) -> tuple[_Scan, None]:
         value = stiffness_at(fraction)
         held = lax.stop_gradient(value)
         step = jnp.abs(held - scanned.value)
-        nearer = ((held - wanted) * (scanned.value - wanted) <= 0) & (step < scanned.step)
+        nearer = ((held - target) * (scanned.value - target) <= 0) & (step < scanned.step)
         bracket = scanned.fraction, fraction, held > scanned.value
         bracketed = (jnp.where(nearer, new, old) for new, old in zip((step, *bracket), scanned[4:], strict=True))
         return _Scan(
@@ -252,17 +270,17 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     def bisect(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        beyond = (stiffness_at(middle) >= wanted) == scanned.increasing
+        beyond = (stiffness_at(middle) >= target) == scanned.increasing
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
     low, high = lax.fori_loop(0, 60, bisect, (scanned.low, scanned.high))
     root = lax.stop_gradient((low + high) / 2)
     # One Newton step makes the root differentiable with respect to the joint's parameters.
     value, slope = value_and_derivative(stiffness_at, root)
-    newton = (value - wanted) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
+    newton = (value - target) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
     fraction = jnp.where(unspecified, 0.5, root - (newton - lax.stop_gradient(newton)))
     pressures, reached = profile(fraction)
-    met = jnp.abs(reached - wanted) <= _TOLERANCE * jnp.abs(wanted)
+    met = jnp.abs(reached - target) <= _TOLERANCE * jnp.abs(target)
     return StaticSolution(
         pressures,
         feasible & (unspecified | (jnp.isfinite(scanned.step) & met)),
@@ -288,7 +306,7 @@ def _range(segment: Segment, profile: Profile, amplitude: ArrayLike | None = Non
     return jnp.where(segment.feasible, lowest, jnp.nan), jnp.where(segment.feasible, highest, jnp.nan)
 
 
-def _fractions(joint: AntagonisticJoint) -> Array:
+def _fractions(joint: Antagonistic) -> Array:
     """Return the fractions of a segment at which to evaluate it: its two ends, or a scan."""
     return jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
 
@@ -303,7 +321,7 @@ class Segment(NamedTuple):
     The tension of muscle 2 follows from the torque: T2 = (torque + T1 d1) / d2, with the moment arms d.
     """
 
-    joint: AntagonisticJoint
+    joint: Antagonistic
     angle: Array
     torque: Array
     paths: Pair
@@ -334,14 +352,14 @@ class Segment(NamedTuple):
         ends = lax.map(self.at, _fractions(self.joint))
 
         def interpolate(fraction: ArrayLike) -> tuple[Pair, Array]:
-            part = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
-            return jax.tree.map(lambda end: end[0] + (end[1] - end[0]) * part, ends)
+            share = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
+            return jax.tree.map(lambda end: end[0] + (end[1] - end[0]) * share, ends)
 
         return interpolate
 
 
 def cocontraction_segment(
-    joint: AntagonisticJoint,
+    joint: Antagonistic,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
@@ -360,7 +378,7 @@ def cocontraction_segment(
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 
 
-def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def pressure_limits_of(joint: Antagonistic) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return the gauge pressure limits [Pa] of the muscles' domains: ((low1, low2), (high1, high2))."""
     low1, low2 = (floating(muscle.domain.pressure_min) for muscle in joint.muscles)
     high1, high2 = (floating(muscle.domain.pressure_max) for muscle in joint.muscles)
@@ -368,7 +386,7 @@ def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], t
 
 
 def _tension_ranges(
-    joint: AntagonisticJoint, paths: Pair, pressure_limits: tuple[float, float] | None, minimum_tension: float
+    joint: Antagonistic, paths: Pair, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> tuple[Pair, Pair]:
     """Return the lowest and the highest tension [N] of each muscle within pressures, domain and rated force."""
     if pressure_limits is None:
@@ -390,7 +408,7 @@ def _tension_ranges(
     return (low1, low2), (high1, high2)
 
 
-def is_affine(joint: AntagonisticJoint) -> bool:
+def is_affine(joint: Antagonistic) -> bool:
     """Return whether torque and stiffness are affine in the two pressures: affine laws, and rigid tendons."""
     laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in joint.muscles)
     return laws_affine and isinstance(joint.tendon, RigidTendon)

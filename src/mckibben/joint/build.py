@@ -52,9 +52,9 @@ def joint(
     if isinstance(kind, str):
         path, geometry = find_class(MusclePath, kind), find_class(Geometry, kind)
         if path is None and geometry is None:
-            known = [*classes_of(MusclePath), *classes_of(Geometry)]
+            kinds = [*classes_of(MusclePath), *classes_of(Geometry)]
             message = f"there is no path or geometry {quoted(kind)}"
-            raise ParameterError(message, field="kind", value=kind, remedy=suggest(kind, known))
+            raise ParameterError(message, field="kind", value=kind, remedy=suggest(kind, kinds))
         if path and "rest_length" in declared_fields(path) and not {"rest_length", "lengths"} & {*fields}:
             middle = (max(muscle.domain.contraction_min, 0.0) + muscle.domain.contraction_max) / 2
             fields["rest_length"] = float(muscle.specimen.initial_length * (1 - middle))

@@ -55,8 +55,8 @@ class Linkage:
 
     def __init__(self, geometry: Geometry, angles: tuple[float, ...] = (0.0,)) -> None:
         self.geometry = geometry
-        known = geometry.angle_range
-        low, high = max(known[0], -_SWING), min(known[1], _SWING)
+        limits = geometry.angle_range
+        low, high = max(limits[0], -_SWING), min(limits[1], _SWING)
         ends = [None if end is None else np.asarray(end, float) for end in geometry.anchors(min(max(0.0, low), high))]
         self.straight = [end is not None for end in ends]
         anchored = np.sum([end[0] for end in ends if end is not None], axis=0)

@@ -12,11 +12,21 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
 from mckibben.numerics.elementary import sincos
-from mckibben.units import Angle, Damping, Distance, Gravity, Inertia, Length, Mass, PositiveMass, Quantity, Torque
+from mckibben.units import (
+    GRAVITY,
+    Angle,
+    Damping,
+    Distance,
+    Gravity,
+    Inertia,
+    Length,
+    Mass,
+    PositiveMass,
+    Quantity,
+    Torque,
+)
 
 PositiveInertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4, open_lower=True)]
-
-_GRAVITY = 9.81  # m/s^2
 
 
 class Load(Component):
@@ -52,7 +62,7 @@ class Load(Component):
         It acts on the side of the load's own mass: an inverted load becomes more inverted.
         """
         moment = jnp.asarray(self.gravity_moment)
-        weight = jnp.where(moment < 0, -1.0, 1.0) * mass * distance * _GRAVITY
+        weight = jnp.where(moment < 0, -1.0, 1.0) * mass * distance * GRAVITY
         return GeneralLoad(
             inertia=self.total_inertia + mass * distance**2,  # type: ignore
             greatest_gravity_torque=moment + weight,  # type: ignore
@@ -128,7 +138,7 @@ class KneeLoad(Load):
     inertia: Inertia
     damping: Damping
     hanging_angle: Angle = jnp.pi / 6
-    gravity: Gravity = 9.81
+    gravity: Gravity = GRAVITY
     hanging: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:
@@ -181,7 +191,7 @@ class PendulumLoad(Load):
     length: Length
     damping: Damping = 0.0
     hanging_angle: Angle = 0.0
-    gravity: Gravity = 9.81
+    gravity: Gravity = GRAVITY
 
     @property
     def total_inertia(self) -> Float[Array, ""]:

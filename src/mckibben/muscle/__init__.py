@@ -24,20 +24,22 @@ from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 class _Laws(Mapping[str, type[ForceLaw]]):
     """Force laws with parameters to identify, of this package and of any module that is imported, by name, sorted."""
 
-    def _known(self) -> dict[str, type[ForceLaw]]:
+    def _by_name(self) -> dict[str, type[ForceLaw]]:
         laws = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
-        own = __name__.partition(".")[0]
-        named = ((law.__name__ if law.__module__.partition(".")[0] == own else name, law) for name, law in laws.items())
+        package = __name__.partition(".")[0]
+        named = (
+            (law.__name__ if law.__module__.partition(".")[0] == package else name, law) for name, law in laws.items()
+        )
         return dict(sorted(named))
 
     def __getitem__(self, name: str) -> type[ForceLaw]:
-        return self._known()[name]
+        return self._by_name()[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._known())
+        return iter(self._by_name())
 
     def __len__(self) -> int:
-        return len(self._known())
+        return len(self._by_name())
 
 
 LAWS = _Laws()

@@ -14,11 +14,11 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.numerics.calculus import derivative
-from mckibben.units import Quantity, bar, factor, mm
+from mckibben.units import Quantity, atm, bar, factor, mm
 
 CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
 
-ATMOSPHERE = 1.01325e5
+ATMOSPHERE = atm
 """Atmospheric pressure [Pa, absolute]."""
 
 TEMPERATURE = 293.15
@@ -176,8 +176,8 @@ def pressure_behind(conductance: Any, critical: Any, pressure: Any, flow: Any) -
     choked = flow * (1 / (conductance * DENSITY))  # pressure [Pa] that drives the flow if it is choked
     steepest = flow_share(critical, LAMINAR) / (1 - LAMINAR)
     linear = pressure + choked * (1 / steepest)
-    square, rest = pressure**2 + (choked * (1 - critical)) ** 2, critical * pressure
-    subsonic = square / (rest + jnp.sqrt(jnp.maximum(rest**2 + (1 - 2 * critical) * square, 0.0)))
+    square, product = pressure**2 + (choked * (1 - critical)) ** 2, critical * pressure
+    subsonic = square / (product + jnp.sqrt(jnp.maximum(product**2 + (1 - 2 * critical) * square, 0.0)))
     upstream = jnp.where(choked * critical >= pressure, choked, subsonic)
     share = jnp.sqrt(jnp.maximum(1 - (choked / pressure) ** 2, 0.0))
     downstream = pressure * (critical + (1 - critical) * share)

@@ -74,8 +74,8 @@ class ForceLaw(Component):
 
     @classmethod
     def unit_of(cls, name: str) -> Quantity | None:
-        known = {parameter.name: parameter for parameter in (*cls.parameters(), *cls.constants)}
-        return Quantity(known[name].unit, known[name].shown, -1e40, 1e40) if name in known else None
+        parameters = {parameter.name: parameter for parameter in (*cls.parameters(), *cls.constants)}
+        return Quantity(parameters[name].unit, parameters[name].shown, -1e40, 1e40) if name in parameters else None
 
     @classmethod
     def check_equation(cls, equation: object) -> None:

@@ -254,8 +254,8 @@ class MaxwellSlip(Friction):
     @property
     def follows_rate(self) -> bool:
         if isinstance(self.viscous, Real) and self.viscous == 0:
-            parts = (self.viscous_growth, self.viscous_length_growth, self.rate_growth)
-            return any(part is not None for part in parts)
+            coefficients = (self.viscous_growth, self.viscous_length_growth, self.rate_growth)
+            return any(coefficient is not None for coefficient in coefficients)
         return True
 
     def steepest_damping(self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

@@ -97,9 +97,9 @@ class Muscle(Component):
 
     def __post_init__(self) -> None:
         if isinstance(self.specimen, Specimen) and isinstance(self.law, ForceLaw):
-            known, lowest = self.law.domain, self.law.domain.pressure_min
+            measured, lowest = self.law.domain, self.law.domain.pressure_min
             vented = min(lowest, 0.0) if isinstance(lowest, Real) and lowest > -jnp.inf else 0.0
-            domain = self.specimen.domain.filled(dataclasses.replace(known, pressure_min=vented))
+            domain = self.specimen.domain.filled(dataclasses.replace(measured, pressure_min=vented))
             if domain is not self.specimen.domain:
                 self.specimen = dataclasses.replace(self.specimen, domain=domain)
 
@@ -110,9 +110,9 @@ class Muscle(Component):
             warnings.warn(f"{self.violation}; {CHECK_LAW}", McKibbenWarning, stacklevel=user_level())
 
     def __repr__(self) -> str:
-        parts = [self.specimen.name, type(self.law).__name__]
-        parts += [type(part).__name__ for part in (self.friction, self.creep) if self._is_dynamic(part)]
-        return f"Muscle({', '.join(parts)})"
+        words = [self.specimen.name, type(self.law).__name__]
+        words += [type(effect).__name__ for effect in (self.friction, self.creep) if self._is_dynamic(effect)]
+        return f"Muscle({', '.join(words)})"
 
     @property
     def domain(self) -> Domain:
@@ -132,8 +132,8 @@ class Muscle(Component):
         low, high, lowest, highest = (float(bound) / bar for bound in bounds)
         if low >= lowest and high <= highest:
             return ""
-        shown = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"
-        return f"the law of the muscle {self.specimen.name!r} is extrapolated from {shown}"
+        ranges = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"
+        return f"the law of the muscle {self.specimen.name!r} is extrapolated from {ranges}"
 
     @property
     def violation(self) -> str:
@@ -163,8 +163,8 @@ class Muscle(Component):
         return self._is_dynamic(self.creep)
 
     @staticmethod
-    def _is_dynamic(part: Friction | Creep) -> bool:
-        return not isinstance(part, NoFriction | NoCreep)
+    def _is_dynamic(effect: Friction | Creep) -> bool:
+        return not isinstance(effect, NoFriction | NoCreep)
 
     def init_state(self, contraction: ArrayLike, pressure: ArrayLike) -> MuscleState:
         """Return the unstressed, relaxed state at a contraction [-] and a gauge pressure [Pa]."""

@@ -19,10 +19,10 @@ DEGREE = 5
 def _deviation(order: int) -> tuple[Parameter, ...]:
     """Coefficients of s_j, penalised in an identification."""
     unit = ("N", "N/Pa", "N/Pa^2")[order]
-    shown = ("N", "N/bar", "N/bar^2")[order]
+    unit_in_files = ("N", "N/bar", "N/bar^2")[order]
     powers = ("constant", "linear", "quadratic", "cubic", "quartic", "quintic")
     return tuple(
-        Parameter(f"s{order}{i}", unit, shown, f"deviation s{order}, {power}", penalised=True)
+        Parameter(f"s{order}{i}", unit, unit_in_files, f"deviation s{order}, {power}", penalised=True)
         for i, power in enumerate(powers)
     )
 

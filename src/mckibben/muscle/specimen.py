@@ -89,7 +89,7 @@ class Domain(Component):
                 remedy="give the law, or the limits, a domain inside the specimen's",
             )
         if (
-            all(bound is own for bound, own in zip(bounds, vars(self).values(), strict=False))
+            all(bound is bound_here for bound, bound_here in zip(bounds, vars(self).values(), strict=False))
             and not other.hull_pressures
         ):
             return self
@@ -107,8 +107,8 @@ class Domain(Component):
             lower, upper = float(self.contraction_min), float(self.contraction_max)
             value = contraction / percent
             texts = (f"{value:.{digits}f}" for digits in range(1, 9))  # as many as show that it is outside
-            shown = next((text for text in texts if not self.contains_contraction(float(text) * percent)), f"{value}")
-            message = f"contraction {shown} % is outside {lower / percent:g}..{upper / percent:g} % of {owner}"
+            number = next((text for text in texts if not self.contains_contraction(float(text) * percent)), f"{value}")
+            message = f"contraction {number} % is outside {lower / percent:g}..{upper / percent:g} % of {owner}"
             raise RangeError(message, value=contraction, lower=lower, upper=upper, unit="1", remedy=remedy)
 
     def bounds(self) -> str:

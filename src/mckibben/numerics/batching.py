@@ -86,8 +86,8 @@ def with_leaves(trees: Mapping[str, PyTree], values: Mapping[str, ArrayLike]) ->
     if not values:
         return dict(trees)
     values = {address: value for name, value in values.items() for address in _aliased(trees, name)}
-    known = select_leaves(trees, list(values))
-    numbers = {name: _numbers(trees, name, known[name], value) for name, value in values.items()}
+    leaves = select_leaves(trees, list(values))
+    numbers = {name: _numbers(trees, name, leaves[name], value) for name, value in values.items()}
     changed = replace_leaves(trees, numbers)
     places = [place for place in (_place(trees, name) for name in values) if place[1]]
     owners = {(root, *steps[:depth]) for root, steps in places for depth in range(len(steps))}
@@ -148,13 +148,13 @@ def select_leaves(trees: Mapping[str, PyTree], names: Sequence[str]) -> dict[str
     >>> select_leaves({"plant": {"load": {"mass": 0.5, "length": 0.3}}}, ["load.mass"])
     {'load.mass': 0.5}
     """
-    known = named_leaves(trees)
+    leaves = named_leaves(trees)
     for name in names:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
-            remedy = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(known)}"
+        if name not in leaves:
+            close = difflib.get_close_matches(name, leaves, 1, cutoff=0.5)
+            remedy = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(leaves)}"
             raise ParameterError(f"there is no parameter {name!r}", value=name, remedy=remedy)
-    return {name: known[name] for name in names}
+    return {name: leaves[name] for name in names}
 
 
 def named_leaves(trees: Mapping[str, PyTree]) -> dict[str, PyTree]:
@@ -225,8 +225,8 @@ def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
     """
 
     def piece(leaf: PyTree) -> PyTree:
-        part = np.asarray(leaf[chunk])
-        return np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)]) if len(part) < size else part
+        rows = np.asarray(leaf[chunk])
+        return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)]) if len(rows) < size else rows
 
     return jax.tree.map(piece, tree)
 

@@ -132,7 +132,7 @@ class Program:
         self._function = function
         self._options = options
         self._programs: dict[object, Callable[..., PyTree]] = {}
-        self._parts: dict[object, Callable[..., PyTree]] = {}
+        self._inner: dict[object, Callable[..., PyTree]] = {}
         self._locks: dict[object, threading.RLock] = {}
 
     def __call__(self, *args: PyTree, **kwargs: PyTree) -> PyTree:
@@ -140,9 +140,9 @@ class Program:
         static = tuple(ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves)
         arrays = [leaf for leaf, mark in zip(leaves, static, strict=True) if mark is ARRAY]
         if _is_traced(arrays):  # part of another program
-            known = (structure, static, tuple(map(type, static)), trace_mode())
-            if (program := self._parts.get(known)) is None:
-                program = self._parts[known] = self._jitted(structure, static, inline=True)
+            program_key = (structure, static, tuple(map(type, static)), trace_mode())
+            if (program := self._inner.get(program_key)) is None:
+                program = self._inner[program_key] = self._jitted(structure, static, inline=True)
             return program(*arrays)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)
         folder = xla_programs_folder()
@@ -163,8 +163,8 @@ class Program:
         """`jax.jit` of the function over its array leaves."""
 
         def call(*arrays: Array) -> PyTree:
-            rest = iter(arrays)
-            args, kwargs = jax.tree.unflatten(structure, [next(rest) if leaf is ARRAY else leaf for leaf in static])
+            traced = iter(arrays)
+            args, kwargs = jax.tree.unflatten(structure, [next(traced) if leaf is ARRAY else leaf for leaf in static])
             return self._function(*args, **kwargs)
 
         if inline:

@@ -53,7 +53,9 @@ class FingerprintError(ValueError):
     """A value has no fingerprint that is valid in other processes."""
 
 
-def program_path(folder: Path, function: Callable[..., PyTree], static: Sequence[PyTree], *rest: PyTree) -> Path | None:
+def program_path(
+    folder: Path, function: Callable[..., PyTree], static: Sequence[PyTree], *details: PyTree
+) -> Path | None:
     """File of a program in `folder`; None without fingerprint or trusted folder.
 
     The folder is made for this user alone. One that another user owns or may write to is not used, which is warned of
@@ -74,7 +76,7 @@ def program_path(folder: Path, function: Callable[..., PyTree], static: Sequence
     if not is_private(folder.lstat(), stat.S_ISDIR):
         _warn_of_strangers(folder)
         return None
-    text = "\n".join([*words, repr(rest), _environment()])
+    text = "\n".join([*words, repr(details), _environment()])
     return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:40]}.program"
 
 
@@ -109,7 +111,7 @@ def load_or_compile(
     function: Callable[..., PyTree],
     structure: PyTreeDef,
     static: PyTree,
-    *rest: PyTree,
+    *details: PyTree,
 ) -> Callable[..., PyTree]:
     """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder.
 
@@ -124,7 +126,7 @@ def load_or_compile(
     """
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
-    path = program_path(folder, function, (structure, *static), *rest)
+    path = program_path(folder, function, (structure, *static), *details)
     if path is None:
         return jitted
     arguments = jax.tree.structure((tuple(arrays), {}))
@@ -168,8 +170,8 @@ def structure_fingerprint(structure: PyTreeDef) -> str:
     if node is None:
         return "*"
     kind, static = node
-    parts = " ".join(structure_fingerprint(child) for child in structure.children())
-    return f"{code_fingerprint(kind)}(={fingerprint(static)}{' ' if parts else ''}{parts})"
+    children = " ".join(structure_fingerprint(child) for child in structure.children())
+    return f"{code_fingerprint(kind)}(={fingerprint(static)}{' ' if children else ''}{children})"
 
 
 def fingerprint(value: object) -> str:

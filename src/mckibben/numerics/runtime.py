@@ -58,9 +58,9 @@ def use_program_cache() -> None:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:  # no home directory: no cache
         return
-    known = processor()
-    if known is not None:
-        os.environ.setdefault(_PROGRAMS, str(Path(base) / "mckibben" / f"programs-{known}"))
+    fingerprint = processor()
+    if fingerprint is not None:
+        os.environ.setdefault(_PROGRAMS, str(Path(base) / "mckibben" / f"programs-{fingerprint}"))
 
 
 def programs_folder() -> Path | None:
@@ -100,7 +100,7 @@ def _cpuinfo() -> dict[str, str]:
     try:
         with _CPUINFO.open(encoding="utf-8", errors="replace") as lines:
             for line in lines:
-                name, colon, value = (part.strip() for part in line.partition(":"))
+                name, colon, value = (word.strip() for word in line.partition(":"))
                 if not colon and about:
                     break  # the next processor
                 if name in _CONSTANT:

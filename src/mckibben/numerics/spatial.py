@@ -18,19 +18,19 @@ Scalar = Any
 
 def product(a: Scalar, b: Scalar) -> Scalar:
     """Return a times b."""
-    for known, other in ((a, b), (b, a)):
-        if isinstance(known, int | float):
-            if known == 0:
+    for number, other in ((a, b), (b, a)):
+        if isinstance(number, int | float):
+            if number == 0:
                 return 0.0
-            if abs(known) == 1:
-                return other if known == 1 else -other
+            if abs(number) == 1:
+                return other if number == 1 else -other
     return a * b
 
 
 def total(a: Scalar, b: Scalar) -> Scalar:
     """Return a plus b."""
-    for known, other in ((a, b), (b, a)):
-        if isinstance(known, int | float) and known == 0:
+    for number, other in ((a, b), (b, a)):
+        if isinstance(number, int | float) and number == 0:
             return other
     return a + b
 

@@ -25,6 +25,7 @@ from mckibben.paper.identification import (
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import BP, DOUBLED_PID, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Tracking
 from mckibben.reachability import StaticEnvelope
+from mckibben.result import column
 from mckibben.simulation import SETTLING_PART
 from mckibben.units import bar, deg, quantity
 
@@ -64,8 +65,8 @@ class Claim:
         fitted to it, and with a friction from the literature, so that the evidence shows consistency and no more.
     """
 
-    claim: str
-    source: str
+    claim: str = column(title="statement")
+    source: str = column(title="source")
     words: str | None
     holds: bool
     evidence: str
@@ -175,25 +176,25 @@ def _compared(tuned: bool) -> tuple[str, str, str]:
 def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, *, tuned: bool) -> Claim:
     """Holds if in both geometries the median RMSE of BP is 5 % below that of PID, and no seed is unstable."""
     pid, bp, gains = _compared(tuned)
-    parts, holds = [], True
+    findings, holds = [], True
     for setting in SETTINGS:
         base, learned = tracking.runs[setting.key, reference, pid], tracking.runs[setting.key, reference, bp]
         before, after = base.median("angle_rmse"), learned.median("angle_rmse")
         holds = holds and after < (1 - _DISTINGUISHABLE) * before and learned.unstable == 0
-        parts.append(
+        findings.append(
             f"{setting.name}: PID {before / deg:.3f} deg, BP {after / deg:.3f} deg "
             f"(worst of {tracking.seeds} seeds {learned.worst('angle_rmse') / deg:.3f})"
         )
         if not tuned:  # a higher PID gain explains much of the improvement
             alone = tracking.runs[setting.key, reference, DOUBLED_PID].median("angle_rmse")
-            parts[-1] += f", PID with its position gains doubled {alone / deg:.3f} deg"
+            findings[-1] += f", PID with its position gains doubled {alone / deg:.3f} deg"
     return Claim(
         f"BP's position error is smaller than PID's under {reference.value} stiffness ({gains})",
         ("on Fig. 8 " if tuned else "Results and analysis, Fig. 8 ")
         + ("(a)" if reference is StiffnessReference.CONSTANT else "(b)"),
         None if tuned else _SMALL_ERRORS,
         holds,
-        f"angle RMSE, median over seeds: {'; '.join(parts)}; smaller means by {_DISTINGUISHABLE * 100:g} % or more, "
+        f"angle RMSE, median over seeds: {'; '.join(findings)}; smaller means by {_DISTINGUISHABLE * 100:g} % or more, "
         "visible in a figure",
     )
 
@@ -210,31 +211,31 @@ def _cases(tracking: Tracking, *controllers: str) -> Iterator[tuple[str, list[Co
 def _settles_sooner(tracking: Tracking, *, tuned: bool) -> Claim:
     """Holds if BP settles sooner by 5 % in most of the four cases, and later in none; a run may never settle."""
     pid, bp, gains = _compared(tuned)
-    parts, sooner, later = [], 0, 0
+    findings, sooner, later = [], 0, 0
     for title, (base, learned) in _cases(tracking, pid, bp):
         before, after = base.median("stiffness_settling"), learned.median("stiffness_settling")
         first, second = (math.inf if math.isnan(time) else time for time in (before, after))
         sooner += second < (1 - _DISTINGUISHABLE) * first
         later += learned.unstable > 0 or first < (1 - _DISTINGUISHABLE) * second
-        parts.append(f"{title}: PID {_seconds(before)}, BP {_seconds(after)}")
+        findings.append(f"{title}: PID {_seconds(before)}, BP {_seconds(after)}")
     return Claim(
         f"BP's stiffness settles sooner ({gains})",
         "on Fig. 8 (c), (d)" if tuned else "Results and analysis, Fig. 8 (c), (d)",
         None if tuned else _SHORT_ADJUSTMENT,
-        later == 0 and sooner > len(parts) / 2,
-        f"settling to {SETTLING_PART * 100:g} % of the step size: {'; '.join(parts)}; holds if BP is sooner by "
+        later == 0 and sooner > len(findings) / 2,
+        f"settling to {SETTLING_PART * 100:g} % of the step size: {'; '.join(findings)}; holds if BP is sooner by "
         f"{_DISTINGUISHABLE * 100:g} % or more in most cases, and later in none",
     )
 
 
 def _learning_is_safe(tracking: Tracking) -> Claim:
     """Holds if BP on tuned gains, free to double them, is never unstable and nowhere worse than PID."""
-    parts, holds = [], True
+    findings, holds = [], True
     for title, (pid, run) in _cases(tracking, TUNED_PID, FREE_TUNED_BP):
         before, after = pid.median("angle_rmse"), run.median("angle_rmse")
         holds = holds and run.unstable == 0 and after <= before
         unstable = f"{run.unstable} of {tracking.seeds} seeds unstable"
-        parts.append(
+        findings.append(
             f"{title}: {unstable if run.unstable else f'RMSE {after / deg:.3g} deg'} (PID {before / deg:.3f} deg)"
         )
     return Claim(
@@ -242,20 +243,20 @@ def _learning_is_safe(tracking: Tracking) -> Claim:
         "on the choice of BP",
         None,
         holds,
-        "; ".join(parts) + ". Learning raises the gains as long as there is an error, whatever the stability margin",
+        "; ".join(findings) + ". Learning raises the gains as long as there is an error, whatever the stability margin",
     )
 
 
 def _coupled(tracking: Tracking) -> Claim:
     """Holds if in one geometry angle and stiffness disturb each other by 1 % or more of amplitude and step."""
-    parts, holds = [], False
+    findings, holds = [], False
     for setting in SETTINGS:
         coupling = tracking.coupling[setting.key]
         angle = coupling.angle_by_step / quantity(setting.amplitude, "rad")
         step = abs(quantity(setting.after, "N*m/rad") - quantity(setting.before, "N*m/rad"))
         stiffness = (coupling.stiffness_by_motion - coupling.stiffness_at_rest) / step
         holds = holds or (angle > _VISIBLE and stiffness > _VISIBLE)
-        parts.append(
+        findings.append(
             f"{setting.name}: the stiffness step disturbs the angle by up to {coupling.angle_by_step / deg:.3g} deg "
             f"({angle:.1%} of the amplitude), the motion disturbs the stiffness by {coupling.stiffness_by_motion:.3g} "
             f"N*m/rad RMS ({stiffness:.1%} of the step; {coupling.stiffness_at_rest + 0.0:.3f} at rest)"
@@ -265,20 +266,20 @@ def _coupled(tracking: Tracking) -> Claim:
         "Results and analysis",
         "The joint position and stiffness are coupled with each other",
         holds,
-        f"{'; '.join(parts)}; holds if both are visible in one geometry ({_VISIBLE:.0%} or more)",
+        f"{'; '.join(findings)}; holds if both are visible in one geometry ({_VISIBLE:.0%} or more)",
     )
 
 
 def _range(joint: dict[str, StaticEnvelope]) -> Claim:
     """Holds if the static range of angles of Table 2 as printed is 55 deg or more."""
     printed, statics = joint[SETTINGS[0].key], [(setting.name, joint[setting.key]) for setting in SETTINGS]
-    parts = [f"{name}: {static.angle_min / deg:.1f}..{static.angle_max / deg:.1f} deg" for name, static in statics]
+    findings = [f"{name}: {static.angle_min / deg:.1f}..{static.angle_max / deg:.1f} deg" for name, static in statics]
     return Claim(
         "The knee reaches 55 deg without the stretch structure (Table 2 as printed)",
         'on "Musculoskeletal leg" (55 deg with the structure)',
         None,
         printed.angle_max - printed.angle_min >= _KNEE_RANGE,
-        "static range of angles, with the load of Table 2 and contractions within -3..25 %: " + "; ".join(parts),
+        "static range of angles, with the load of Table 2 and contractions within -3..25 %: " + "; ".join(findings),
     )
 
 

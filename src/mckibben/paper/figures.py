@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
+from mckibben.paper.controllers import controller_comparison
 from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG, plant_of
 from mckibben.paper.settings import FREE, SETTINGS, Setting, StiffnessReference
 from mckibben.paper.tables import SECTIONS, name_of
@@ -23,7 +24,7 @@ from mckibben.report.drawing import draw_joint
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.robot import posture, robot_tracking
-from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
+from mckibben.report.tracking import control_results, error_curves, gain_histories
 from mckibben.scenario.robot import read_robot
 from mckibben.units import bar, deg
 

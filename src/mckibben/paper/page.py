@@ -100,8 +100,8 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
         drawn[figure.section].append(embedded(figure, folder, preview=reproduction.quick))
-    with atomic_write(folder / _PAGE, overwrite=True) as part:
-        part.write_text(render(reproduction, drawn), encoding="utf-8")
+    with atomic_write(folder / _PAGE, overwrite=True) as temporary:
+        temporary.write_text(render(reproduction, drawn), encoding="utf-8")
     return folder / _PAGE
 
 
@@ -116,7 +116,7 @@ def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> Em
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
     """HTML text of the report of the paper; `drawn` has the figures by section, a key of `SECTIONS`."""
-    results = reproduction.to_dict()
+    results = reproduction.numbers()
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return _template().render(
         style=markupsafe.Markup(_resource("report.css")),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib import resources
@@ -23,7 +23,7 @@ from mckibben.paper.identification import Identification, run_identification, ru
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.reachability import StaticEnvelope
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Result, TableColumns, row_columns, table
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import METRICS
@@ -75,15 +75,17 @@ class Reproduction(Result):
         published = f"{others} rest on a muscle that was not published"
         return f"{len(testable)} of the paper's claims can be tested here {counted}; {published}."
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield the verdicts on the paper's claims, then those on our own questions."""
-        for title, claims in (("The paper's claims", self.paper_claims), ("Our own questions", self.questions)):
-            columns = {"verdict": "verdict", "statement": "claim", "source": "source"}
-            yield Listing(
-                title, {name: (Column(), [getattr(claim, key) for claim in claims]) for name, key in columns.items()}
-            )
+    @table("The paper's claims")
+    def paper_verdicts(self) -> TableColumns:
+        """Verdicts on the paper's claims."""
+        return row_columns(Claim, self.paper_claims)
 
-    def to_dict(self) -> dict[str, Any]:
+    @table("Our own questions")
+    def own_verdicts(self) -> TableColumns:
+        """Verdicts on our own questions."""
+        return row_columns(Claim, self.questions)
+
+    def numbers(self) -> dict[str, Any]:
         """Return all numbers as plain data for JSON, in the units of their keys; NaN as None."""
         return json_ready(
             {
@@ -115,7 +117,7 @@ class Reproduction(Result):
 
     def saved(self, names: Sequence[str]) -> dict[str, object]:
         """Return the numbers alone."""
-        return self.to_dict()
+        return self.numbers()
 
     def write(self, folder: Path) -> None:
         """Write fits, datasets, scenarios and trajectories to a folder.
@@ -163,9 +165,9 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     progress = progress or notebook_progress()
     start = time.perf_counter()
 
-    def report(what: str, part: float) -> None:
+    def report(what: str, fraction: float) -> None:
         if progress:
-            progress(what, part)
+            progress(what, fraction)
 
     with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
         muscle = pool.submit(run_identification, repeats=2 if quick else 5)
@@ -174,8 +176,8 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         what = "isobaric test and identification; control of position and stiffness"
         report(what, 0.0)
 
-        def tracked(part: float) -> None:
-            report(what, 0.95 * part)
+        def tracked(fraction: float) -> None:
+            report(what, 0.95 * fraction)
             for other in (muscle, knee, leg):
                 if other.done():
                     other.result()  # raises its error

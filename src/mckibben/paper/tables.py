@@ -180,9 +180,9 @@ def parameter_table(results: Numbers) -> Table:
     """Estimates of Eq. 2 with standard errors by dataset, beside the values of Eq. 3, in its units (bar, %, N)."""
     fits = results["identification"]
     law = catalog.law("lei-mas-10-180n")
-    shown = {p.name: p.shown for p in type(law).parameters()}
+    units = {p.name: p.shown for p in type(law).parameters()}
     rows = []
-    for name, unit in shown.items():
+    for name, unit in units.items():
         published = float(getattr(law, name)) / factor(unit)
         symbol = name.replace("decay", "μ").translate(str.maketrans("12", "₁₂"))
         cells = [f"{symbol} [{unit_text(unit)}]", f"{published:g}".replace("-", "−")]

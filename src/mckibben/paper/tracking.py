@@ -131,12 +131,14 @@ def run_tracking(
     progress
         Called with the fraction done, 0 to 1.
     """
-    report = progress or (lambda part: None)
+    report = progress or (lambda fraction: None)
     count = len(SETTINGS)
     with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
         moderate = pool.submit(_moderate_runs, seeds)
         tuned = {
-            setting.key: _tune(setting, generations, population, lambda part, i=i: report(0.7 * (i + part) / count))
+            setting.key: _tune(
+                setting, generations, population, lambda fraction, i=i: report(0.7 * (i + fraction) / count)
+            )
             for i, setting in enumerate(SETTINGS)
         }
         runs = moderate.result()
@@ -188,7 +190,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
         method=_by_evolution,
         iterations=generations,
         population=population,
-        progress=lambda _, part: progress(part),
+        progress=lambda _, fraction: progress(fraction),
     )
 
 

@@ -34,7 +34,7 @@ from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import Plant
 from mckibben.plant.sensors import PerfectSensors
 from mckibben.plant.state import PlantState
-from mckibben.units import Gravity, show
+from mckibben.units import GRAVITY, Gravity, show
 
 Scalar = Float[Array, ""]
 
@@ -77,7 +77,7 @@ class RobotPlant(Plant):
     robot: Robot
     valve: Actuator
     ground: Ground = Ground()
-    gravity: Gravity = 9.81
+    gravity: Gravity = GRAVITY
 
     def __repr__(self) -> str:
         return f"RobotPlant({self.robot!r}, {type(self.valve).__name__})"

@@ -1,4 +1,5 @@
 from .envelope import Envelope as Envelope
+from .envelope import JointReach as JointReach
 from .envelope import envelope as envelope
 from .requirement import Make as Make
 from .requirement import Requirement as Requirement

@@ -28,7 +28,7 @@ from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
 from mckibben.reachability.requirement import SHORTEST, Make, Requirement, catalog_makes, read_make
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.problem import sampled_reference
@@ -108,11 +108,12 @@ class Selection(Result):
             *self.best.plant.joint.remarks,
         ]
 
-    def listings(self) -> list[Listing]:
-        """Candidates with the intervals of their forces, parts of the best one, and the checks of its run."""
+    @table("candidates")
+    def choices(self) -> TableColumns:
+        """Candidates with the intervals of their forces."""
         torque, stiffness = Column("N*m", digits=3), Column("N*m/rad", digits=3)
         rows = self.candidates
-        columns: dict[str, tuple[Column, Any]] = {
+        return {
             "muscle": (Column(), [row.name for row in rows]),
             "lengths": (Column(), [_lengths_text(row.lengths) for row in rows]),
             "least torque": (torque, [row.torque[0] for row in rows]),
@@ -124,14 +125,17 @@ class Selection(Result):
             "air per cycle": (Column("m^3", shown="L", digits=3), [row.supply.air for row in rows]),
             "limited by": (Column(), [row.limiting for row in rows]),
         }
-        number, part, sizes = zip(*self.parts(), strict=True)
-        parts = {"number": (Column(), number), "part": (Column(), part), "size": (Column(), sizes)}
-        listings = [Listing("candidates", columns), Listing(f"parts of {self.best.name}", parts)]
-        if self.checks:
-            checks = zip(Check._fields, zip(*self.checks, strict=True), strict=True)
-            columns = {name: (Column(), values) for name, values in checks}
-            listings.append(Listing("simulated with these parts", columns))
-        return listings
+
+    @table()
+    def best_parts(self) -> list[Listing]:
+        """Parts of the best candidate."""
+        return [Listing.of(f"parts of {self.best.name}", ("number", "part", "size"), self.parts())]
+
+    @table("simulated with these parts")
+    def simulated_checks(self) -> TableColumns:
+        """Checks of the best candidate's run."""
+        rows = zip(*self.checks, strict=True)
+        return {name: (Column(), list(values)) for name, values in zip(Check._fields, rows, strict=False)}
 
     def write(self, folder: Path) -> None:
         """Write the scenario and the bill of materials."""

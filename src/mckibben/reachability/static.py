@@ -1,8 +1,14 @@
-"""Static envelope of a joint: torque and stiffness attainable at rest, over the angle."""
+"""Static envelope of a joint: torque and stiffness attainable at rest, over the angle.
+
+That of a pair of muscles follows in closed form; that of a joint of a robot whose muscles pass over several joints, by
+linear programs.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,15 +17,21 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.errors import McKibbenError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import SMALL_MOTION
-from mckibben.joint.attainable import cocontraction_segment, is_affine, stiffness_range
+from mckibben.joint.attainable import cocontraction_segment, is_affine, stiffness_range, unattainable
+from mckibben.mechanism.robot import Robot
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
+from mckibben.statics.attainable import held_statics
+from mckibben.statics.posture import HeldPostures, holding_torques
 from mckibben.units import deg
 
 Values = NDArray[np.float64]
+
+_STEPS = 24  # of a range that is scanned by linear programs
 
 SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its end a muscle is slack
 
@@ -38,7 +50,10 @@ class AttainableRange(NamedTuple):
 
 @dataclass(frozen=True)
 class StaticEnvelope:
-    """Torque and stiffness attainable by a plant's joint at rest."""
+    """Torque and stiffness attainable by a joint at rest.
+
+    The joint is one with a pair of muscles; of others pressures and map have no rows, and `limits` are known.
+    """
 
     angles: Values  # shape (angles,) [rad]
     torque: Values  # of the muscles, which balances gravity, shape (angles,) [N*m]
@@ -52,6 +67,19 @@ class StaticEnvelope:
     map_torques: Values  # likewise [N*m]; no columns if nothing is attainable
     map_stiffness: AttainableRange  # on that grid [N*m/rad]
     small_motion: AttainableRange | None = None  # of motion by 0.1 deg at the ends of `stiffness`, with friction
+    limits: tuple[Sequence[str], Sequence[str]] = ((), ())  # muscle and limit at the lowest and the highest stiffness
+    obstacle: str = ""  # why no angle can be held
+
+    @property
+    def limit_texts(self) -> list[str]:
+        """What limits both ends of the stiffness, the most frequent first."""
+        pairs = zip(("lowest", "highest"), self.limits, strict=True)
+        counts = {end: Counter(filter(None, names)).most_common() for end, names in pairs}
+        return [
+            f"{end} stiffness: limited by {' or '.join(name for name, _ in names)}"
+            for end, names in counts.items()
+            if names
+        ]
 
     def __repr__(self) -> str:
         if not self.exists:
@@ -70,9 +98,13 @@ class StaticEnvelope:
         """Mask of the static angles, shape (angles,)."""
         return (self.angles >= self.angle_min) & (self.angles <= self.angle_max)
 
+    def place_of(self, angle: float) -> int:
+        """Index of the tabulated angle nearest to one [rad]."""
+        return int(np.argmin(np.abs(self.angles - angle)))
+
     def at(self, angle: float) -> tuple[float, float]:
         """Lowest and highest stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
-        place = int(np.argmin(np.abs(self.angles - angle)))
+        place = self.place_of(angle)
         return float(self.stiffness.lowest[place]), float(self.stiffness.highest[place])
 
     def table_rows(self) -> NDArray[np.int_]:
@@ -107,10 +139,30 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0, angles: Values | N
     >>> round(found.angle_min / deg, 1), round(found.angle_max / deg, 1)  # there one muscle is stretched by 3 %
     (-10.4, 10.4)
     """
-    affine = is_affine(plant.joint)
+    return pair_envelope(
+        plant.supplied_joint, lambda angle: -plant.load.gravity_torque(angle), about=about, angles=angles
+    )
+
+
+def pair_envelope(
+    joint: AntagonisticJoint,
+    torque_at: Callable[[Values], ArrayLike],
+    *,
+    about: float = 0.0,
+    angles: Values | None = None,
+) -> StaticEnvelope:
+    """Compute the static envelope of a pair of muscles that gives a torque [N*m] over the angle [rad].
+
+    `about` and `angles` are those of `static_envelope`; the domains of the muscles end at the supply.
+    """
+    affine = is_affine(joint)
     angles = np.linspace(-80 * deg, 80 * deg, 641 if affine else 161) if angles is None else angles
     points = scan_points(affine)
-    torque, *limits, stiffness, pressure1, pressure2 = (np.asarray(x) for x in _static_states(plant, angles, points))
+
+    def stiffness_at(angles: Values) -> tuple[Array, ...]:
+        return _static_states(joint, angles, torque_at(angles), points)
+
+    *limits, stiffness, pressure1, pressure2 = map(np.asarray, stiffness_at(angles))
     infeasible = np.asarray(np.isnan(stiffness).all(axis=0))
     low = np.argmin(np.where(np.isnan(stiffness), np.inf, stiffness), axis=0)
     high = np.argmax(np.where(np.isnan(stiffness), -np.inf, stiffness), axis=0)
@@ -122,25 +174,89 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0, angles: Values | N
     grid = _torque_grid(angles, limits, *((81, 33) if affine else (33, 17)))
     ends = pressures(low), pressures(high)
     small = None
-    if plant.joint.has_friction:
-        small = AttainableRange(*(np.asarray(_small_motion_stiffness(plant.joint, angles, end)) for end in ends))
+    if joint.has_friction:
+        small = AttainableRange(*(np.asarray(_small_motion_stiffness(joint, angles, end)) for end in ends))
+    obstacle = ""
+    if infeasible.all():
+        torque = float(np.asarray(torque_at(np.array([about])))[0])
+        obstacle = f"at {about / deg:.4g} deg, {unattainable(joint, about, torque)}"
     return StaticEnvelope(
         angles,
-        torque,
+        np.asarray(torque_at(angles)),
         AttainableRange(*limits),
         AttainableRange(stiffness[low, column], stiffness[high, column]),
         *ends,
-        *_contiguous_range(plant, angles, infeasible, about, points),
+        *_contiguous_range(angles, infeasible, about, lambda angles: np.asarray(stiffness_at(angles)[2])),
         *grid,
-        AttainableRange(*map(np.asarray, stiffness_range(plant.supplied_joint, *grid, None, 0.0))),
+        AttainableRange(*map(np.asarray, stiffness_range(joint, *grid, None, 0.0))),
         small,
+        obstacle=obstacle,
     )
 
 
+def coupled_envelope(robot: Robot, index: int, posture: Sequence[float], supply: float) -> StaticEnvelope:
+    """Compute the static envelope of a joint of a robot by linear programs, the other joints held in a posture [rad].
+
+    The torques of gravity are held in all joints, the base held, and the muscles may be slack. The angles are within
+    the stops.
+    """
+    joint = robot.joints[index]
+    angles = angles_within(float(joint.lower), float(joint.upper), _STEPS)
+    rows = np.tile(np.asarray(posture, float), (angles.size, 1))
+    rows[:, index] = angles
+    torques = holding_torques(robot, rows)
+    postures = HeldPostures.of(robot, rows, torques, supply, minimum_tension=0.0)
+    ends = np.full((4, angles.size), np.nan)
+    limits: tuple[list[str], list[str]] = ([], [])
+    obstacle = ""
+    for place in range(angles.size):
+        names = "", ""
+        try:
+            found = held_statics(postures.posture(place), (joint.name,))[joint.name]
+        except McKibbenError as error:
+            obstacle = obstacle or f"at {angles[place] / deg:.4g} deg, {error}"
+        else:
+            ends[:, place], names = (*found.torque, *found.stiffness), found.limits[2:]
+        for row, name in zip(limits, names, strict=True):
+            row.append(name)
+    infeasible, none = np.isnan(ends[0]), np.empty((0, angles.size))
+    nothing = np.empty((0, 0))
+    return StaticEnvelope(
+        angles,
+        torques[:, index],
+        AttainableRange(ends[0], ends[1]),
+        AttainableRange(ends[2], ends[3]),
+        none,
+        none,
+        *_contiguous_range(angles, infeasible, posture[index]),
+        nothing,
+        nothing,
+        AttainableRange(nothing, nothing),
+        limits=limits,
+        obstacle=obstacle * bool(infeasible.all()),
+    )
+
+
+def angles_within(low: float, high: float, steps: int = 160) -> Values:
+    """Multiples of a quarter, a half or of whole degrees between two angles [rad] in about that many steps, and both.
+
+    >>> (angles_within(-3 * deg, 4.5 * deg, 8) / deg).round(3).tolist()
+    [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 4.5]
+    """
+    finest = (high - low) / deg / steps
+    step = next((size for size in (0.25, 0.5) if size >= finest), math.ceil(finest))
+    inner = np.arange(math.ceil(low / deg / step - 1e-6), math.floor(high / deg / step + 1e-6) + 1) * step * deg
+    ends = [end for end in (low, high) if not np.isclose(inner, end, rtol=0, atol=1e-9).any()]
+    return np.sort(np.concatenate([inner, ends]))
+
+
 def _contiguous_range(
-    plant: JointPlant, angles: Values, infeasible: NDArray[np.bool_], about: float, points: Values
+    angles: Values,
+    infeasible: NDArray[np.bool_],
+    about: float,
+    stiffness_at: Callable[[Values], Values] | None = None,
 ) -> tuple[float, float]:
-    """First infeasible angle on either side of `about`, refined once between grid points."""
+    """First infeasible angle on either side of `about`, refined once between grid points by a stiffness there."""
     if infeasible.all():
         return np.nan, np.nan
     feasible = np.flatnonzero(~infeasible)
@@ -150,8 +266,10 @@ def _contiguous_range(
         if not outside.any():
             return float(outwards[-1])
         at = int(np.argmax(outside))
+        if stiffness_at is None:
+            return float(outwards[at - 1])
         between = np.linspace(outwards[at - 1], outwards[at], angles.size)
-        stiffness = np.asarray(_static_states(plant, between, points)[3])
+        stiffness = stiffness_at(between)
         return float(between[int(np.argmax(np.isnan(stiffness).all(axis=0))) - 1])
 
     return edge(angles[middle::-1], infeasible[middle::-1]), edge(angles[middle:], infeasible[middle:])
@@ -169,21 +287,21 @@ def _torque_grid(angles: Values, torques: list[Values], columns: int, rows: int)
 
 
 @jit
-def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tuple[Array, ...]:
-    """Static torque, attainable torques; stiffness and pressures, (points, angles), NaN where infeasible."""
+def _static_states(
+    joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, points: ArrayLike
+) -> tuple[Array, ...]:
+    """Attainable torques; stiffness and pressures, (points, angles), at a torque, NaN where infeasible."""
     angle, points = floating(angle), floating(points)
-    torque = -plant.load.gravity_torque(angle)
-    joint = plant.supplied_joint
     limits = joint.attainable_torque(angle)
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     pressures, stiffness = segment.at(points[:, None])
-    _, arms = plant.joint.geometry.paths_and_arms(angle)
+    _, arms = joint.geometry.paths_and_arms(angle)
     able = (arms[0] > 0) & (arms[1] > 0)
-    first, last = plant.joint.geometry.angle_range
+    first, last = joint.geometry.angle_range
     if math.isfinite(last - first):  # a measured table
         able &= (angle >= first) & (angle <= last)
     stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
-    return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
+    return *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
 
 
 @jit

@@ -8,6 +8,7 @@ from .identification import ranking as ranking
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
 from .joint import envelope as envelope
+from .joint import felt_stiffness as felt_stiffness
 from .joint import selection as selection
 from .joint import stiffness as stiffness
 from .joint import torque_stiffness_map as torque_stiffness_map
@@ -30,7 +31,6 @@ from .style import house_style as house_style
 from .style import png_of as png_of
 from .style import save as save
 from .tracking import control_results as control_results
-from .tracking import controller_comparison as controller_comparison
 from .tracking import error_curves as error_curves
 from .tracking import gain_histories as gain_histories
 from .tracking import margins as margins

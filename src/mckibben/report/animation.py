@@ -97,8 +97,8 @@ def animate(
     milliseconds = round(1000 * min(result.times[-1] / len(frames), _MOST_FRAMES / _RATE / len(frames)))
     options: Look = {"lossless": True, "quality": 30, "method": 2} if kind == "WEBP" else {}
     options |= {"save_all": True, "append_images": frames[1:], "loop": 0, "duration": max(milliseconds, 20)}
-    with atomic_write(path, overwrite=overwrite) as part:
-        frames[0].save(part, format=kind, **options)
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        frames[0].save(temporary, format=kind, **options)
     return Path(path)
 
 
@@ -120,11 +120,11 @@ def _frames(result: SimulationResult, plant: PyTree) -> list[Image.Image]:
     at = np.linspace(0, len(times) - 1, count).round().astype(int)
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    parts: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.7))
+    halves: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.7))
     draw: PyTree = (_stage_of_robot, _plots_of_robot) if result.joints else (_stage_of_joint, _plots)
-    (artists, update), rows = draw[0](parts[0], result, plant, at), draw[1](parts[1], result)
+    (artists, update), rows = draw[0](halves[0], result, plant, at), draw[1](halves[1], result)
     rows[2].set(xlabel=TIME, xlim=(0, times[-1]))
-    parts[1].align_ylabels(list(rows))
+    halves[1].align_ylabels(list(rows))
     cursors = [axes.axvline(0.0, color="#222222", linewidth=1.2, zorder=9) for axes in rows]
     moving = [*artists, *cursors]
     for artist in moving:

@@ -120,9 +120,9 @@ def _frame(first: Points, last: Points) -> tuple[Points, Points]:
 def _body(first: Points, last: Points, width: float) -> Points:
     """Outline of a muscle: a cylinder with ends that narrow to the fittings over half a diameter."""
     along, across = _frame(first, last)
-    part = min(width / 2 / float(np.linalg.norm(along)), 0.25)
+    share = min(width / 2 / float(np.linalg.norm(along)), 0.25)
     turn = np.linspace(0, np.pi / 2, 9)
-    places = np.concatenate([part * (1 - np.cos(turn)), 1 - part * (1 - np.cos(turn[::-1]))])
+    places = np.concatenate([share * (1 - np.cos(turn)), 1 - share * (1 - np.cos(turn[::-1]))])
     half = width / 2 * (0.45 + 0.55 * np.concatenate([np.sin(turn), np.sin(turn[::-1])]))
     middle = first + places[:, None] * along
     return np.concatenate([middle + half[:, None] * across, (middle - half[:, None] * across)[::-1]])

@@ -57,18 +57,18 @@ def ranking(ranked: Ranking) -> Figure:
         Result of `mckibben.identification.rank`.
     """
     fitted = [entry for entry in ranked.entries if entry.fit]
-    shown = fitted[:_MOST]
-    rows = -(-len(shown) // 3)
+    drawn = fitted[:_MOST]
+    rows = -(-len(drawn) // 3)
     above = 0.26 * max(len(fitted), 3) + 0.9
     figure = blank(DOUBLE, above + 1.75 * rows)
     upper, lower = (
-        figure.add_subfigure(part) for part in figure.add_gridspec(2, 1, height_ratios=[above, 1.75 * rows])
+        figure.add_subfigure(area) for area in figure.add_gridspec(2, 1, height_ratios=[above, 1.75 * rows])
     )
     _errors(upper.subplots(), fitted, ranked)
     levels = ranked.points.pressures / bar
     scale = Normalize(float(levels.min()), float(levels.max()) if len(levels) > 1 else float(levels.min()) + 1)
-    grid = panels(lower, len(shown), 3, sharex=True)
-    for i, (axes, entry) in enumerate(zip(grid, shown, strict=True)):
+    grid = panels(lower, len(drawn), 3, sharex=True)
+    for i, (axes, entry) in enumerate(zip(grid, drawn, strict=True)):
         _residuals(axes, entry, scale)
         letter(axes, i + 1, _short(entry.law))
         if i % 3 == 0:
@@ -219,17 +219,17 @@ def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
         )
     held = held_values(means)
     scale, unit = (bar, "bar") if np.array_equal(held, means.levels) else (1.0, "N")
-    shown = _spread(np.unique(held[fit.tension > 0]))
-    columns = min(3, len(shown))
-    below = 1.75 * -(-len(shown) // columns)
+    levels = _spread(np.unique(held[fit.tension > 0]))
+    columns = min(3, len(levels))
+    below = 1.75 * -(-len(levels) // columns)
     figure = blank(DOUBLE, 3.0 + below)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[3.0, below])
-    upper, lower = parts
+    areas: Any = figure.subfigures(2, 1, height_ratios=[3.0, below])
+    upper, lower = areas
     curves = upper.subplots()
     _forces(curves, means, fit, held)
     letter(curves, 0, "force")
-    grid = panels(lower, len(shown), columns, sharex=True, sharey=True)
-    for i, (axes, level) in enumerate(zip(grid, shown, strict=True)):
+    grid = panels(lower, len(levels), columns, sharex=True, sharey=True)
+    for i, (axes, level) in enumerate(zip(grid, levels, strict=True)):
         error = _loop(axes, means, fit, held, level)
         letter(axes, i + 1, f"{level / scale:.4g} {unit}, RMSE {error:.2g} N")
         axes.set(xlabel=_CONTRACTION, ylabel="friction [N]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from mckibben.reachability import Envelope, Selection, StaticEnvelope, static_envelope
+from mckibben.reachability import Envelope, JointReach, Selection, StaticEnvelope, static_envelope
 from mckibben.reachability.static import Values
 from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
@@ -30,7 +31,7 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessTests
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, StiffnessTests
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _RANGE = "range of stiffness [N·m/rad]"
+_BALANCE = "torque that balances gravity"
 _SAMPLES_APART = 100
 _SHOWN_RANGE = 1.3  # of the required angles
 _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of valves
@@ -65,8 +67,8 @@ def attainable_stiffness(
     grid = figure.subplots(1, len(joints), squeeze=False)[0]
     for i, (axes, (name, static)) in enumerate(zip(grid, joints.items(), strict=True)):
         _band(axes, static, color="#BFD9EA", label="attainable in static equilibrium")
-        own = (references or {}).get(name, {})
-        for (reference, result), color in zip(own.items(), (BLACK, ORANGE, VERMILLION), strict=False):
+        curves = (references or {}).get(name, {})
+        for (reference, result), color in zip(curves.items(), (BLACK, ORANGE, VERMILLION), strict=False):
             desired = result["desired_angle"] / deg, result["desired_stiffness"]
             axes.plot(*desired, color=color, linewidth=1.4, label=f"desired stiffness, {reference}", zorder=4)
         first, last = static.angle_min / deg, static.angle_max / deg
@@ -137,22 +139,26 @@ _STATIC = "#DCE9F2"
 
 @styled
 def envelope(envelope: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, and its reference.
+    """Attainable set of the joints of a scenario, and their reference.
 
-    Panels: torque that balances gravity over the angle, with the width of the stiffness range [N*m/rad] as contours;
-    stiffness over the angle; stiffness and angle over time, each with its static range.
+    Panels of a scenario of one joint: torque that balances gravity over the angle, with the width of the stiffness
+    range [N*m/rad] as contours; stiffness over the angle; stiffness and angle over time, each with its static range. A
+    robot has a row for each joint: torque and stiffness over its angle, the others held, and stiffness over time.
 
     Parameters
     ----------
     envelope
         Result of `mckibben.reachability.envelope`.
     """
+    if "" not in envelope.joints:
+        return _of_joints(envelope.joints)
+    reach = envelope.only
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
-    _torque(figure, torque, envelope)
-    _over_angle(stiffness, envelope)
-    _over_time(over_time, envelope)
-    _angle(angle, envelope)
+    _torque(figure, torque, reach)
+    _over_angle(stiffness, reach)
+    _over_time(over_time, reach)
+    _angle(angle, reach)
     titles = ("torque and stiffness range", "static stiffness", "stiffness along the reference", "angle")
     for i, (axes, title) in enumerate(zip(figure.axes, titles, strict=False)):
         letter(axes, i, title)
@@ -160,28 +166,57 @@ def envelope(envelope: Envelope) -> Figure:
     return figure
 
 
-def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
+def _of_joints(joints: Mapping[str, JointReach]) -> Figure:
+    """Draw torque and stiffness over the angle, and the stiffness over time, one row per joint."""
+    timed = any(reach.reference for reach in joints.values())
+    figure = blank(DOUBLE, 1.5 * len(joints) + 0.9)
+    rows = figure.subplots(len(joints), 2 + timed, squeeze=False, sharex="col" if len(joints) == 1 else False)
+    for row, (name, reach) in zip(rows, joints.items(), strict=True):
+        static, inside = reach.static, reach.static.inside
+        angles, limits = static.angles[inside] / deg, [edge[inside] for edge in static.torque_range]
+        draw_band(row[0], angles, *limits, color=_STATIC, label="attainable, static")
+        row[0].plot(
+            angles, static.torque[inside], color=VERMILLION, linewidth=1.1, label="torque that balances gravity"
+        )
+        row[0].set_ylabel(name)
+        _over_angle(row[1], reach)
+        if reach.reference is not None:
+            _over_time(row[2], reach)
+        for axes in row:
+            axes.set_xlabel("")
+        row[1].set_ylabel("")
+        row[-1].set_ylabel("")
+    titles = ("torque [N·m]", _STIFFNESS, _STIFFNESS)
+    for axes, title, label in zip(rows[0], titles, (_ANGLE, _ANGLE, "time [s]"), strict=False):
+        axes.set_title(title)
+        rows[-1, list(rows[0]).index(axes)].set_xlabel(label)
+    legend_above(figure, *rows[0], columns=4)
+    return figure
+
+
+def _torque(figure: Figure, axes: Axes, reach: JointReach) -> None:
     """Draw the torque [N*m] that balances gravity over the width of the stiffness range."""
-    static = envelope.static
+    static = reach.static
     angles, torque = static.angles[static.inside] / deg, static.torque[static.inside]
     if static.map_angles.size:
         drawn = _contours(axes, static, np.nan_to_num(static.map_stiffness.width), 10, "cividis")
         figure.colorbar(drawn, ax=axes, label=_RANGE, pad=0.02)
     axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
-    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque that balances gravity")
+    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label=_BALANCE)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
 
 
-def _over_angle(axes: Axes, envelope: Envelope) -> None:
+def _over_angle(axes: Axes, reach: JointReach) -> None:
     """Draw the static stiffness range over the angle; with friction on a logarithmic axis."""
-    static, reference = envelope.static, envelope.reference
+    static, reference = reach.static, reach.reference
     inside = static.inside
     if inside.any():
         _band(axes, static, color=_STATIC, label="attainable, static")
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
-    desired = reference.desired_stiffness
-    axes.plot(reference.desired_angle / deg, desired, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
+    desired = np.empty(0) if reference is None else reference.desired_stiffness
+    if reference is not None:  # back and forth: no dashes
+        axes.plot(reference.desired_angle / deg, desired, color=BLACK, linewidth=0.9, zorder=3)
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     if static.small_motion is None:
         _limits(axes, *(edge[inside] for edge in static.stiffness), desired)
@@ -201,9 +236,10 @@ def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None
         axes.plot(angles, edge[inside], color=BLUE, linewidth=0.9, linestyle=(0, (1, 1.2)), label=label)
 
 
-def _over_time(axes: Axes, envelope: Envelope) -> None:
+def _over_time(axes: Axes, reach: JointReach) -> None:
     """Draw stiffness range and reference [N*m/rad] over time [s]."""
-    reference = envelope.reference
+    reference = reach.reference
+    assert reference is not None
     times, desired = reference.times, reference.desired_stiffness
     draw_band(axes, times, reference.lowest, reference.highest, color=_STATIC, label="attainable, static")
     axes.plot(times, desired, label="reference", **DESIRED)
@@ -211,19 +247,56 @@ def _over_time(axes: Axes, envelope: Envelope) -> None:
     _limits(axes, reference.lowest, reference.highest, desired)
 
 
-def _angle(axes: Axes, envelope: Envelope) -> None:
+def _angle(axes: Axes, reach: JointReach) -> None:
     """Draw the reference of the angle [deg] over time, and the range in which the load can be held."""
-    static, times = envelope.static, envelope.reference.times
+    static, reference = reach.static, reach.reference
+    assert reference is not None
     if static.angle_min <= static.angle_max:
         axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
-    axes.plot(times, envelope.reference.desired_angle / deg, label="reference", **DESIRED)
-    axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(times[0], times[-1]))
+    axes.plot(reference.times, reference.desired_angle / deg, label="reference", **DESIRED)
+    axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(reference.times[0], reference.times[-1]))
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
     """Limit an axis to the curves, with at least 5 % of the largest value as its range."""
     largest = max(float(np.abs(curve[np.isfinite(curve)]).max(initial=0.0)) for curve in curves)
     axes.set_ylim(*robust_limits(curves, part=0.98, floor=0.05 * largest))
+
+
+@styled
+def felt_stiffness(result: FeltStiffness) -> Figure:
+    """Stiffness [N*m/rad] that a push feels over its frequency, one panel per joint, on logarithmic axes.
+
+    Dashed: isobaric stiffness, which is controlled; dotted: that of small motion at constant pressures, with friction.
+
+    Parameters
+    ----------
+    result
+        Result of `mckibben.study.stiffness.stiffness_tests`, or of a robot.
+    """
+    columns = min(len(result.felt), 3)
+    rows = math.ceil(len(result.felt) / columns)
+    figure = blank(DOUBLE if columns > 1 else 0.6 * DOUBLE, 2.3 * rows + 0.7)
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in grid[len(result.felt) :]:
+        axes.set_visible(False)
+    for i, (axes, (name, felt)) in enumerate(zip(grid, result.felt.items(), strict=False)):
+        push = f"felt by a push{f' of {felt.torque:g} N·m' * (columns == 1)}"
+        axes.plot(felt.frequency, felt.magnitude, "o-", color=VERMILLION, label=push)
+        axes.axhline(felt.isobaric, color=BLUE, linestyle=(0, (4, 2)), label="isobaric: what is controlled")
+        if felt.small_motion > 0:
+            look: Look = {"color": BLACK, "linestyle": (0, (1, 1.5))}
+            axes.axhline(felt.small_motion, label="motion by 0.1° at constant pressures", **look)
+        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]")
+        axes.set_ylim(bottom=0.5 * min(felt.isobaric, felt.magnitude.min()))
+        plain_numbers(axes.xaxis)
+        plain_numbers(axes.yaxis)
+        if name:
+            letter(axes, i, f"{name}, {felt.torque:g} N·m")
+    for axes in grid[::columns]:
+        axes.set_ylabel(_STIFFNESS)
+    legend_above(figure, grid[0], columns=1 if columns == 1 else 3)
+    return figure
 
 
 @styled
@@ -369,13 +442,13 @@ def valve_calibration(calibration: ValveCalibration) -> Figure:
     for number, ((over_time, over_error), recording) in enumerate(zip(rows, recordings, strict=True)):
         assert recording.commands is not None
         simulated, time = calibration.simulate(recording), recording.time - recording.time[0]
-        shown = (time >= _FROM) & (time <= _FROM + _LENGTH)
+        window = (time >= _FROM) & (time <= _FROM + _LENGTH)
         for place, muscle in enumerate(calibration.muscles):
             color, measured = MUSCLES[muscle], recording.pressures[:, muscle]
-            over_time.plot(time[shown], recording.commands[shown, muscle] / bar, color=BLACK, linewidth=0.7)
-            over_time.plot(time[shown], measured[shown] / bar, color=color, linewidth=2.4, alpha=0.35)
+            over_time.plot(time[window], recording.commands[window, muscle] / bar, color=BLACK, linewidth=0.7)
+            over_time.plot(time[window], measured[window] / bar, color=color, linewidth=2.4, alpha=0.35)
             label = f"muscle {muscle + 1}"
-            over_time.plot(time[shown], simulated[shown, place] / bar, color=color, linewidth=0.9, label=label)
+            over_time.plot(time[window], simulated[window, place] / bar, color=color, linewidth=0.9, label=label)
             error = (measured - simulated[:, place]) / kPa
             over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=color, linewidth=0.5)
         letter(over_time, 2 * number, "commands (black), measured (pale) and simulated")

@@ -122,9 +122,9 @@ def point_ellipses(
     attainable = attainable_point_stiffness(robot, angles, torques, levels=levels, force=held, point=point)
     if found is None or found.stiffness is None or found.wanted is None:
         ordered = sorted(attainable, key=lambda stiffness: np.trace(stiffness.compliance))
-        shown = {"softest": ordered[-1], "stiffest": ordered[0]}
+        ellipses = {"softest": ordered[-1], "stiffest": ordered[0]}
     else:
-        shown = {"attained": found.stiffness, "desired": stiffness_of(np.linalg.inv(found.wanted))}
+        ellipses = {"attained": found.stiffness, "desired": stiffness_of(np.linalg.inv(found.wanted))}
     planes = _planes(robot)
     figure = blank(DOUBLE * (0.8 if robot.is_planar else 1.0), 3.0)
     posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
@@ -134,7 +134,7 @@ def point_ellipses(
     posture_axes.margins(x=0.6, y=0.1)
     letter(posture_axes, 0, "posture")
     for number, (axes, (along, plane)) in enumerate(zip(others, planes.items(), strict=True), 1):
-        _ellipses(axes, plane, attainable, shown, force)
+        _ellipses(axes, plane, attainable, ellipses, force)
         axes.set(xlabel=f"{along} [mm]", ylabel="up [mm]" if number == 1 else "")
         letter(axes, number, f"point under {force:g} N" + (" in all directions" if robot.is_planar else ""))
     legend_above(figure, *others)
@@ -151,12 +151,12 @@ def _ellipses(
     axes: Axes,
     plane: tuple[int, int],
     attainable: Sequence[PointStiffness],
-    shown: Mapping[str, PointStiffness],
+    ellipses: Mapping[str, PointStiffness],
     force: float,
 ) -> None:
     """Displacements of the foot in a plane: grey what is attainable, and two in colours, the second dashed."""
     curves = [("attainable", stiffness, BAND, "-") for stiffness in attainable]
-    curves += [(name, stiffness, *look) for (name, stiffness), look in zip(shown.items(), _LOOKS, strict=True)]
+    curves += [(name, stiffness, *look) for (name, stiffness), look in zip(ellipses.items(), _LOOKS, strict=True)]
     for name, stiffness, colour, line in curves:
         outline = stiffness.ellipse(force, plane=plane)[list(plane)] / mm
         axes.plot(*outline, color=colour, linestyle=line, linewidth=0.8 if colour == BAND else 1.2, label=name)
@@ -192,10 +192,10 @@ def posture(
         x, y, z = (place / mm).tolist()
         axes.text(x, y, z, f"   {', '.join(names)}")
     highest = robot.highest_pressure
-    known = {} if pressures is None else dict(zip(robot.muscle_names, pressures, strict=True))
+    levels = {} if pressures is None else dict(zip(robot.muscle_names, pressures, strict=True))
     for name, path in lines.muscles.items():
-        axes.plot(*(path.T / mm), color=colours(float(known[name]) / highest) if known else GREY, linewidth=2)
-    if known:
+        axes.plot(*(path.T / mm), color=colours(float(levels[name]) / highest) if levels else GREY, linewidth=2)
+    if levels:
         scale = ScalarMappable(Normalize(0, highest / bar), colours)
         figure.colorbar(scale, ax=axes, label="pressure [bar]", shrink=0.6, pad=0.12)
     half = set_space(axes, [*lines.bodies, *lines.muscles.values()])
@@ -237,9 +237,9 @@ def robot_tracking(run: SimulationResult) -> Figure:
     count, time = len(run.joints), run["time"]
     figure = blank(DOUBLE, 1.4 * (count + 1) + 0.6)
     grid = figure.add_gridspec(count + 1, 3)
-    angles, wanted = run["angle"] / deg, run["desired_angle"] / deg
+    angles, desired = run["angle"] / deg, run["desired_angle"] / deg
     titles = ("angle [deg]", "angle error [deg]", "stiffness [N·m/rad]")
-    columns = ((angles, wanted), (angles - wanted, None), (run["stiffness"], run["desired_stiffness"]))
+    columns = ((angles, desired), (angles - desired, None), (run["stiffness"], run["desired_stiffness"]))
     for j, (title, (values, reference)) in enumerate(zip(titles, columns, strict=True)):
         for i, name in enumerate(run.joints):
             axes = figure.add_subplot(grid[i, j])

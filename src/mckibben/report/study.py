@@ -72,8 +72,8 @@ def tuning(tuned: TuneResult) -> Figure:
     for row, column in zip(rows, points[good].T, strict=True):
         places_axes.plot(column, np.full(column.size, row), "|", color=BLUE, markersize=7, alpha=0.25)
     places_axes.plot(points[np.argmin(costs)], rows, "D", color=VERMILLION, markersize=4)
-    shown = [name.removeprefix("controller.") if len(names) <= 12 else "" for name in names]
-    places_axes.set(xlim=(-0.03, 1.03), ylim=(-0.7, len(names) - 0.3), yticks=rows, yticklabels=shown)
+    labels = [name.removeprefix("controller.") if len(names) <= 12 else "" for name in names]
+    places_axes.set(xlim=(-0.03, 1.03), ylim=(-0.7, len(names) - 0.3), yticks=rows, yticklabels=labels)
     places_axes.set_xticks([0, 0.5, 1], ["lower end", "middle", "upper end"])
     places_axes.set_xlabel("blue: within 10 % of the lowest cost", fontsize=7)
     places_axes.grid(False)
@@ -139,9 +139,9 @@ def sweep(swept: SweepResult) -> Figure:
     return figure
 
 
-def _title(swept: SweepResult, shown: int) -> str:
+def _title(swept: SweepResult, drawn: int) -> str:
     """Numbers of runs, of unstable runs, and of inputs that are not shown."""
-    lost, left_out = int(swept.failed.sum()), len(swept.inputs) - shown
+    lost, left_out = int(swept.failed.sum()), len(swept.inputs) - drawn
     unstable = f", {lost} unstable" if lost else ""
     others = f"; {left_out} input{'s' if left_out > 1 else ''} with weaker correlation not shown" if left_out else ""
     return f"{swept.count} runs{unstable}{others}"
@@ -184,7 +184,7 @@ def _metric(axes: Axes, swept_input: _Input, swept: SweepResult, metric: str) ->
 
 def _median(axes: Axes, swept_input: _Input, y: NDArray[np.float64]) -> None:
     middles, members = zip(*swept_input.bins(), strict=True)
-    low, median, high = np.array([np.percentile(y[part], [5, 50, 95]) for part in members]).T
+    low, median, high = np.array([np.percentile(y[bin_members], [5, 50, 95]) for bin_members in members]).T
     label = "90 % of nearby runs"
     axes.fill_between(middles, low, high, facecolor="#1111111A", edgecolor="#111111", linewidth=0.5, label=label)
     halo = [Stroke(linewidth=2.8, foreground="white"), Normal()]
@@ -255,9 +255,9 @@ def _scale(plan: ExperimentPlan) -> LogNorm:
 def _shade(axes: Axes, plan: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: Colormap) -> None:
     x, y = plan.map.states.contractions / percent, plan.map.states.pressures / bar
     unknown = np.ma.masked_where(~np.isinf(errors), np.ones_like(errors))
-    shown = np.ma.masked_where(~np.isfinite(errors), errors)
+    finite = np.ma.masked_where(~np.isfinite(errors), errors)
     axes.pcolormesh(x, y, unknown, cmap=ListedColormap([_UNKNOWN]), rasterized=True, shading="nearest")
-    axes.pcolormesh(x, y, shown, norm=scale, cmap=colours, rasterized=True, shading="nearest")
+    axes.pcolormesh(x, y, finite, norm=scale, cmap=colours, rasterized=True, shading="nearest")
     axes.set_facecolor(_OUT)
     axes.grid(False)
 

@@ -168,9 +168,9 @@ def looks_of(names: Iterable[str]) -> dict[str, Look]:
     (True, False)
     """
     names = list(names)
-    known = {name: CONTROLLERS[name] for name in names if name in CONTROLLERS}
-    fixed = {name: {key: look[key] for key in ("color", "linestyle")} for name, look in known.items()}
-    colors = {look["color"] for look in known.values()}
+    fixed_looks = {name: CONTROLLERS[name] for name in names if name in CONTROLLERS}
+    fixed = {name: {key: look[key] for key in ("color", "linestyle")} for name, look in fixed_looks.items()}
+    colors = {look["color"] for look in fixed_looks.values()}
     spare = itertools.cycle(sorted(_SPARE, key=lambda look: look["color"] in colors))
     return {name: fixed.get(name) or next(spare) for name in names}
 
@@ -206,8 +206,10 @@ def draw_points(axes: Axes, data: IsobaricDataset, values: NDArray[np.float64], 
         Options of `Axes.plot`.
     """
     for direction, mask in by_direction(data):
-        own: Look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"}) | {"linestyle": ""} | look
-        axes.plot(data.contraction[mask] / percent, values[mask], label=f"{direction} {label}".strip() or None, **own)
+        appearance: Look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"}) | {"linestyle": ""} | look
+        axes.plot(
+            data.contraction[mask] / percent, values[mask], label=f"{direction} {label}".strip() or None, **appearance
+        )
 
 
 @styled
@@ -244,11 +246,11 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: 
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         axis.set_major_locator(FixedLocator(axis.get_majorticklocs().tolist()))  # found once instead of some ten times
     # `Figure.savefig` would draw everything twice
-    with atomic_write(png, overwrite=True) as part:
-        FigureCanvasAgg(figure).print_png(part, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+    with atomic_write(png, overwrite=True) as temporary:
+        FigureCanvasAgg(figure).print_png(temporary, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
     if not preview:
-        with atomic_write(svg, overwrite=True) as part:
-            FigureCanvasSVG(figure).print_svg(part, metadata={"Date": None, "Creator": None})
+        with atomic_write(svg, overwrite=True) as temporary:
+            FigureCanvasSVG(figure).print_svg(temporary, metadata={"Date": None, "Creator": None})
     return png, svg
 
 

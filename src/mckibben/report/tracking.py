@@ -1,4 +1,4 @@
-"""Figures of tracking runs: time traces, errors (Fig. 8) and controllers over seeds."""
+"""Figures of tracking runs: time traces and errors (Fig. 8)."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.report.palette import BLACK, BLUE, GREEN, MEASURED, MUSCLES, PURPLE, VERMILLION
 from mckibben.report.robot import robot_tracking
 from mckibben.report.style import (
-    CONTROLLERS,
     DESIRED,
     DOUBLE,
     Look,
@@ -34,7 +32,6 @@ from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_ban
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
-    from mckibben.paper.tracking import ControllerRun
     from mckibben.simulation import Margins
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
@@ -257,8 +254,8 @@ def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[n
     settled = {name: result.metrics["stiffness_settling"] for name, result in runs.items()}
     length = float(np.clip(2.5 * np.nanmax([*settled.values(), 0.04]), 0.1, 1.0))  # s
     axes.set_xlim(start - length / 8, start + length)
-    shown = (times >= start) & (times <= start + length)
-    low, high = robust_limits([_stiffness_error(r)[shown] for r in runs.values()], part=1.0, margin=0.08)
+    window = (times >= start) & (times <= start + length)
+    low, high = robust_limits([_stiffness_error(r)[window] for r in runs.values()], part=1.0, margin=0.08)
     axes.set_ylim(low, high)
     looks = looks_of(runs)
     for name, value in settled.items():
@@ -278,55 +275,11 @@ def _stiffness_error(result: SimulationResult) -> NDArray[np.float64]:
     return result["stiffness"] - result["desired_stiffness"]
 
 
-_METRICS = (
-    ("angle_rmse", "angle RMSE [deg]", deg),
-    ("stiffness_rmse", "stiffness RMSE [N·m/rad]", 1.0),
-    ("stiffness_settling", "stiffness settling time [s]", 1.0),
-)
 _GAINS = {
     "kp": {"color": BLACK, "linestyle": "-"},
     "ki": {"color": GREEN, "linestyle": "--"},
     "kd": {"color": PURPLE, "linestyle": ":"},
 }
-
-
-@styled
-def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, ControllerRun]]]) -> Figure:
-    """Errors and settling time of controllers: median over seeds (dot) and worst seed (end of the line).
-
-    One row of panels per geometry: RMSE of angle [deg] and of stiffness [N*m/rad], and settling time of the stiffness
-    [s]. Controllers with unstable seeds, or that never settle, have their number in place of the dot.
-
-    Parameters
-    ----------
-    runs
-        Runs with the metrics of all seeds by geometry, stiffness reference (two at most: filled and white dots) and
-        controller.
-    """
-    figure = blank(DOUBLE, 2.5 * len(runs) + 0.5)
-    grid = figure.subplots(len(runs), len(_METRICS), squeeze=False, sharey="row")
-    for i, (geometry, references) in enumerate(runs.items()):
-        names = list(dict.fromkeys(name for controllers in references.values() for name in controllers))
-        names.sort(key=lambda name: list(CONTROLLERS).index(name) if name in CONTROLLERS else len(CONTROLLERS))
-        for j, (metric, label, unit) in enumerate(_METRICS):
-            axes = grid[i, j]
-            _dots(axes, references, names, metric, unit)
-            axes.margins(x=0.08)  # of logarithmic axes, whose outer dots would be cut off
-            axes.set(xlabel=label)
-            axes.set_yticks(range(len(names)), names)
-            axes.set_ylim(len(names) - 0.4, -0.6)
-            axes.tick_params(axis="y", length=0)
-            axes.grid(axis="y", visible=False)
-            letter(axes, len(_METRICS) * i + j, geometry)
-    references = next(iter(runs.values()))
-    grey: Look = {"linestyle": "", "color": "#444444"}
-    handles = [
-        Line2D([], [], marker="o", markersize=5, markerfacecolor=face, label=f"{name} stiffness", **grey)
-        for name, face in zip(references, ("#444444", "white"), strict=False)
-    ]
-    handles.append(Line2D([], [], color="#444444", linewidth=1.6, alpha=0.6, label="median to worst seed"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
-    return figure
 
 
 @styled
@@ -349,9 +302,9 @@ def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Fig
             for gain, look in _GAINS.items():
                 values = result[f"{loop}_{gain}"]
                 if values[0] != 0:  # a loop without this part
-                    parts = np.array_split(values / values[0], min(200, len(values)))
-                    times = [float(part.mean()) for part in np.array_split(result.times, len(parts))]
-                    low, mean, high = np.transpose([(part.min(), part.mean(), part.max()) for part in parts])
+                    spans = np.array_split(values / values[0], min(200, len(values)))
+                    times = [float(span.mean()) for span in np.array_split(result.times, len(spans))]
+                    low, mean, high = np.transpose([(span.min(), span.mean(), span.max()) for span in spans])
                     axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
                     axes.plot(times, mean, label=gain, **look)
             for bound in (ratio, 1 / ratio):
@@ -360,26 +313,6 @@ def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Fig
             axes.set(ylabel="gain / base gain [-]" if i == 0 else "", xlabel="time [s]" if row else "")
     legend_above(figure, *grid.ravel())
     return figure
-
-
-def _dots(
-    axes: Axes, references: Mapping[str, Mapping[str, ControllerRun]], names: list[str], metric: str, unit: float
-) -> None:
-    """Median and worst value of a metric by controller (row) and stiffness reference (filled or white dot)."""
-    runs = [(name, k, run) for k, controllers in enumerate(references.values()) for name, run in controllers.items()]
-    for name, k, run in runs:
-        look: Look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
-        row, color, median = names.index(name) + (-0.17 if k == 0 else 0.17), look["color"], run.median(metric) / unit
-        if run.unstable or not np.isfinite(median):
-            text = f"{run.unstable} unstable" if run.unstable else "never"
-            axes.annotate(text, (1, row), xycoords=axes.get_yaxis_transform(), ha="right", va="center", fontsize=6.5)
-        if 2 * run.unstable <= (0 if run.seeds is None else np.size(run.seeds.angle_rmse)):
-            worst = median if run.unstable else run.worst(metric) / unit
-            axes.plot([median, worst], [row] * 2, color=color, linewidth=1.8, alpha=0.55)
-            dot = look | {"linestyle": "", "markersize": 5, "markeredgewidth": 1.1, "zorder": 3}
-            axes.plot(median, row, markerfacecolor=color if k == 0 else "white", **dot)
-    axes.set_xscale("log")
-    plain_numbers(axes.xaxis)
 
 
 @styled

@@ -30,7 +30,8 @@ class Channel(NamedTuple):
     Attributes
     ----------
     name
-        "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output.
+        "force", "pressure", "angle", "pressure1", "angle.hip" ... of an input; "valve", "valve1", "valve.hip1" ... of
+        an output.
     unit
         SI unit of its values.
     low, high
@@ -44,6 +45,15 @@ class Channel(NamedTuple):
     low: float = -math.inf
     high: float = math.inf
     where: str = ""
+
+    @property
+    def quantity(self) -> str:
+        """Its name without that of the joint or muscle, such as "pressure".
+
+        >>> [Channel(name, "Pa").quantity for name in ("pressure", "pressure1", "pressure.hip1")]
+        ['pressure', 'pressure', 'pressure']
+        """
+        return self.name.partition(".")[0].rstrip("12")
 
 
 class ScaledChannel(ConfigModel):
@@ -208,7 +218,7 @@ class Backend(abc.ABC):
         try:
             self.open()
             for channel in (*self.inputs, *self.outputs):
-                unit = _UNITS.get(channel.name.rstrip("12"), channel.unit)
+                unit = _UNITS.get(channel.quantity, channel.unit)
                 if channel.unit != unit:
                     message = f"{channel.name} is in {channel.unit}, and has to be in {unit}"
                     raise RigError(message, field=channel.name, remedy="give its gain, offset and range in SI")

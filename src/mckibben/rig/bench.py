@@ -84,7 +84,7 @@ class RigLimits(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits(Checked):
-    """Limits of a joint rig; a single sample beyond one of them stops the run and vents both muscles.
+    """Limits of a joint rig; a single sample beyond one of them stops the run and vents all muscles.
 
     Parameters
     ----------

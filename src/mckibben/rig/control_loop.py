@@ -8,27 +8,26 @@ import math
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import PyTree
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.channels import Channels
 from mckibben.rig.compiled import ControlProgram
-from mckibben.rig.joint_record import COMMANDED_AT, COMMANDS, READING, REFERENCE, JointReading, Phase, columns
+from mckibben.rig.joint_record import COMMANDED_AT, Phase, RowLayout, columns
 from mckibben.rig.record import Recorder
 from mckibben.rig.safety import MOST_READ, PROBED, JointMonitor, StopFlag
 from mckibben.units import bar, deg
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
 _SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
-
-VALVES = "valve1", "valve2"
-"""Outputs of a joint rig."""
 
 VENTED = 0.2 * bar
 """Below this pressure [Pa] a muscle counts as vented."""
@@ -44,7 +43,7 @@ class RunPlan:
     Parameters
     ----------
     references
-        Angle [rad] and stiffness [N*m/rad] at the start of each period, shape (periods, 2).
+        Angles [rad] and stiffnesses [N*m/rad] of the joints at the start of each period, shape (periods, 2 * joints).
     period
         Control period [s].
     raising
@@ -56,7 +55,9 @@ class RunPlan:
     command_limits
         Lowest and highest command of each muscle [Pa].
     probing, torques
-        Periods of the probe before the ramp, and torques of the muscles in it, see `ChannelProbe`; 0 for none.
+        Periods of the probe before the ramp, and torques of the muscles in it, see `ChannelProbe`.
+    channels, ranges
+        Names of joints and muscles, and limits by input that differ from those of all, see `JointMonitor`.
 
     Examples
     --------
@@ -69,10 +70,12 @@ class RunPlan:
     period: float
     raising: int
     settling: int
-    pressures: tuple[float, float]
-    command_limits: tuple[tuple[float, float], tuple[float, float]]
+    pressures: tuple[float, ...]
+    command_limits: tuple[tuple[float, float], ...]
     probing: int = 0
-    torques: tuple[float, float] = (0.0, 0.0)
+    torques: ArrayLike = ()
+    channels: Channels = Channels()
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def periods(self) -> int:
@@ -98,10 +101,10 @@ class RunProgress(NamedTuple):
     ----------
     time, duration
         Time and duration [s].
-    phase, reading
-        Phase of the run, and latest reading.
-    reference
-        Reference angle [rad].
+    phase, angles, pressures
+        Phase of the run, and latest angles [rad] and pressures [Pa].
+    references
+        Reference angles [rad]; none before the controller runs.
     missed
         Number of missed deadlines.
     """
@@ -109,8 +112,9 @@ class RunProgress(NamedTuple):
     time: float
     duration: float
     phase: Phase
-    reading: JointReading
-    reference: float
+    angles: Sequence[float]
+    pressures: Sequence[float]
+    references: Sequence[float]
     missed: int
 
 
@@ -127,9 +131,9 @@ class RunOutcome:
     error
         The error that stopped it.
     vented_after
-        Time from the vent until both pressures were below 0.2 bar [s]; None if that was not measured.
+        Time from the vent until all pressures were below 0.2 bar [s]; None if that was not measured.
     remaining
-        The higher pressure [Pa] as last measured after the vent; None if it was not.
+        The highest pressure [Pa] as last measured after the vent; None if it was not.
     """
 
     kind: str
@@ -151,7 +155,7 @@ class RunOutcome:
         if self.vented_after is None:
             left = f"{self.remaining / bar:.3g} bar were last measured after the vent, within {_VENTING:g} s"
             return f"{left}: the valves are slow or do not vent, check before touching it"
-        return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
+        return f"all muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 
 
 @contextlib.contextmanager
@@ -268,21 +272,24 @@ def _channels(backend: Backend, plan: RunPlan) -> tuple[list[int], list[int]]:
             remedy="set its patience to several periods",
         )
     inputs, outputs = ([channel.name for channel in channels] for channels in (backend.inputs, backend.outputs))
-    if not {*JointReading._fields} <= {*inputs} or sorted(outputs) != [*VALVES]:
+    readings, valves = plan.channels.readings, plan.channels.valves
+    if not {*readings} <= {*inputs} or sorted(outputs) != sorted(valves):
+        what = "robot" if plan.channels.is_named else "joint"
         raise RigError(
             f"the inputs of the rig are {', '.join(inputs)}, its outputs {', '.join(outputs)}",
-            remedy=f"a joint needs {', '.join(JointReading._fields)}, and {' and '.join(VALVES)} alone",
+            remedy=f"a {what} needs {', '.join(readings)}, and {' and '.join(valves)} alone",
         )
-    lowest, highest = zip(*plan.command_limits, strict=True)
-    for valve in backend.outputs:
-        if not valve.low <= min(*lowest, 0.0) or not max(highest) <= valve.high:
+    numbers = [valves.index(name) for name in outputs]
+    for valve, number in zip(backend.outputs, numbers, strict=True):
+        lowest, highest = plan.command_limits[number]
+        if not valve.low <= min(lowest, 0.0) or not highest <= valve.high:
             raise RigError(
                 f"{valve.name} gives {valve.low / bar:g}..{valve.high / bar:g} bar, and commands go up to "
-                f"{max(highest) / bar:g} bar",
+                f"{highest / bar:g} bar",
                 field=valve.name,
                 remedy="use another valve, or lower the rated pressure",
             )
-    return [inputs.index(name) for name in JointReading._fields], [VALVES.index(name) for name in outputs]
+    return [inputs.index(name) for name in readings], numbers
 
 
 MOVED = 0.5 * deg
@@ -293,86 +300,100 @@ _TAUT = 0.01  # N*m, least torque of a muscle that is not slack
 
 @dataclass(eq=False)
 class ChannelProbe:
-    """Check of sensors, valves and supply: vented, muscle 1, vented, muscle 2, each for a quarter of the time.
+    """Check of sensors, valves and supply: vented, muscle 1, vented, muscle 2, ... each for an equal part of the time.
 
-    The means over the second half of each quarter are compared: by at least half of the set pressure, the sensor of the
-    muscle has to follow, and the other must not.
+    The means over the second half of each part are compared: by at least half of the set pressure, the sensor of the
+    muscle has to follow, and no other must. The joints must not move against the torques of the muscle: the work of the
+    torques of the one that is filled is positive in any stable rest.
 
     Parameters
     ----------
     periods
         Control periods of the whole probe.
     torques
-        Torque of each muscle at that pressure [N*m], of which the sign counts; 0 for a slack one.
-    probed
-        Whether each muscle takes air.
+        Torque [N*m] of each muscle at that pressure, shape (muscles,), or on each joint, shape (muscles, joints).
+    command_limits
+        Lowest and highest command [Pa] of each muscle; one that takes no air is not probed.
+    channels
+        Names of joints and muscles.
     """
 
     periods: int
-    torques: tuple[float, float]
-    probed: Sequence[bool]
-    _quarter: int = field(default=0, init=False)
-    _readings: list[JointReading] = field(default_factory=list, init=False)
-    _vented: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3), init=False)
+    torques: ArrayLike
+    command_limits: Sequence[tuple[float, float]]
+    channels: Channels = Channels()
+    _part: int = field(default=0, init=False)
+    _readings: list[Sequence[float]] = field(default_factory=list, init=False)
+    _vented: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), init=False)
 
-    def commands(self, number: int, reading: JointReading) -> tuple[float, float]:
+    @property
+    def parts(self) -> int:
+        """Number of the parts."""
+        return 2 * len(self.channels.muscles)
+
+    def commands(self, number: int, reading: Sequence[float]) -> list[float]:
         """Take the reading of a period, and return its commands [Pa].
 
         Raises
         ------
         StoppedError
-            As `finish`, at the end of a quarter.
+            As `finish`, at the end of a part.
         """
-        quarter, place = divmod(4 * number, self.periods)
-        if quarter != self._quarter:
+        part, place = divmod(self.parts * number, self.periods)
+        if part != self._part:
             self.finish()
-            self._quarter = quarter
+            self._part = part
         if 2 * place >= self.periods:
             self._readings.append(reading)
-        return PROBED * (quarter == 1), PROBED * (quarter == 3)
+        return [PROBED * (part == 2 * muscle + 1) for muscle in range(len(self.channels.muscles))]
 
     def finish(self) -> None:
-        """Check the readings of the quarter so far; nothing without readings.
+        """Check the readings of the part so far; nothing without readings.
 
         Raises
         ------
         StoppedError
-            If the sensor of the muscle does not follow, that of the other does, or the joint moves the wrong way.
+            If the sensor of the muscle does not follow, another one does, or the joints move the wrong way.
         """
         if not self._readings:
             return
         means, self._readings = np.mean(self._readings, axis=0), []
-        muscle, pressurised = divmod(self._quarter, 2)
+        muscle, pressurised = divmod(self._part, 2)
         if not pressurised:
             self._vented = means
-        elif self.probed[muscle]:
+        elif self.command_limits[muscle][1] >= PROBED:
             self._check(muscle, means - self._vented)
 
     def _check(self, muscle: int, change: NDArray[np.float64]) -> None:
-        """Check the change of angle and pressures by a muscle."""
-        number, other = muscle + 1, 2 - muscle
-        follows, disturbed = change[number] >= PROBED / 2, change[other] >= PROBED / 2
-        with_muscle = f"with {PROBED / bar:g} bar set at muscle {number}"
+        """Check the change of angles and pressures by a muscle."""
+        joints, names = len(self.channels.joints), self.channels.by_muscle("pressure")
+        angles, pressures = change[:joints], change[joints:]
+        other = int(np.argmax(np.where(np.arange(len(names)) == muscle, -np.inf, pressures)))
+        follows = pressures[muscle] >= PROBED / 2
+        disturbed = other != muscle and pressures[other] >= PROBED / 2
+        with_muscle = f"with {PROBED / bar:g} bar set at {self.channels.valves[muscle]}"
         if disturbed or not follows:
-            remedy = f"check the supply, valve {number}, its hose, and the wiring of pressure sensor {number}"
+            remedy = f"check the supply, {self.channels.valves[muscle]}, its hose, and the wiring of {names[muscle]}"
             if disturbed:
-                remedy = "check whether both muscles share a hose or a sensor"
+                remedy = f"check whether {names[muscle]} and {names[other]} share a hose or a sensor"
             if disturbed and not follows:
                 remedy = "the pressure sensors are swapped, or the valves: exchange two of them"
             raise StoppedError(
-                f"{with_muscle}, pressure {number} rises by {change[number] / bar:.2f} bar and pressure {other} by "
-                f"{change[other] / bar:.2f} bar",
-                field=f"pressure{number}",
-                value=float(change[number]),
+                f"{with_muscle}, {names[muscle]} rises by {pressures[muscle] / bar:.2f} bar and {names[other]} by "
+                f"{pressures[other] / bar:.2f} bar",
+                field=names[muscle],
+                value=float(pressures[muscle]),
                 unit="Pa",
                 remedy=remedy,
             )
-        torque = self.torques[muscle]
-        if abs(torque) > _TAUT and change[0] * np.sign(torque) < -MOVED:
+        torques = np.reshape(self.torques, (len(names), joints))[muscle]
+        strongest = int(np.argmax(np.abs(torques)))
+        if abs(torques[strongest]) > _TAUT and angles @ torques < -MOVED * abs(torques[strongest]):
+            name = self.channels.by_joint("angle")[strongest]
             raise StoppedError(
-                f"{with_muscle}, the angle moves by {change[0] / deg:.2g} deg, against the muscle",
-                field="angle",
-                value=float(change[0]),
+                f"{with_muscle}, {name} moves by {angles[strongest] / deg:.2g} deg, against the muscle",
+                field=name,
+                value=float(angles[strongest]),
                 unit="rad",
                 remedy="check the direction of the angle sensor, and whether the muscles are swapped",
             )
@@ -397,20 +418,22 @@ class ControlLoop:
     progress: Callable[[RunProgress], None] | None
 
     def __post_init__(self) -> None:
-        plan = self.plan
+        plan, joints, muscles = self.plan, *map(len, self.plan.channels)
         self._columns, self._valves = _channels(self.backend, plan)
-        self.monitor = JointMonitor(self.backend, self.limits, plan.period)
-        self._no_command = [math.nan] * (len(columns(self.program.telemetry)) - REFERENCE.start)
+        self.monitor = JointMonitor(self.backend, self.limits, plan.period, plan.channels, plan.ranges)
+        self._layout = RowLayout.of(plan.channels)
+        count = len(columns(self.program.telemetry, plan.channels)) - self._layout.references.start
+        self._no_command = [math.nan] * count
         self._next = 0  # number of the next sample
         self._begun = 0  # that of the plan's first period
         self._delay = math.inf  # shortest delay of a sample [s]
         self._missed = 0
-        self._probe = ChannelProbe(plan.probing, plan.torques, [high >= PROBED for _, high in plan.command_limits])
-        self._ramp_start: tuple[float, float] | None = None
-        self._state: Any = None  # of the controller
+        self._probe = ChannelProbe(plan.probing, plan.torques, plan.command_limits, plan.channels)
+        self._ramp_start: list[float] | None = None
+        self._state: PyTree = None  # of the controller
         self._stepped: int | None = None  # sample of its last step
-        self._inputs = np.zeros(6)
-        self._commands: tuple[float, float] | None = None
+        self._inputs = np.zeros(3 * joints + muscles + 1)
+        self._commands: tuple[float, ...] | None = None
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
@@ -435,18 +458,18 @@ class ControlLoop:
             self.record_venting(block)
 
     def _wait_for_rest(self) -> None:
-        """Wait until the vented joint hangs still for a quarter of the probe, which compares angles.
+        """Wait until the vented joints hang still for a part of the probe, which compares angles.
 
-        It may swing beyond its limits until then.
+        They may swing beyond their limits until then.
         """
-        quarter = math.ceil(self.plan.probing / 4)
-        angles: deque[float] = deque(maxlen=quarter)
-        while len(angles) < quarter or max(angles) - min(angles) > MOVED:
+        names, periods = self.plan.channels.by_joint("angle"), math.ceil(self.plan.probing / self._probe.parts)
+        angles: deque[list[float]] = deque(maxlen=periods)
+        while len(angles) < periods or (moved := np.ptp(angles, axis=0)).max() > MOVED:
             self.stop_flag.check()
             if self._next * self.plan.period > _RESTING:
                 raise StoppedError(
-                    f"the vented joint moves by {(max(angles) - min(angles)) / deg:.2g} deg",
-                    field="angle",
+                    f"{names[moved.argmax()]} of the vented rig moves by {moved.max() / deg:.2g} deg",
+                    field=names[moved.argmax()],
                     remedy="hold it still, or check the angle sensor",
                 )
             block = self.backend.read(self._waiting(), timeout=self.monitor.limits.silence)
@@ -455,7 +478,8 @@ class ControlLoop:
             self.monitor.heartbeat()
             self._next = self._begun = block.first + len(block.time)
             self.recorder.append(rows)
-            angles.extend(row[READING.start] for row in rows)
+            first = self._layout.readings.start
+            angles.extend(row[first : first + len(names)] for row in rows)
 
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""
@@ -482,18 +506,20 @@ class ControlLoop:
         number = self._next - 1 - self._begun
         if number >= plan.periods:  # the last samples were dropped
             return
-        reading = JointReading(*rows[-1][READING])
-        reference = self._act(number, rows[-1], reading)
+        reading = rows[-1][self._layout.readings]
+        references = self._act(number, rows[-1], reading)
         monitor.heartbeat()
         commanded = rows[-1][COMMANDED_AT] = self.backend.clock()
         self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
-        self._report(times[last], number, reading, reference)
+        self._report(times[last], number, reading, references)
 
-    def _report(self, time: float, number: int, reading: JointReading, reference: float) -> None:
+    def _report(self, time: float, number: int, reading: Sequence[float], references: Sequence[float]) -> None:
         """Report the progress after a period."""
         if self.progress is not None:
             duration, phase = self.plan.periods * self.plan.period, self.plan.phase(number)
-            self.progress(RunProgress(time, duration, phase, reading, reference, self._missed))
+            joints = len(self.plan.channels.joints)
+            read = reading[:joints], reading[joints:]
+            self.progress(RunProgress(time, duration, phase, *read, references, self._missed))
 
     def _rows(self, block: Block, clock: float, *, venting: bool = False) -> list[list[float]]:
         """Rows of samples, without commands."""
@@ -506,17 +532,16 @@ class ControlLoop:
             rows.append([time, number, phase, clock, math.nan, *reading, *self._no_command])
         return rows
 
-    def _act(self, number: int, row: list[float], reading: JointReading) -> float:
-        """Set the valves; return the reference angle [rad]."""
-        plan = self.plan
-        angle, pressure1, pressure2 = reading
+    def _act(self, number: int, row: list[float], reading: Sequence[float]) -> Sequence[float]:
+        """Set the valves; return the reference angles [rad]."""
+        plan, joints = self.plan, len(self.plan.channels.joints)
         if number < plan.probing:
             return self._open_loop(self._probe.commands(number, reading), row)
         self._probe.finish()
         number -= plan.probing
         if number < plan.raising:
             if self._ramp_start is None:
-                self._ramp_start = max(pressure1, 0.0), max(pressure2, 0.0)
+                self._ramp_start = [max(pressure, 0.0) for pressure in reading[joints:]]
             part = (number + 1) / plan.raising
             ramp = [start + part * (end - start) for start, end in zip(self._ramp_start, plan.pressures, strict=True)]
             return self._open_loop(ramp, row)
@@ -525,30 +550,35 @@ class ControlLoop:
             self._state = self.program.init(*reading)
             self._stepped = number - 1
         inputs = self._inputs
-        inputs[0:2] = reference
-        inputs[2], inputs[3], inputs[4] = angle, pressure1, pressure2
-        inputs[5] = (number - self._stepped) * plan.period
+        inputs[: 2 * joints] = reference
+        inputs[2 * joints : -1] = reading
+        inputs[-1] = (number - self._stepped) * plan.period
         self._stepped = number
         self._state, values = self.program.step(self._state, inputs)
-        commands, limited = self._command(values[:2].tolist())
-        row[REFERENCE.start :] = [*reference.tolist(), *commands, float(limited), *values[2:].tolist()]
-        return float(reference[0])
+        muscles = len(self._valves)
+        commands, limited = self._command(values[:muscles].tolist())
+        row[self._layout.references.start :] = [
+            *reference.tolist(),
+            *commands,
+            float(limited),
+            *values[muscles:].tolist(),
+        ]
+        return reference[:joints].tolist()
 
-    def _open_loop(self, pressures: Sequence[float], row: list[float]) -> float:
+    def _open_loop(self, pressures: Sequence[float], row: list[float]) -> Sequence[float]:
         """Set the valves without the controller; return that there is no reference."""
         commands, _ = self._command(pressures)
-        row[COMMANDS] = [*commands, 0.0]
-        return math.nan
+        first = self._layout.commands.start
+        row[first : first + len(commands) + 1] = [*commands, 0.0]
+        return ()
 
-    def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:
+    def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, ...], bool]:
         """Command pressures [Pa] within their limits; return the commands, and whether they were limited."""
-        first, second = pressures
-        if not (math.isfinite(first) and math.isfinite(second)):
-            raise StoppedError(
-                f"the controller commands {first:g} and {second:g} Pa", remedy="simulate the scenario first"
-            )
-        (low1, high1), (low2, high2) = self.plan.command_limits
-        commands = min(max(first, low1), high1), min(max(second, low2), high2)
+        if not all(map(math.isfinite, pressures)):
+            texts = " and ".join(f"{pressure:g}" for pressure in pressures)
+            raise StoppedError(f"the controller commands {texts} Pa", remedy="simulate the scenario first")
+        limits = zip(pressures, self.plan.command_limits, strict=True)
+        commands = tuple(min(max(pressure, low), high) for pressure, (low, high) in limits)
         self.backend.set_valves([commands[i] for i in self._valves])
         self._commands = commands
-        return commands, commands != (first, second)
+        return commands, commands != tuple(pressures)

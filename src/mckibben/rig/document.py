@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from jaxtyping import PyTree
 from pydantic import Field
 
 from mckibben.component.base import Checked, Component, Inherited
@@ -50,7 +51,7 @@ class MountedMuscle(Component):
     strength: Strength | None = None
     correction: ForceCorrection | None = None
 
-    def muscle(self, **others: Any) -> Muscle:
+    def muscle(self, **others: PyTree) -> Muscle:
         """Return the muscle, or one with other parts."""
         fields = {name: getattr(self, name) for name in ("friction", "creep", "strength", "correction")} | others
         law = fields.pop("law", self.law)

@@ -5,35 +5,24 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
+from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import compiled
 from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
-from mckibben.muscle import NoCreep, NoFriction
+from mckibben.muscle import MuscleState, NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
-from mckibben.result import Column, Listing
+from mckibben.plant.robot_plant import RobotPlant
+from mckibben.result import Column, Listing, Remark
+from mckibben.rig.channels import Channels
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
-from mckibben.simulation.loop import Record
+from mckibben.simulation.result import columns_of_run
+from mckibben.simulation.trajectories import Record
 from mckibben.storage import mcap
-
-
-class JointReading(NamedTuple):
-    """Reading of a joint.
-
-    Attributes
-    ----------
-    angle
-        Measured angle [rad].
-    pressure1, pressure2
-        Measured gauge pressures [Pa].
-    """
-
-    angle: float
-    pressure1: float
-    pressure2: float
 
 
 class Phase(enum.IntEnum):
@@ -46,39 +35,139 @@ class Phase(enum.IntEnum):
     VENTING = 3
 
 
-_OWN = (
+_SAMPLE = (
     ("time", "s", "float64"),
     ("sample", "1", "int64"),
     ("phase", "1", "int8"),
     ("read_at", "s", "float64"),
     ("commanded_at", "s", "float64"),
-    ("angle", "rad", "float64"),
-    ("pressure1", "Pa", "float64"),
-    ("pressure2", "Pa", "float64"),
-    ("desired_angle", "rad", "float64"),
-    ("desired_stiffness", "N*m/rad", "float64"),
-    ("command1", "Pa", "float64"),
-    ("command2", "Pa", "float64"),
-    ("limited", "1", "float64"),
 )
-COMMANDED_AT, READING, REFERENCE, COMMANDS = 4, slice(5, 8), slice(8, 10), slice(10, 13)
-"""Places in a row."""
+COMMANDED_AT = 4
+"""Place in a row."""
 
 
-def columns(telemetry: Sequence[str]) -> list[mcap.Column]:
+class RowLayout(NamedTuple):
+    """Places of the readings, the references and the commands in a row; `limited` follows the commands."""
+
+    readings: slice
+    references: slice
+    commands: slice
+
+    @classmethod
+    def of(cls, channels: Channels) -> RowLayout:
+        """Layout of the rows of a rig."""
+        joints, muscles = len(channels.joints), len(channels.muscles)
+        first, second = len(_SAMPLE) + joints + muscles, len(_SAMPLE) + 3 * joints + muscles
+        return cls(slice(len(_SAMPLE), first), slice(first, second), slice(second, second + muscles))
+
+
+def columns(telemetry: Sequence[str], channels: Channels = Channels()) -> list[mcap.Column]:  # noqa: B008
     """Columns of a record; the telemetry of the controller has the prefix ``controller_``.
 
     Without a command, those from `commanded_at` on are NaN, but for the reading.
     """
-    reported = [mcap.Column(f"controller_{name}", attributes(name).get("units", "")) for name in telemetry]
-    return [*(mcap.Column(*column) for column in _OWN), *reported]
+    parts = (
+        (channels.by_joint("angle"), "rad"),
+        (channels.by_muscle("pressure"), "Pa"),
+        (channels.by_joint("desired_angle"), "rad"),
+        (channels.by_joint("desired_stiffness"), "N*m/rad"),
+        (channels.by_muscle("command"), "Pa"),
+        (("limited",), "1"),
+        *(((f"{_PREFIX}{name}",), attributes(name.partition(".")[0]).get("units", "")) for name in telemetry),
+    )
+    values = (mcap.Column(name, unit, "float64") for names, unit in parts for name in names)
+    return [*(mcap.Column(*column) for column in _SAMPLE), *values]
 
 
 _PREFIX = "controller_"
 
 
+class MeasuredRun(NamedTuple):
+    """Columns of a record in the run of the reference, without gaps, and the telemetry of the controller."""
+
+    table: dict[str, NDArray[np.float64]]
+    telemetry: dict[str, NDArray[np.float64]]
+
+    @classmethod
+    def of(cls, columns: Mapping[str, NDArray[np.float64]]) -> MeasuredRun | None:
+        """Run of a record; None if it did not begin."""
+        whole = _every_period(columns)
+        run = whole["phase"] == Phase.RUN
+        if int(run.sum()) < 2:
+            return None
+        table = {name: values[run] for name, values in whole.items()}
+        telemetry = {name.removeprefix(_PREFIX): table[name] for name in table if name.startswith(_PREFIX)}
+        telemetry |= {"saturated": telemetry["saturated"] != 0} if "saturated" in telemetry else {}
+        return cls(table, telemetry)
+
+    def rows(self, names: Sequence[str]) -> tuple[NDArray[np.float64], ...]:
+        """Columns by name."""
+        return tuple(self.table[name] for name in names)
+
+
+def measured_robot(
+    columns: Mapping[str, NDArray[np.float64]],
+    plant: RobotPlant,
+    start: PlantState,
+    channels: Channels,
+    period: float,
+    *,
+    scenario: str = "",
+    notes: tuple[Remark, ...] = (),
+) -> SimulationResult | None:
+    """Return the result of a recorded run of a robot; None without a run.
+
+    Parameters
+    ----------
+    columns
+        Columns of the record, shape (rows,).
+    plant, start
+        Plant, by whose laws stiffness and forces are computed, and its state at the start.
+    channels, period
+        Names of joints and muscles, and control period [s].
+    scenario, notes
+        Text of the scenario, and what it does not attain.
+    """
+    run = MeasuredRun.of(columns)
+    if run is None:
+        return None
+    readings = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
+    velocities = tuple(np.gradient(angle, period) for angle in readings[0])
+    states = _states((plant, start), (readings[0], velocities, readings[1]))
+    telemetry: dict[str, PyTree] = {}
+    for name, values in run.telemetry.items():
+        quantity, of, _ = name.partition(".")
+        telemetry[quantity] = (*telemetry.get(quantity, ()), values) if of else values
+    record = Record(states, run.rows(channels.by_muscle("command")), run.table["limited"] != 0, telemetry)  # type: ignore[arg-type]
+    desired = zip(*(run.rows(channels.by_joint(f"desired_{name}")) for name in ("angle", "stiffness")), strict=True)
+    setpoints = tuple(Setpoint(*values) for values in desired)  # type: ignore[arg-type]
+    unknown = np.full((len(readings[0]), len(run.table["time"])), np.nan)
+    joints, muscles = (tuple(end.removeprefix(".") for end in ends) for ends in channels)
+    return SimulationResult(
+        columns_of_run(plant, setpoints, record, lambda: unknown, None, None, "auto"),
+        period,
+        scenario,
+        angle_resolution=float(plant.sensors.angle_resolution),
+        notes=lambda: [*notes],
+        joints=joints,
+        muscles=muscles,
+    )
+
+
+@compiled
+def _states(robot: tuple[RobotPlant, PlantState], lanes: PyTree) -> PlantState:
+    """States at angles [rad], velocities [rad/s] and pressures [Pa], over the last axis, with the base at its start."""
+    plant, start = robot
+    angles, velocities, pressures = lanes
+    like = plant.mechanism.like_joints
+    position, velocity = like(angles, start.position), like(velocities, start.velocity)
+    muscles, friction = (MuscleState((), ()),) * len(pressures), ()
+    bare = start._replace(position=position, velocity=velocity, pressures=pressures, muscles=muscles, friction=friction)
+    return plant.complete_state(bare)
+
+
 def measured_result(
-    columns: Mapping[str, NDArray[Any]],
+    columns: Mapping[str, NDArray[np.float64]],
     plant: JointPlant,
     reach: Feasibility,
     period: float,
@@ -101,20 +190,16 @@ def measured_result(
     scenario
         Text of the scenario.
     """
-    whole = _every_period(columns)
-    run = whole["phase"] == Phase.RUN
-    count = int(run.sum())
-    if count < 2:
+    run = MeasuredRun.of(columns)
+    if run is None:
         return None
-    table = {name: values[run] for name, values in whole.items()}
-    telemetry = {name.removeprefix(_PREFIX): table[name] for name in table if name.startswith(_PREFIX)}
-    telemetry |= {"saturated": telemetry["saturated"] != 0} if "saturated" in telemetry else {}
-    velocity: Any = np.gradient(table["angle"], period)
-    angle, pressure1, pressure2 = (cast(Any, table[name]) for name in ("angle", "pressure1", "pressure2"))
-    state = PlantState(angle, velocity, (pressure1, pressure2))
+    table, telemetry = run
+    velocity: PyTree = np.gradient(table["angle"], period)
+    angle, *pressures = cast(list[Array], run.rows(Channels().readings))
+    state = PlantState(angle, velocity, tuple(pressures))  # type: ignore[arg-type]
     record = Record(state, (table["command1"], table["command2"]), table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
-    nothing = np.full(count, np.nan)
+    nothing, count = np.full(len(table["time"]), np.nan), len(table["time"])
     moved = compute_trajectory(_by_laws(plant), references, record, nothing, stiffness_amplitude)
     moved = moved._replace(air=(nothing, nothing))  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
@@ -125,7 +210,7 @@ def measured_result(
     return dataclasses.replace(result, feasibility=reach)
 
 
-def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _every_period(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Columns without gaps: a missing sample or command has the previous value."""
     sample = columns["sample"]
     if not sample.size:
@@ -197,7 +282,7 @@ class Timing(NamedTuple):
         return Listing(title, {"time": (Column(), list(spreads)), **times})
 
     @classmethod
-    def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:
+    def of(cls, columns: Mapping[str, NDArray[np.float64]], period: float) -> Timing:
         """Return the timing of the closed loop in the columns of a record.
 
         Parameters

@@ -5,8 +5,9 @@ from __future__ import annotations
 import abc
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
+from jaxtyping import PyTree
 from pydantic import Field
 
 from mckibben.component.base import Checked
@@ -14,14 +15,15 @@ from mckibben.component.classes import Keyed
 from mckibben.component.schema import ComponentField, section_of
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import Plant
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.channels import Channels
 from mckibben.rig.modbus import ModbusBackend, RegisterMap
 from mckibben.rig.ni import Card, NiBackend
 from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
 from mckibben.scenario import Scenario
-from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
+from mckibben.units import Angle, AngleStep, BoundedInt, Duration, PositivePressure, PressureNoise, WaitTime
 
 
 class RunConditions(NamedTuple):
@@ -38,17 +40,23 @@ class RunConditions(NamedTuple):
     paced
         Whether it runs in real time.
     start
-        State at which it starts, with ideal sensors. Default: vented, with its own sensors.
+        State at which it starts. Default: vented.
+    ideal
+        Whether sensors are ideal.
     digest
         SHA-256 of the scenario.
+    channels
+        Names of joints and muscles.
     """
 
     period: float
     patience: float
     substeps: int = 4
     paced: bool = True
-    start: PlantState | None = None
+    start: PyTree = None
+    ideal: bool = False
     digest: bytes = b""
+    channels: Channels = Channels()
 
 
 class JointHardware(Keyed, Checked, abc.ABC):
@@ -58,7 +66,7 @@ class JointHardware(Keyed, Checked, abc.ABC):
     """Whether it moves a real joint."""
 
     @abc.abstractmethod
-    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+    def backend(self, plant: Plant, run: RunConditions) -> Backend:
         """Return the backend, closed.
 
         Parameters
@@ -89,13 +97,14 @@ class SimulatedJointSettings(JointHardware):
     pressure_noise: PressureNoise = Sensing.pressure_noise
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
-    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+    def backend(self, plant: Plant, run: RunConditions) -> Backend:
         return SimulatedJoint(
             plant,
             period=run.period,
             substeps=run.substeps,
             start=run.start,
-            sensing=Sensing(self.angle_step, self.pressure_noise) if run.start is None else PERFECT,
+            channels=run.channels,
+            sensing=PERFECT if run.ideal else Sensing(self.angle_step, self.pressure_noise),
             patience=run.patience,
             paced=run.paced,
             seed=self.seed,
@@ -110,7 +119,7 @@ class CardJoint(JointHardware):
 
     card: Path
 
-    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+    def backend(self, plant: Plant, run: RunConditions) -> Backend:
         return NiBackend(Card.read(self.card), rate=1 / run.period)
 
 
@@ -132,7 +141,7 @@ class SerialJoint(JointHardware):
     baud: Annotated[int, BoundedInt(1200, 10_000_000)] = 1_000_000
     firmware: Path | None = None
 
-    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+    def backend(self, plant: Plant, run: RunConditions) -> Backend:
         from mckibben.rig.serial_line import SerialBackend
 
         digest = run.digest if self.firmware is None else Scenario.read(self.firmware).digest
@@ -147,18 +156,30 @@ class ModbusJoint(JointHardware):
 
     registers: Path
 
-    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+    def backend(self, plant: Plant, run: RunConditions) -> Backend:
         return ModbusBackend(RegisterMap.read(self.registers), rate=1 / run.period)
 
 
 class JointLimitsSettings(section_of(JointLimits, partial=True)):
-    """Safety limits: by default 10 deg beyond references, start and vented joint, 5 % above the rated pressure."""
+    """Safety limits of all joints and muscles, by default those of each.
+
+    They are 10 deg beyond its references, its start and its vented angle, and 5 % above its rated pressure.
+    """
+
+
+class OwnLimits(ConfigModel):
+    """Limits of one joint or muscle of a robot, in place of those of all."""
+
+    lowest_angle: Angle | None = None
+    highest_angle: Angle | None = None
+    pressure: PositivePressure | None = None
 
 
 class ApproachSettings(ConfigModel):
     """Approach: in `probing` each muscle of a physical joint alone is filled to 0.5 bar to check its sensor.
 
-    In `raising` the pressures are ramped to the start, in `settling` the first reference is held.
+    That is the time for two muscles; a robot of six takes three times as long. In `raising` the pressures are ramped to
+    the start, in `settling` the first reference is held.
     """
 
     probing: WaitTime = 2.0
@@ -167,7 +188,9 @@ class ApproachSettings(ConfigModel):
 
 
 class JointRig(DocumentModel):
-    """Configuration of a joint rig, in SI; `read` reads a file with units.
+    """Configuration of the rig of a joint or a robot, in SI; `read` reads a file with units.
+
+    `limits_of` has limits of single joints and muscles of a robot, by name.
 
     Examples
     --------
@@ -182,6 +205,7 @@ class JointRig(DocumentModel):
     name: Title = Field("simulated joint", examples=["knee on the bench"])
     rig: Annotated[JointHardware, ComponentField(JointHardware)] = Field(examples=["simulated"])
     limits: JointLimitsSettings = JointLimitsSettings()
+    limits_of: dict[str, OwnLimits] = Field(default_factory=dict)
     approach: ApproachSettings = ApproachSettings()
     patience: Duration = 0.1
 
@@ -190,6 +214,6 @@ class JointRig(DocumentModel):
         """Whether it moves a real joint."""
         return self.rig.physical
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Explicit fields with units, for the record."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True, context={"folder": Path()})

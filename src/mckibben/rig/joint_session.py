@@ -3,32 +3,48 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+from jaxtyping import PyTree
+from numpy.typing import NDArray
 
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
-from mckibben.plant import JointPlant
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.numerics.calculus import evenly_spaced
+from mckibben.plant import Plant
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.rig.backend import Backend, ChannelStatus
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.compiled import ControlProgram, probing_torques, vented_angle
+from mckibben.rig.channels import Channels
+from mckibben.rig.compiled import (
+    ControlProgram,
+    angles_of,
+    probing_torques,
+    rated_commands,
+    starting_state,
+    vented_state,
+)
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
-from mckibben.rig.joint_record import Timing, columns, measured_result
+from mckibben.rig.joint_record import Timing, columns, measured_result, measured_robot
 from mckibben.rig.joint_rig import JointRig, RunConditions
 from mckibben.rig.record import Recorder, read_record, segments, software_versions
 from mckibben.rig.safety import PROBED, stop_on_signals
-from mckibben.rig.simulated.joint import rated_commands
 from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
+from mckibben.simulation.problem import sampling_times
+from mckibben.statics.reference import check_postures
+from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg, ms
 
 _BEYOND = 10 * deg  # of the angle limits beyond the reference
+_POSTURES = 25  # of a robot's reference that are checked
 _ABOVE = 1.05  # pressure limit over the rated pressure
 
 
@@ -69,7 +85,7 @@ class JointRunResult(Result):
             yield Remark.severe("run", self.outcome.text)
         yield from self.result.remarks() if self.result else ()
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """Outcome of the run and of its venting, and the metrics of the motion."""
         own: dict[str, tuple[Column, object]] = {
             "ended": (Column(title="end of the run"), self.outcome.kind),
@@ -78,9 +94,9 @@ class JointRunResult(Result):
         }
         return own | (self.result.declared() if self.result else {})
 
-    def listings(self) -> Iterator[Listing]:
-        """The metrics of the motion, and the timing of a paced run."""
-        yield from self.result.listings() if self.result else ()
+    @table()
+    def timing_of_paced(self) -> Iterator[Listing]:
+        """The timing of a paced run."""
         if self.paced:
             yield self.timing.listing(f"{self.priority} priority")
 
@@ -96,8 +112,8 @@ class JointSession:
 
     Parameters
     ----------
-    scenario, plant, reach
-        The scenario, its plant, and the feasibility of its reference.
+    scenario, plant, start, reach
+        The scenario, its plant and their start, and what of its reference is attainable: for a robot, remarks.
     backend, limits
         Backend of the rig, and its safety limits.
     plan, program
@@ -106,14 +122,15 @@ class JointSession:
         Header of the record.
     """
 
-    scenario: Scenario
-    plant: JointPlant
-    reach: Feasibility
+    scenario: Scenario | RobotScenario
+    plant: Plant
+    start: PyTree
+    reach: Feasibility | tuple[Remark, ...]
     backend: Backend
     limits: JointLimits
     plan: RunPlan
     program: ControlProgram
-    header: Mapping[str, Any]
+    header: Mapping[str, object]
 
     def status(self) -> Iterator[ChannelStatus]:
         """Status of each channel, and of the line; limits in time that allow too much."""
@@ -125,10 +142,22 @@ class JointSession:
             yield ChannelStatus("limits", "", self.leniency)
 
     @property
+    def warnings(self) -> Iterator[str]:
+        """What of the reference is not attainable, and limits in time that allow too much."""
+        if isinstance(self.reach, tuple):
+            yield from (remark.text for remark in self.reach)
+        elif not self.reach.feasible:
+            yield self.reach.verdict()
+        if self.leniency:
+            yield self.leniency
+
+    @property
     def leniency(self) -> str:
         """Warning if a physical joint can cross its range of angles in the time for which samples may be late."""
         limits, wait = self.limits, max(self.limits.late, self.limits.silence)
-        travel, room = wait * limits.angle_rate, limits.highest_angle - limits.lowest_angle
+        ranges = self.plan.ranges if self.plan else {}
+        rooms = [high - low for name, (low, high) in ranges.items() if name.startswith("angle")]
+        travel, room = wait * limits.angle_rate, min([limits.highest_angle - limits.lowest_angle, *rooms])
         if not self.backend.physical or travel < room:
             return ""
         allowed = f"late: {limits.late / ms:g} ms and silence: {limits.silence / ms:g} ms hide a slow line"
@@ -161,7 +190,7 @@ class JointSession:
             header = {**self.header, "priority": priority}
             attached = {"scenario.yaml": self.scenario.dumps().encode()}
             try:
-                with Recorder(folder, header, columns(self.program.telemetry), attached) as recorder:
+                with Recorder(folder, header, self.columns, attached) as recorder:
                     outcome = control(
                         self.backend,
                         self.program,
@@ -178,25 +207,34 @@ class JointSession:
                     outcome = dataclasses.replace(outcome, kind="rig", text=str(error), error=error)
         if not segments(folder):  # it was removed
             raise StoppedError(f"stopped: {outcome.text}; {outcome.venting}")
-        table = read_record(folder).columns
-        period = self.plan.period
-        text = self.scenario.dumps()
-        result = measured_result(
-            table, self.plant, self.reach, period, self.scenario.controller.stiffness_amplitude, scenario=text
-        )
-        return JointRunResult(outcome, result, Timing.of(table, period), self.backend.paced, priority)
+        table, period = read_record(folder).columns, self.plan.period
+        return JointRunResult(outcome, self.measured(table), Timing.of(table, period), self.backend.paced, priority)
+
+    @property
+    def columns(self) -> list[mcap.Column]:
+        """Columns of the record."""
+        return columns(self.program.telemetry, self.plan.channels)
+
+    def measured(self, table: Mapping[str, NDArray[np.float64]]) -> SimulationResult | None:
+        """Result of the columns of a record; None if the run did not begin."""
+        text, period = self.scenario.dumps(), self.plan.period
+        if isinstance(self.reach, Feasibility):
+            amplitude = self.scenario.controller.stiffness_amplitude  # type: ignore[union-attr]
+            return measured_result(table, self.plant, self.reach, period, amplitude, scenario=text)  # type: ignore[arg-type]
+        named = {"scenario": text, "notes": self.reach}
+        return measured_robot(table, self.plant, self.start, self.plan.channels, period, **named)  # type: ignore[arg-type]
 
 
 def prepare(
-    scenario: Scenario,
+    scenario: Scenario | RobotScenario,
     rig: JointRig | None = None,
     *,
     source: str = "",
     paced: bool = True,
     ideal: bool = False,
-    firmware: Scenario | None = None,
+    firmware: Scenario | RobotScenario | None = None,
 ) -> JointSession:
-    """Check and compile a scenario for a rig (default: the simulated joint).
+    """Check and compile a scenario for a rig (default: the simulated joint or robot).
 
     Parameters
     ----------
@@ -215,46 +253,42 @@ def prepare(
     ScenarioError
         If parts of the scenario contradict each other, or a calibration cannot be read.
     """
-    rig = rig or JointRig.parse("rig: simulated")
+    rig, source = rig or JointRig.parse("rig: simulated"), source or scenario.name
     if ideal and rig.physical:
         raise ScenarioError(rig.name, [Problem("is not a simulated joint", remedy="leave --ideal out")])
-    with _building(source or scenario.name, "joint, load or valve"):
+    period, channels = scenario.control_period, Channels.of(scenario)
+    with _building(source, "joint, load or valve"):
         plant = scenario.plant()
-        hanging = vented_angle(plant)
-    with _building(source or scenario.name, "controller"):
-        controller = scenario.control().with_period(scenario.control_period)
-        if controller.samples_ahead:
+    with _building(source, "start"):
+        start = starting_state(scenario, plant)
+    with _building(source, "joint, load or valve"):
+        vented = vented_state(plant, start)
+    with _building(source, "controller"):
+        controller = scenario.control().with_period(period)
+        if getattr(controller, "samples_ahead", 0):
             message, remedy = "a rig gives no setpoints ahead", "leave preview out"
             raise RangeError(message, field="controller.preview", remedy=remedy)
-        program = ControlProgram(controller)
-    period = scenario.control_period
-    with _building(source or scenario.name, "start"):
-        start = scenario.initial(plant)
-        reach = check_reference(
-            plant,
-            scenario.reference(),
-            duration=scenario.duration,
-            control_period=period,
-            stiffness_amplitude=scenario.controller.stiffness_amplitude,
-        )
-    _, setpoints = sampled(scenario.reference(), scenario.duration, period)
-    references = np.stack([np.asarray(setpoints.angle), np.asarray(setpoints.stiffness)], axis=1)
-    approach = rig.approach
+        program = ControlProgram(controller, channels)
+    with _building(source, "start"):
+        reach, references = _reachable(scenario, plant), _references(scenario)
+    approach, angles = rig.approach, references[:, : len(channels.joints)]
+    extremes = np.vstack([angles.min(axis=0), angles.max(axis=0), angles_of(plant, start), angles_of(plant, vented)])
+    limits, ranges = _limits(rig, plant, channels, extremes)
     plan = RunPlan(
         references=references,
         period=period,
-        probing=round(approach.probing / period) if rig.physical else 0,
-        torques=probing_torques(plant, hanging, PROBED) if rig.physical else (0.0, 0.0),
+        probing=round(approach.probing * len(channels.muscles) / 2 / period) if rig.physical else 0,
+        torques=probing_torques(plant, vented, PROBED) if rig.physical else (),
         raising=0 if ideal else round(approach.raising / period),
         settling=0 if ideal else round(approach.settling / period),
-        pressures=(float(start.pressures[0]), float(start.pressures[1])),
+        pressures=tuple(map(float, start.pressures)),
         command_limits=rated_commands(plant),
+        channels=channels,
+        ranges=ranges,
     )
-    limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    substeps = 1 if rig.physical else scenario.needed_substeps()
-    conditions = RunConditions(
-        period, rig.patience, substeps, paced, start if ideal else None, (firmware or scenario).digest
-    )
+    substeps, digest = 1 if rig.physical else scenario.needed_substeps(), (firmware or scenario).digest
+    begun = start if ideal else vented
+    conditions = RunConditions(period, rig.patience, substeps, paced, begun, ideal, digest, channels)
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",
@@ -262,6 +296,7 @@ def prepare(
         "rig": rig.to_json(),
         "backend": dict(backend.description),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
+        "ranges": {name: [end for end in ends if np.isfinite(end)] for name, ends in ranges.items()},
         "plan": {
             "probing": plan.probing,
             "raising": plan.raising,
@@ -271,18 +306,84 @@ def prepare(
         },
         "versions": software_versions("jax", "numpy"),
     }
-    return JointSession(scenario, plant, reach, backend, limits, plan, program, header)
+    return JointSession(scenario, plant, start, reach, backend, limits, plan, program, header)
 
 
-def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[float, ...]) -> JointLimits:
+def _reachable(scenario: Scenario | RobotScenario, plant: Plant) -> Feasibility | tuple[Remark, ...]:
+    """Feasibility of the reference of a joint, or what a robot does not attain."""
+    if not isinstance(scenario, Scenario):
+        times = sampling_times(scenario.run_duration, scenario.control_period)
+        some = evenly_spaced(times.size, _POSTURES)
+        angles, stiffness = np.split(_references(scenario)[some], 2, axis=1)
+        return tuple(check_postures(scenario.robot, times[some], angles, stiffness, supply=scenario.supply))
+    return check_reference(
+        plant,  # type: ignore[arg-type]
+        scenario.reference(),
+        duration=scenario.duration,
+        control_period=scenario.control_period,
+        stiffness_amplitude=scenario.controller.stiffness_amplitude,
+    )
+
+
+def _references(scenario: Scenario | RobotScenario) -> NDArray[np.float64]:
+    """Angles [rad] and stiffnesses [N*m/rad] of the joints in each period, shape (periods, 2 * joints)."""
+    if isinstance(scenario, Scenario):
+        references, duration = [scenario.reference()], scenario.duration
+    else:
+        references, duration = [scenario.references()[name] for name in scenario.joint_names], scenario.run_duration
+    setpoints = [sampled(reference, duration, scenario.control_period)[1] for reference in references]
+    angles, stiffness = zip(*setpoints, strict=True)
+    return np.stack([np.asarray(column) for column in (*angles, *stiffness)], axis=1)
+
+
+def _limits(
+    rig: JointRig, plant: Plant, channels: Channels, extremes: NDArray[np.float64]
+) -> tuple[JointLimits, dict[str, tuple[float, float]]]:
+    """Limits of all joints and muscles, and those of each of a robot by input, where they differ.
+
+    Parameters
+    ----------
+    extremes
+        Angles [rad] that each joint takes, shape (angles, joints).
+    """
     given = {name: value for name, value in rig.limits if value is not None}
-    extremes = [float(angles.min()), float(angles.max()), *others]
-    defaults = {
-        "lowest_angle": min(extremes) - _BEYOND,
-        "highest_angle": max(extremes) + _BEYOND,
-        "pressure": _ABOVE * max(high for _, high in rated_commands(plant)),
-    }
-    return JointLimits(**defaults | given)
+    lowest, highest = (extremes.min(axis=0) - _BEYOND).tolist(), (extremes.max(axis=0) + _BEYOND).tolist()
+    pressures = [_ABOVE * high for _, high in rated_commands(plant)]
+    widest = {"lowest_angle": min(lowest), "highest_angle": max(highest), "pressure": max(pressures)}
+    limits = JointLimits(**widest | given)
+    if not channels.is_named:
+        if rig.limits_of:
+            raise _no_limit(rig, next(iter(rig.limits_of)), "give `limits`: the joint has no name")
+        return limits, {}
+    ends = zip(lowest, highest, strict=True)
+    defaults = [{"lowest_angle": low, "highest_angle": high} for low, high in ends]
+    defaults += [{"pressure": pressure} for pressure in pressures]
+    return limits, _own_limits(rig, channels, given, defaults)
+
+
+def _own_limits(
+    rig: JointRig, channels: Channels, given: Mapping[str, float], defaults: Sequence[Mapping[str, float]]
+) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value by input: its own limits, those of all, or the defaults of its joint or muscle."""
+    names = [end[1:] for end in (*channels.joints, *channels.muscles)]
+    own = {name: {key: value for key, value in limits if value is not None} for name, limits in rig.limits_of.items()}
+    known = dict(zip(names, defaults, strict=True))
+    for name, settings in own.items():
+        if not settings.keys() <= known.get(name, {}).keys():
+            choice = "; ".join(f"{part}: {', '.join(values)}" for part, values in known.items())
+            raise _no_limit(rig, name, f"choose from {choice}")
+    ranges = {}
+    for reading, name in zip(channels.readings, names, strict=True):
+        values = {key: given.get(key, default) for key, default in known[name].items()} | own.get(name, {})
+        ranges[reading] = values.get("lowest_angle", -math.inf), [*values.values()][-1]
+        if not ranges[reading][0] < ranges[reading][1]:
+            raise _no_limit(rig, name, "give both ends, the lower one first")
+    return ranges
+
+
+def _no_limit(rig: JointRig, name: str, remedy: str) -> ScenarioError:
+    """Error of a limit that no joint or muscle has."""
+    return ScenarioError(rig.name, [Problem("is no such limit", field=f"limits_of.{name}", remedy=remedy)])
 
 
 @contextmanager

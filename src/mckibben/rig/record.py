@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from pydantic_core import from_json
 
-import mckibben
 from mckibben.errors import DatasetError, FileError, McKibbenWarning, Problem, RigError
 from mckibben.rig.bench import Bench
 from mckibben.storage.files import make_folder
 from mckibben.storage.mcap import MAGIC, Column, McapWriter, library, pack_rows, unpack_rows
+from mckibben.version import __version__
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording
@@ -350,7 +350,7 @@ class Recorder:
     def __init__(
         self,
         folder: str | os.PathLike[str],
-        header: Mapping[str, Any],
+        header: Mapping[str, object],
         columns: Sequence[Column],
         attachments: Mapping[str, bytes] | None = None,
         *,
@@ -397,7 +397,7 @@ class Recorder:
             self._put(rows)
             self.rows += len(rows)
 
-    def event(self, kind: str, text: str = "", /, **data: Any) -> None:
+    def event(self, kind: str, text: str = "", /, **data: object) -> None:
         """Record an event between the rows before and after it.
 
         Parameters
@@ -506,4 +506,4 @@ class Recorder:
 def software_versions(*packages: str) -> dict[str, str]:
     """Versions of mckibben, other packages, Python and the system, for the header of a record."""
     others = {"python": platform.python_version(), "platform": platform.platform()}
-    return {"mckibben": mckibben.__version__} | {name: version(name) for name in packages} | others
+    return {"mckibben": __version__} | {name: version(name) for name in packages} | others

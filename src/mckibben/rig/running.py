@@ -329,10 +329,24 @@ def _header(checked: CheckedTest, protocol: str) -> dict[str, object]:
         "steps": steps_text(checked.steps),
         "rig": dict(checked.backend.description),
         "rate_Hz": checked.bench.rate,
+        "bench": _described(checked),
         "clock": "time_s is the card's, from the beginning of the test; interruptions are left out",
         "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": software_versions("numpy"),
     }
+
+
+def _described(checked: CheckedTest) -> dict[str, object]:
+    """What a reader of the record needs besides it: the line from the position of the motor to the contraction."""
+    bench, length = checked.bench, float(checked.bench.specimen.initial_length)
+    origin = {
+        "specimen": bench.specimen.name,
+        "initial_length": f"{length!r} m",
+        "slack_force": f"{bench.slack_force!r} N",
+        "source": f"{checked.rig} rig: {checked.test.name}",
+        "preprocessing": "none",
+    }
+    return {"mounted_at": bench.mounted_at, "initial_length": length, "origin": origin}
 
 
 def _source(checked: CheckedTest, folder: Path) -> str:

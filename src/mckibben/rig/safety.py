@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from mckibben.errors import RigError, SignalledError, StoppedError
 from mckibben.rig.backend import SHOWN, Backend, Block, Channel, MovingBackend
 from mckibben.rig.bench import JointLimits, RigLimits
+from mckibben.rig.channels import Channels
 from mckibben.storage.files import handle_signals
 from mckibben.units import bar, ms
 
@@ -48,7 +50,7 @@ class SignalLimits(NamedTuple):
     @classmethod
     def of(cls, channel: Channel, column: int, **limits: float) -> SignalLimits:
         """Limits of a channel."""
-        name = channel.name.replace("pressure1", "pressure 1").replace("pressure2", "pressure 2")
+        name = {"pressure1": "pressure 1", "pressure2": "pressure 2"}.get(channel.name, channel.name)
         return cls(name, column, channel.unit, channel.low, channel.high, **limits)
 
 
@@ -448,23 +450,38 @@ class JointMonitor(SafetyMonitor):
     Parameters
     ----------
     backend, limits
-        Backend with the inputs "angle", "pressure1" and "pressure2", and its limits.
+        Backend with the inputs of `channels`, and its limits.
     period
         Sampling period [s].
+    channels
+        Names of joints and muscles.
+    ranges
+        Lowest and highest value by input, in place of those of `limits`.
     """
 
-    def __init__(self, backend: Backend, limits: JointLimits, period: float) -> None:
-        pressure = {"upper": limits.pressure, "rate": limits.pressure_rate}
-        angle = {"lower": limits.lowest_angle, "upper": limits.highest_angle, "rate": limits.angle_rate}
+    def __init__(
+        self,
+        backend: Backend,
+        limits: JointLimits,
+        period: float,
+        channels: Channels = Channels(),  # noqa: B008
+        ranges: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    ) -> None:
+        angle = limits.lowest_angle, limits.highest_angle, limits.angle_rate
+        pressure = -math.inf, limits.pressure, limits.pressure_rate
+        bounds = dict.fromkeys(channels.by_joint("angle"), angle)
+        bounds |= dict.fromkeys(channels.by_muscle("pressure"), pressure)
         columns = {channel.name: column for column, channel in enumerate(backend.inputs)}
-        signals = [
-            SignalLimits.of(backend.inputs[columns[name]], columns[name], **bounds)
-            for name, bounds in (("angle", angle), ("pressure1", pressure), ("pressure2", pressure))
-        ]
+        signals = []
+        for name, (low, high, rate) in bounds.items():
+            lower, upper = ranges.get(name, (low, high))
+            channel = backend.inputs[columns[name]]
+            signals.append(SignalLimits.of(channel, columns[name], lower=lower, upper=upper, rate=rate))
         super().__init__(backend, signals, maximum_age=limits.late, window=max(1, round(limits.window / period)))
         self.limits = limits
         self.share = min(1.0, period / limits.following)  # of a new error in the filtered one
-        self.errors = [0.0, 0.0]  # of the pressures from their commands, filtered [Pa]
+        self._first = len(channels.joints)  # pressure among the signals
+        self.errors = [0.0] * len(channels.muscles)  # of the pressures from their commands, filtered [Pa]
 
     def check_sample(
         self, time: float, values: Sequence[float], commands: Sequence[float] | None, clock: float | None
@@ -491,14 +508,13 @@ class JointMonitor(SafetyMonitor):
         if commands is None:
             return
         errors, share, limit = self.errors, self.share, self.limits.pressure_error
-        for i in (0, 1):
-            pressure = checked[1 + i]
-            errors[i] += share * (pressure - commands[i] - errors[i])
+        for i, (pressure, command) in enumerate(zip(checked[self._first :], commands, strict=True)):
+            errors[i] += share * (pressure - command - errors[i])
             if abs(errors[i]) > limit:
                 raise StoppedError(
-                    f"pressure {i + 1} does not follow its command: it is {pressure / bar:.3g} bar, and was "
-                    f"{abs(errors[i]) / bar:.3g} bar {'above' if errors[i] > 0 else 'below'} the command on average "
-                    f"over {self.limits.following / ms:.3g} ms",
+                    f"{self.signals[self._first + i].name} does not follow its command: it is {pressure / bar:.3g} "
+                    f"bar, and was {abs(errors[i]) / bar:.3g} bar {'above' if errors[i] > 0 else 'below'} the command "
+                    f"on average over {self.limits.following / ms:.3g} ms",
                     value=pressure,
                     unit="Pa",
                     remedy="check the supply, the valve, the muscle and the sensor",

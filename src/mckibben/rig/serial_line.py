@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,7 @@ class SerialBackend(Backend):
         self._samples: deque[tuple[int, float, tuple[float, ...]]] = deque()  # number, time, values
         self._newest: Sample | None = None
         self._answer: Hello | None = None
+        self._parts: list[bytes] = []  # bodies of it so far
         self._begun: int | None = None  # time of the board at sample 0 [us]
         self._device: int | None = None  # time of its latest sample [us]
         self._latest = -1  # number of that sample
@@ -155,8 +156,12 @@ class SerialBackend(Backend):
             ) from error
 
     def _ask(self) -> Hello:
-        """Description of the firmware, which is asked for repeatedly: a board may just be starting."""
-        if not self._until(lambda: self._answer is not None, (MessageKind.HELLO, b"")):
+        """Description of the firmware, of which each part is asked for repeatedly: a board may just be starting."""
+        while self._answer is None:
+            count = len(self._parts)
+            asked = MessageKind.HELLO, bytes([count]) if count else b""
+            if self._until(lambda count=count: self._answer is not None or len(self._parts) > count, asked):
+                continue
             received = "only other data come" if self._receiver.corrupted else "nothing comes"
             raise RigError(
                 f"no firmware of mckibben answers at {self.port}: {received}",
@@ -164,7 +169,6 @@ class SerialBackend(Backend):
                 value=self.port,
                 remedy="choose another port or baud rate, or flash the board: mckibben export SCENARIO --to firmware",
             )
-        assert self._answer is not None
         return self._answer
 
     def _until(self, done: Callable[[], bool], *sent: tuple[MessageKind, bytes], again: float = 20 * ms) -> bool:
@@ -303,7 +307,7 @@ class SerialBackend(Backend):
             return self._receiver.feed(self._line.read(4096))
 
     @contextlib.contextmanager
-    def _translated(self) -> Any:
+    def _translated(self) -> Iterator[None]:
         try:
             yield
         except (OSError, AttributeError, TypeError) as error:  # pyserial raises all of them for a lost port
@@ -313,14 +317,21 @@ class SerialBackend(Backend):
     def _take(self, messages: Sequence[Message]) -> None:
         """Take samples and faults of the board."""
         for message in messages:
-            if message.kind == MessageKind.HELLO and self._answer is None:
-                self._answer = Hello.unpack(message.body)
+            if message.kind == (MessageKind.CHANNELS if self._parts else MessageKind.HELLO) and self._answer is None:
+                self._describe(message.body)
             if message.kind == MessageKind.FAULT and self._armed:
                 report = FaultReport.unpack(message.body)
                 if report.code != FaultCode.REFUSED:  # such as of a repeated message
                     self._report = report  # it stops when a sample shows that the board vented, and with which values
             if message.kind == MessageKind.SAMPLE and self._answer is not None:
                 self._keep(message, self._answer)
+
+    def _describe(self, body: bytes) -> None:
+        """Take a part of the description of the firmware, if it is the next one."""
+        if not self._parts or body[:1] == bytes([len(self._parts)]):
+            self._parts.append(body)
+            if Hello.is_whole(*self._parts):
+                self._answer = Hello.unpack(*self._parts)
 
     def _keep(self, message: Message, hello: Hello) -> None:
         sample, now = Sample.unpack(message.body), time.monotonic()

@@ -19,8 +19,9 @@ from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.mechanism.muscles import PathMuscle
 from mckibben.mechanism.robot import Robot
 from mckibben.muscle import Muscle
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.scenario.robot import RobotScenario
+from mckibben.units import GRAVITY
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +76,8 @@ class ReadRobot(Result):
         for part in self.left_out:
             yield Remark.warning("left_out", f"not carried over: {part}")
 
-    def listings(self) -> Iterator[Listing]:
+    @table()
+    def joints_and_tendons(self) -> Iterator[Listing]:
         """Yield tables of joints and tendons."""
         joints, frames = self.robot.joints, self.robot.frame_names
         columns: dict[str, tuple[Column, Sequence[object]]] = {
@@ -385,5 +387,5 @@ class _Reader:
                 named = self._named("tendon", number) + self._line(spec.tendons, number)
                 self.left_out.append(f"{what} of tendon {named}")
         x, y, z = model.opt.gravity.tolist()
-        if abs(x) + abs(y) > 1e-9 or abs(z + 9.81) > 1e-3:
-            self.left_out.append(f"gravity {x:g} {y:g} {z:g}: ours is 9.81 m/s^2 downwards")
+        if abs(x) + abs(y) > 1e-9 or abs(z + GRAVITY) > 1e-3:
+            self.left_out.append(f"gravity {x:g} {y:g} {z:g}: ours is {GRAVITY} m/s^2 downwards")

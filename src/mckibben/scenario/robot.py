@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import os
 from collections.abc import Callable, Collection, Mapping
 from types import SimpleNamespace
@@ -26,12 +25,14 @@ from pydantic import (
 )
 
 from mckibben.actuator import IdealValve
+from mckibben.binding import call
 from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import fail_validation, located_below
 from mckibben.control import Controller, Reference
 from mckibben.control.base import DiscreteTimeSystem
+from mckibben.control.computed_torque import ComputedTorque
 from mckibben.control.reaching import PointReference
 from mckibben.control.robot_control import JointwiseControl, RobotController, check_pairs
 from mckibben.errors import RangeError, UnreachableError
@@ -75,6 +76,9 @@ from mckibben.units import (
 
 _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the robot."""
+
+CONTROLLERS = JointwiseControl, ComputedTorque
+"""Controllers of all joints that a file may name; those of a user's module are known as well."""
 
 _JOINTS = TypeAdapter(dict[str, ReferencePart])
 
@@ -278,7 +282,7 @@ class RobotScenario(StudiedScenario):
         )
 
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
-        return importlib.import_module("mckibben.study.compare.robots").RobotSuite.of(self, controllers, **settings)
+        return call("robot_suite", self, controllers, **settings)
 
     @property
     def timing(self) -> dict[str, Any]:

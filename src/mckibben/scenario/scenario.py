@@ -6,7 +6,6 @@ import abc
 import contextlib
 import dataclasses
 import hashlib
-import importlib
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import Actuator, IdealValve
+from mckibben.binding import call
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import whole_periods
 from mckibben.component.schema import ComponentField, independent, inherit, write
@@ -232,6 +232,11 @@ class StudiedScenario(RunSettings):
         known = tuple(self.reference_remarks())
         return dataclasses.replace(run, notes=lambda: [*known, *run.notes()]) if known else run
 
+    @checked_call
+    def envelope(self) -> Any:
+        """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
+        return call("envelope", self)
+
     def batch_parts(self) -> BatchParts:
         """Return what is simulated apart from the controller, with arrays where runs of a batch differ."""
         return BatchParts(self.plant(), self.references(), self.starts())
@@ -265,7 +270,7 @@ class StudiedScenario(RunSettings):
     @checked_call
     def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
         """Tune gains or other parameters, see `mckibben.tune`. Default: all gains, with the cost of `mckibben tune`."""
-        return _above("study.tune").tune(self, over, cost, **options)
+        return call("tune", self, over, cost, **options)
 
     @checked_call
     def compare(self, controllers: Mapping[str, Any] | None = None, *, out: Path | None = None, **settings: Any) -> Any:
@@ -274,7 +279,7 @@ class StudiedScenario(RunSettings):
         Defaults: as for `mckibben.study.compare.Suite.of`; controllers of a robot are sections as in a file. `settings`
         are attributes of a `Suite`; see `mckibben.study.compare.compare`.
         """
-        return _above("study.compare").compare(self.suite(controllers, **settings), out=out)
+        return call("compare", self.suite(controllers, **settings), out)
 
     @abc.abstractmethod
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
@@ -283,7 +288,7 @@ class StudiedScenario(RunSettings):
     @checked_call
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""
-        return _above("export").export(self, target, out, **options)
+        return call("export", self, target, out, **options)
 
     @property
     def digest(self) -> bytes:
@@ -367,7 +372,7 @@ class Scenario(StudiedScenario):
     def _uncertainty_fits(self) -> Self:
         if self.uncertainty:
             try:
-                _above("study.parameters").parse_sweeps(self.uncertainty, self)
+                call("check_uncertainty", self)
             except ParameterError as error:
                 fail_validation(error.message, error.remedy, field="uncertainty")
         return self
@@ -392,11 +397,16 @@ class Scenario(StudiedScenario):
     @classmethod
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Any:
         """Read the scenario of a joint, or of a robot, whose text has a section `robot`; raises `ScenarioError`."""
+        kind = cls.class_of(text)
+        parsed: Any = super() if kind is cls else kind
+        return parsed.parse(text, source=source, folder=folder)
+
+    @classmethod
+    def class_of(cls, text: str) -> type[StudiedScenario]:
+        """Return the class of scenarios that a text is read as, by its sections."""
         others = StudiedScenario.__subclasses__() if cls is Scenario else []
         sections = read_document(text).data if others else ()
-        kinds = [kind for kind in others if isinstance(sections, dict) and kind.section in sections]
-        parsed: Any = kinds[0] if kinds else super()
-        return parsed.parse(text, source=source, folder=folder)
+        return next((kind for kind in others if isinstance(sections, dict) and kind.section in sections), cls)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -433,13 +443,8 @@ class Scenario(StudiedScenario):
         control = self.control()
         return self.model_copy(update={"controller": independent(control) if fixed else control})
 
-    @checked_call
-    def envelope(self) -> Any:
-        """Return attainable set and feasibility of the reference, see `mckibben.reachability.envelope`."""
-        return _above("reachability").envelope(self)
-
     def suite(self, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> PyTree:
-        return _above("study.compare").Suite.of(self, controllers, **settings)
+        return call("joint_suite", self, controllers, **settings)
 
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
@@ -453,11 +458,6 @@ class Scenario(StudiedScenario):
 
     def initial(self, plant: JointPlant) -> PlantState:
         return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
-
-
-def _above(name: str) -> Any:
-    """A package above this one, for methods that forward to it; imported when one is called."""
-    return importlib.import_module(f"mckibben.{name}")
 
 
 def run_scenario(scenario: StudiedScenario) -> SimulationResult:

@@ -37,6 +37,7 @@ class MessageKind(IntEnum):
     HEARTBEAT = 7
     SAMPLE = 8
     FAULT = 9
+    CHANNELS = 10
 
 
 _ANEW = MessageKind.HELLO, MessageKind.VENT
@@ -179,15 +180,33 @@ class Hello(NamedTuple):
     commands: Sequence[tuple[str, str]]
     setpoints: Sequence[tuple[str, str]] = ()
 
-    def pack(self) -> bytes:
-        """Body of the message."""
+    def pack(self) -> list[bytes]:
+        """Bodies: of `HELLO` and, if not all channels fit in it, of the messages `CHANNELS` 1, 2, ...
+
+        >>> channels = [(f"pressure.muscle {number}", "Pa") for number in range(20)]
+        >>> bodies = Hello("board 1", 2000, bytes(32), channels, channels).pack()
+        >>> [len(body) <= LONGEST for body in bodies], Hello.unpack(*bodies).commands == channels
+        ([True, True, True, True], True)
+        """
         groups = self.measurements, self.commands, self.setpoints
-        lines = [self.firmware, *(f"{name} {unit}" for group in groups for name, unit in group)]
-        return _HELLO.pack(VERSION, *map(len, groups), self.period, self.digest) + "\n".join(lines).encode()
+        bodies = [_HELLO.pack(VERSION, *map(len, groups), self.period, self.digest) + self.firmware.encode()]
+        for line in (f"{name} {unit}".encode() for group in groups for name, unit in group):
+            if len(bodies[-1]) + 1 + len(line) <= LONGEST:
+                bodies[-1] += b"\n" + line
+            else:
+                bodies.append(bytes([len(bodies)]) + line)
+        return bodies
+
+    @staticmethod
+    def is_whole(body: bytes, *more: bytes) -> bool:
+        """Whether bodies have all channels, or are of another version; `RigError` for a malformed one."""
+        if body[:1] != bytes([VERSION]):
+            return True
+        return sum(part.count(b"\n") for part in (body, *more)) + len(more) >= sum(_fields(_HELLO, body)[1:4])
 
     @classmethod
-    def unpack(cls, body: bytes) -> Hello:
-        """Description in a body; `RigError` for another version of the protocol, or a malformed body.
+    def unpack(cls, body: bytes, *more: bytes) -> Hello:
+        """Description in bodies, see `pack`; `RigError` for another version of the protocol, or a malformed body.
 
         Malformed are also texts that are not printable, equal names of a group, and a period of 0.
         """
@@ -195,8 +214,9 @@ class Hello(NamedTuple):
             message = f"the firmware speaks version {body[0] if body else 'none'} of the protocol, not {VERSION}"
             raise RigError(message, field="version", remedy="export and flash the firmware again")
         _, *sizes, period, digest = _fields(_HELLO, body)
-        firmware, *lines = body[_HELLO.size :].decode(errors="replace").split("\n")
-        channels = [(name, unit) for name, _, unit in (line.partition(" ") for line in lines)]
+        texts = body[_HELLO.size :], *(part[1:] for part in more)
+        firmware, *lines = b"\n".join(texts).decode(errors="replace").split("\n")
+        channels = [(name, unit) for name, _, unit in (line.rpartition(" ") for line in lines)]
         first, second, _ = sizes
         groups = channels[:first], channels[first : first + second], channels[first + second :]
         printable = all(line.isprintable() and "\ufffd" not in line for line in (firmware, *lines))

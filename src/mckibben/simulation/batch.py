@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -24,7 +25,7 @@ from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.plant import Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Result, TableColumns, table
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -153,11 +154,13 @@ class Batch(RunTable):
         chaotic = int(self.chaotic.sum())
         return f"{self.count} runs: {', '.join(counted + [f'{chaotic} chaotic'] * bool(chaotic))}"
 
-    def declared(self) -> dict[str, tuple[Column, Any]]:
+    def declared(self) -> TableColumns:
         """The metrics of all runs, with their units."""
-        return metric_columns(self.kind, self.metrics)
+        columns = metric_columns(self.kind, self.metrics)
+        return {name: (replace(mark, dims=("run",)), values) for name, (mark, values) in columns.items()}
 
-    def listings(self) -> Sequence[Listing]:
+    @table("metrics")
+    def spread(self) -> TableColumns:
         """Least, median and largest value of each metric; of several joints one row each."""
         rows = []
         for mark, values in self.declared().values():
@@ -168,7 +171,7 @@ class Batch(RunTable):
                 rows.append((title, *map(mark.cell, ends), mark.shown_unit))
         titles = ("metric", *_PARTS, "unit")
         cells = zip(*rows, strict=True) if rows else [()] * len(titles)
-        return [Listing("", {title: (Column(), values) for title, values in zip(titles, cells, strict=True)})]
+        return {title: (Column(), values) for title, values in zip(titles, cells, strict=True)}
 
 
 def batch_table(

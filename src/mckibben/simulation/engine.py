@@ -15,7 +15,8 @@ from mckibben.codegen.engine import BatchFunction, check_engine
 from mckibben.errors import SimulationError
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
-from mckibben.simulation.loop import Record, episode
+from mckibben.simulation.loop import episode
+from mckibben.simulation.trajectories import Record
 
 R = TypeVar("R")
 

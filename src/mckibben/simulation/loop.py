@@ -29,17 +29,7 @@ from mckibben.simulation.metrics import (
     last_change,
     values_of,
 )
-from mckibben.simulation.trajectories import Trajectory, column_of, trajectory
-
-
-class Record(NamedTuple):
-    """The record of every control period; each leaf has the shape of the time axis."""
-
-    state: PyTree  # what the plant observes of its state
-    commands: tuple[Array, ...]  # within the limits of the plant
-    limited: Array  # whether the plant limited a command
-    telemetry: dict[str, Array]
-
+from mckibben.simulation.trajectories import Record, Trajectory, column_of, trajectory
 
 LoopState = tuple[PyTree, PyTree]
 """States of plant and controller at the start of a control period."""

@@ -26,7 +26,7 @@ from mckibben.joint.geometry import Pressures
 from mckibben.mechanism.base import angles_of, over_joints
 from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Column, Remark, Result
+from mckibben.result import Column, Remark, Result, TableColumns
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from mckibben.plant import Plant, PlantState
-    from mckibben.simulation.loop import Record
+    from mckibben.simulation.trajectories import Record
 
 _CHATTER = "stiffness_oscillation", "command_oscillation", "command_reversals", "command_travel"
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
@@ -192,7 +192,7 @@ class SimulationResult(Result):
         """Duration [s]."""
         return self.times.size * self.control_period
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """The metrics, with their units, and the joints that they are of."""
         joints = {"joint": (Column(), list(self.joints))} if self.joints and self.landing is None else {}
         return joints | metric_columns(self.kind, self.metrics)

@@ -37,7 +37,7 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.engine import run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band, unattainable
-from mckibben.simulation.loop import Record, of_any_length
+from mckibben.simulation.loop import of_any_length
 from mckibben.simulation.outcome import near_reference
 from mckibben.simulation.problem import (
     AtRest,
@@ -52,6 +52,7 @@ from mckibben.simulation.problem import (
 )
 from mckibben.simulation.result import SimulationResult, columns_of_run
 from mckibben.simulation.robot_metrics import measure_landing
+from mckibben.simulation.trajectories import Record
 from mckibben.units import deg
 
 _BYTES = 456  # of a control period, as measured with all columns

@@ -7,16 +7,16 @@ from importlib.metadata import version
 
 import jax
 
-import mckibben
 from mckibben.codegen.cuda import device
 from mckibben.codegen.engine import check_engine
 from mckibben.codegen.native import compiler, compiler_version, compiler_words, own_flags
+from mckibben.version import __version__
 
 
 def software(engine: str = "auto") -> dict[str, str]:
     """Versions, platform, the engine of batches and its compiler: with the user's options, or with the CUDA device."""
     parts = {
-        "mckibben": mckibben.__version__,
+        "mckibben": __version__,
         "jax": jax.__version__,
         "scipy": version("scipy"),
         "platform": jax.default_backend(),

@@ -480,8 +480,9 @@ def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
     finite = np.logical_and.reduce([np.isfinite(leaf).all(axis=(1, 2)) for leaf in loops])
     if finite.any():
         triangular = _Triangular.of(LinearLoop(*(leaf[finite] for leaf in loops)))
-        stable = _radii(triangular.poles) < 1
-        margins[np.flatnonzero(finite)[stable]] = _Triangular(*(leaf[stable] for leaf in triangular)).peaks(period)[0]
+        if (stable := _radii(triangular.poles) < 1).any():
+            some = _Triangular(*(leaf[stable] for leaf in triangular))
+            margins[np.flatnonzero(finite)[stable]] = some.peaks(period)[0]
     return margins
 
 

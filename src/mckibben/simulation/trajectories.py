@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, PyTree
@@ -15,8 +15,14 @@ from mckibben.mechanism.base import angles_of, over_joints
 from mckibben.plant import Plant
 from mckibben.units import atm
 
-if TYPE_CHECKING:
-    from mckibben.simulation.loop import Record
+
+class Record(NamedTuple):
+    """The record of every control period; each leaf has the shape of the time axis."""
+
+    state: PyTree  # what the plant observes of its state
+    commands: tuple[Array, ...]  # within the limits of the plant
+    limited: Array  # whether the plant limited a command
+    telemetry: dict[str, Array]
 
 
 @labelled

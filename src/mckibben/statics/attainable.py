@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,11 +54,17 @@ def attainable_statics(
     >>> [round(number, 1) for number in knee.stiffness], knee.limits[3]
     ([9.5, 20.1], 'knee1 at highest pressure')
     """
-    setting = HeldPosture.of(robot, angles, torques, supply, minimum_tension)
-    offset, slopes = setting.stiffness()
+    return held_statics(HeldPosture.of(robot, angles, torques, supply, minimum_tension))
+
+
+def held_statics(setting: HeldPosture, only: Collection[str] | None = None) -> dict[str, JointRange]:
+    """Return the attainable torques and stiffness of each movable joint of a posture, or only of some, by its name."""
+    robot, (offset, slopes) = setting.robot, setting.stiffness()
     names = [joint.name for joint, free in zip(robot.joints, setting.free, strict=True) if free]
     found = {}
     for index, name in enumerate(names):
+        if only is not None and name not in only:
+            continue
         others = np.arange(len(names)) != index
         row, own = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
         turned = setting._replace(equal=setting.equal[others], held=setting.held[others])

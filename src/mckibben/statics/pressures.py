@@ -26,7 +26,7 @@ from mckibben.mechanism.point_stiffness import (
     stiffness_through,
 )
 from mckibben.mechanism.robot import Robot
-from mckibben.result import Column, Result, column
+from mckibben.result import Column, Result, TableColumns, column
 from mckibben.statics.posture import EXACT, HeldPosture, check_affine
 from mckibben.units import bar, deg
 
@@ -83,7 +83,7 @@ class StaticPressures(Result):
         """Whether the stiffness is that wanted."""
         return self.error <= EXACT
 
-    def declared(self) -> dict[str, tuple[Column, object]]:
+    def declared(self) -> TableColumns:
         """Columns and values of the fields, the limit of each muscle, and the stiffness of the point."""
         columns, limits, point = super().declared(), dict(self.limits), self.stiffness
         columns["limited_by"] = Column(), [limits.get(name, "") for name in self.muscles]
@@ -163,9 +163,14 @@ def pressures_for_joint_stiffness(
     >>> found.exact, round(float(found.joint_stiffness[1, 1]), 6)
     (True, 15.0)
     """
-    setting = HeldPosture.of(robot, angles, torques, supply, minimum_tension)
-    check_count("stiffness", len(stiffness), len(robot.joints), "joint, None for any")
-    free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
+    return held_joint_stiffness(HeldPosture.of(robot, angles, torques, supply, minimum_tension), stiffness)
+
+
+def held_joint_stiffness(setting: HeldPosture, stiffness: Sequence[float | None]) -> StaticPressures:
+    """Return the pressures of a posture for a stiffness [N*m/rad] of the joints, as `pressures_for_joint_stiffness`."""
+    joints = setting.robot.joints
+    check_count("stiffness", len(stiffness), len(joints), "joint, None for any")
+    free = [index for index, joint in enumerate(joints) if joint.locked is None]
     rows = [(place, stiffness[index]) for place, index in enumerate(free) if stiffness[index] is not None]
     for _, number in rows:
         check_positive("stiffness", "N*m/rad", stiffness=number)
@@ -182,8 +187,10 @@ def _solved(
     certain = found is None
     found = setting.nearest(factors, target) if found is None else found
     residual = factors @ found - target
-    least, multipliers = _certificate(setting, found, factors.T @ residual, residual)
-    error = float(np.linalg.norm(residual))
+    error, least, limits = float(np.linalg.norm(residual)), 0.0, ()
+    if error > EXACT:
+        least, multipliers = _certificate(setting, found, factors.T @ residual, residual)
+        limits = setting.limits(multipliers)
     pressures = np.clip(found, setting.low, setting.high) * bar
     affine = setting.affine
     return StaticPressures(
@@ -193,7 +200,7 @@ def _solved(
         affine.stiffness_at(pressures),
         error,
         min(least, error) if certain else 0.0,
-        () if error <= EXACT else setting.limits(multipliers),
+        limits,
         **others,
     )
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def read_columns(
-    path: Path, wanted: Callable[[list[str]], Mapping[str, str]], *, largest: float = 64 * 2**20
+    path: Path, units_of: Callable[[list[str]], Mapping[str, str]], *, largest: float = 64 * 2**20
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
     r"""Read columns titled NAME_UNIT of a CSV file with rising times.
 
@@ -31,7 +31,7 @@ def read_columns(
 
     Parameters
     ----------
-    wanted
+    units_of
         Names and units of the columns to read, for the titles of a file.
     largest
         Size of the largest file that is read [bytes].
@@ -39,7 +39,7 @@ def read_columns(
     Returns
     -------
     times, columns
-        Times [s], shape (samples,), and the values of the columns by name, in the units wanted.
+        Times [s], shape (samples,), and the values of the columns by name, in the units asked for.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read_columns(
     except (OSError, ValueError) as error:  # pandas' errors are ValueErrors
         raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy="give a CSV file")]) from None
     titles = [str(title).strip() for title in table.columns]
-    units = {"time": "s", **wanted(titles)}
+    units = {"time": "s", **units_of(titles)}
     problems: list[Problem] = []
     numbers = {name: _column(table.set_axis(titles, axis=1), name, unit, problems) for name, unit in units.items()}
     if problems:

@@ -245,8 +245,8 @@ def to_json(value: object) -> str:
 def write_json(path: Path, value: object) -> None:
     """Write a file of JSON, complete or not at all; values as for `to_json`."""
     text = to_json(value)
-    with atomic_write(path, overwrite=True) as part:
-        part.write_text(text + "\n", encoding="utf-8")
+    with atomic_write(path, overwrite=True) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def remove_results(folder: Path) -> None:
@@ -256,6 +256,11 @@ def remove_results(folder: Path) -> None:
     with suppress(ValueError, TypeError, KeyError):  # another program's
         if listed.is_file() and not listed.is_symlink():
             names = [str(name) for name in json.loads(listed.read_bytes())["files"]]
+    remove_files(folder, names)
+
+
+def remove_files(folder: Path, names: Iterable[str]) -> None:
+    """Remove files below a folder by their paths there, and folders that are empty then; others stay."""
     for path in map(folder.joinpath, names):
         if (path.is_file() or path.is_symlink()) and path.parent.resolve().is_relative_to(folder.resolve()):
             path.unlink()

@@ -70,8 +70,8 @@ def pack_rows(columns: Sequence[Column], rows: Iterable[Sequence[float]]) -> Ite
         if all(map(math.isfinite, row)):
             yield (whole % tuple(row)).encode()
         else:
-            known = [form % value for form, value in zip(forms, row, strict=True) if math.isfinite(value)]
-            yield ("{" + ",".join(known) + "}").encode()
+            finite = [form % value for form, value in zip(forms, row, strict=True) if math.isfinite(value)]
+            yield ("{" + ",".join(finite) + "}").encode()
 
 
 _FORMATS = {"float64": "%r", "float32": "%.9g"}

@@ -16,10 +16,10 @@ def write_private(path: Path, content: bytes, *, most: int = 200) -> None:
 
     Of all programs in its folder, the newest `most` remain.
     """
-    with atomic_write(path, overwrite=True) as part:
-        part.touch(mode=0o600)
-        part.write_bytes(_checksum(path, content) + content)
-        part.chmod(0o600)
+    with atomic_write(path, overwrite=True) as temporary:
+        temporary.touch(mode=0o600)
+        temporary.write_bytes(_checksum(path, content) + content)
+        temporary.chmod(0o600)
     files = sorted(path.parent.glob("*.program"), key=lambda file: file.stat().st_mtime, reverse=True)
     for old in files[most:]:
         old.unlink(missing_ok=True)

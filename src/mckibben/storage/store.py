@@ -120,11 +120,11 @@ class Store:
         FileError
             If the job was begun with other settings, one problem per difference; or as `explain_errors`.
         """
-        wanted = json.loads(json.dumps(about))
+        settings = json.loads(json.dumps(about))
         if (begun := self.about(name)) is None:
-            text, begun = json.dumps(wanted), wanted
+            text, begun = json.dumps(settings), settings
             self._write("INSERT INTO job VALUES (?, ?, ?)", [(name, text, zlib.crc32(text.encode()))])
-        elif problems := differences(begun, wanted):
+        elif problems := differences(begun, settings):
             raise FileError(str(self.path or name), problems)
         self.begun = True
         job = Job(self, name, begun)
@@ -167,8 +167,8 @@ class Job:
             warnings.warn(message, McKibbenWarning, stacklevel=4)
 
     def _checksum(self, number: int, content: object) -> int:
-        known = content if isinstance(content, bytes) else b""
-        return zlib.crc32(known, zlib.crc32(f"{self._name} {number}".encode(), self._seed))
+        hashed = content if isinstance(content, bytes) else b""
+        return zlib.crc32(hashed, zlib.crc32(f"{self._name} {number}".encode(), self._seed))
 
     def read(self, number: int) -> bytes:
         """Return the content of an intact record."""
@@ -264,7 +264,7 @@ def read_store(path: Path) -> Iterator[Store]:
         store._connection.close()
 
 
-def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[Problem]:
+def differences(begun: Mapping[str, Any], settings: Mapping[str, Any]) -> list[Problem]:
     """Return one problem per difference between the settings of a study and those of its continuation.
 
     Settings whose name begins with "digest of " are reported if no other differs: they say that a file has changed, not
@@ -275,12 +275,12 @@ def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[Pro
     """
     remedy = "give the same, or leave out what the study knows, or choose another folder"
     problems = [
-        Problem(f"the study was started with {_shown(before)}, not {_shown(now)}", field=field, remedy=remedy)
-        for name in dict.fromkeys([*wanted, *begun])
+        Problem(f"the study was started with {_as_text(before)}, not {_as_text(now)}", field=field, remedy=remedy)
+        for name in dict.fromkeys([*settings, *begun])
         if not name.startswith(_DIGEST)
-        for field, before, now in _different(name, begun.get(name), wanted.get(name))
+        for field, before, now in _different(name, begun.get(name), settings.get(name))
     ]
-    changed = [name for name in wanted if name.startswith(_DIGEST) and begun.get(name) != wanted[name]]
+    changed = [name for name in settings if name.startswith(_DIGEST) and begun.get(name) != settings[name]]
     what = "it has changed: a file that is named, the catalog, or the version of a library"
     fields = () if problems else (name.removeprefix(_DIGEST) for name in changed)
     return problems or [Problem(what, field=field, remedy="start again in another folder") for field in fields]
@@ -300,7 +300,7 @@ def _different(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any
         yield name, before, now
 
 
-def _shown(value: Any) -> str:
+def _as_text(value: Any) -> str:
     """Return a short text of a value; lists of numbers as count and range."""
     if isinstance(value, list) and value and all(isinstance(item, int | float) for item in value):
         return f"{len(value)} values from {min(value):.6g} to {max(value):.6g}"

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
+from numpy.typing import NDArray
+
 from mckibben.component.extensions import load_missing, loaded_extensions
 from mckibben.errors import ParameterError, SimulationError
 
 if TYPE_CHECKING:
     from distributed import Client, Future, Worker, WorkerPlugin
-
-    from mckibben.study.study import Table
+Block = Mapping[str, NDArray]  # rows or records by name
 
 
 def check_cluster(address: str) -> None:
@@ -36,9 +37,9 @@ def check_cluster(address: str) -> None:
 
 
 def compute_on_cluster(
-    compute: Callable[[Table], Table],
-    blocks: Mapping[int, Table],
-    keep: Callable[[int, Table], None],
+    compute: Callable[[Block], Block],
+    blocks: Mapping[int, Block],
+    keep: Callable[[int, Block], None],
     address: str,
 ) -> Iterator[int]:
     """Compute blocks by workers, and keep them here; yield their numbers. dask replaces workers that die.

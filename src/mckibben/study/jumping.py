@@ -23,7 +23,7 @@ from mckibben.mechanism.point_stiffness import movable, point_jacobian
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Listing, Result, TableColumns, table
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import SimulationResult, simulate, simulate_many
 from mckibben.simulation.batch import Batch
@@ -202,7 +202,7 @@ class JumpStudy(Result):
         added = {name: after.heights - before.heights for name, (before, after) in pairs}
         return {name: (float(heights[0]), interval(heights)) for name, heights in added.items()}
 
-    def declared(self) -> dict[str, tuple[Column, Any]]:
+    def declared(self) -> TableColumns:
         """Return columns with a row for each jump, nominal, and with 5 and 95 % of the draws."""
         jumps = list(self.jumps.values())
 
@@ -223,9 +223,9 @@ class JumpStudy(Result):
         columns |= nominal("stop_energy", "into the stops", "J")
         return columns | {"standing": (Column("m", "height of the centre of mass, standing", "mm"), self.standing)}
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield the jumps, what depth and timing add, and the commands."""
-        yield from super().listings()
+    @table()
+    def gains_and_commands(self) -> Iterator[Listing]:
+        """Yield what depth and timing add, and the commands."""
         gains = [(name, gain / mm, *(end / mm for end in ends)) for name, (gain, ends) in self.gains().items()]
         yield Listing.of("Gains in height", ("by", "mm", "5 %", "95 %"), gains)
         rows = [

@@ -20,7 +20,7 @@ from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
-from mckibben.result import Column, Result
+from mckibben.result import Column, Result, TableColumns
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import simulate_many
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
@@ -105,7 +105,7 @@ class LandingStudy(Result):
         """Quantile of 95 % over the draws of the force on the trunk [its weight], shape (valve, drop, stiffness)."""
         return np.percentile(self.trunk_weights()[..., 1:], EDGES[1], axis=-1)
 
-    def declared(self) -> dict[str, tuple[Column, Any]]:
+    def declared(self) -> TableColumns:
         """Return columns with a row for each valve and drop, at the robust and at the nominal best stiffness.
 
         Forces are 95 % quantiles on the trunk in its weights with their 95 % interval, shares those of the draws in

@@ -1,4 +1,4 @@
-"""Stiffness of a scenario's joint over amplitude and rate of a motion, at the setpoint held by its controller."""
+"""Stiffness of joints at the setpoint held by their controller: over amplitude and rate of motion, and of pushes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
-from mckibben.result import Column, Listing, Result, column
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, column, table
 from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
+from mckibben.study.felt import Felt, felt_stiffness
 from mckibben.units import bar, deg
 
 Values = NDArray[np.float64]
@@ -35,12 +37,71 @@ SHOWN = {
 """Names of the tests in tables and figures."""
 
 
-class StiffnessTests(Result):
+_PUMPED = 0.1  # relative change of the mean stiffness under a push that is worth a remark
+
+
+class FeltStiffness(Result):
+    """Stiffness [N*m/rad] that a push of each joint feels, held at its setpoint by its controller."""
+
+    figures = ("felt_stiffness",)
+
+    scenario: Scenario | RobotScenario
+    felt: dict[str, Felt]
+    """By the name of the joint, which is empty in a scenario of one joint."""
+
+    def verdict(self) -> str:
+        """Return the stiffness that is felt at the lowest and the highest frequency, beside the setpoint."""
+        texts = []
+        for name, felt in self.felt.items():
+            ends = zip(felt.magnitude[[0, -1]], felt.frequency[[0, -1]], strict=True)
+            pushes = " and ".join(f"{stiffness:.3g} N*m/rad at {rate:.2g} Hz" for stiffness, rate in ends)
+            of = f"{name}: " * bool(name)
+            texts.append(f"{of}setpoint {felt.setpoint:.3g} N*m/rad, a push of {felt.torque:g} N*m feels {pushes}")
+        return "; ".join(texts)
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield remarks on pushes that change the mean stiffness, and on motion that does not settle."""
+        for name, felt in self.felt.items():
+            of, change = f"{name}: " * bool(name), felt.pushed / felt.isobaric - 1
+            at = int(np.argmax(np.abs(change)))
+            if abs(change[at]) > _PUMPED:
+                text = f"{of}a push of {felt.torque:g} N*m at {felt.frequency[at]:.2g} Hz changes the mean isobaric "
+                text += (
+                    f"stiffness from {felt.isobaric:.3g} to {felt.pushed[at]:.3g} N*m/rad: the loop works against it"
+                )
+                yield Remark.warning("pushed", text, "lower the bandwidth of the feedback, or use impedance control")
+            if not felt.settled.all():
+                rates = ", ".join(f"{rate:.2g}" for rate in felt.frequency[~felt.settled])
+                yield Remark.warning(
+                    "felt", f"{of}at {rates} Hz the motion does not repeat to 2 %", "push less or more"
+                )
+
+    @table("Stiffness of the joint, and what a push feels")
+    def comparison(self) -> TableColumns:
+        """The isobaric stiffness and that of small motion beside what is felt."""
+        stiffness, pushes = Column("N*m/rad", digits=3), list(self.felt.values())
+        columns: TableColumns = {"joint": (Column(), list(self.felt))} if all(self.felt) else {}
+        columns["push"] = Column("N*m", digits=2), [push.torque for push in pushes]
+        for name in ("setpoint", "isobaric", "small_motion"):
+            columns[name] = stiffness, [getattr(push, name) for push in pushes]
+        for place, rate in enumerate(pushes[0].frequency):
+            columns[f"felt at {rate:.2g} Hz"] = stiffness, [push.magnitude[place] for push in pushes]
+        return columns
+
+    @table(detail=True)
+    def pushes(self) -> list[Listing]:
+        """The pushes of each joint."""
+        return [
+            Listing(f"Push of {push.torque:g} N*m{' on ' * bool(name)}{name}", push.columns(), detail=True)
+            for name, push in self.felt.items()
+        ]
+
+
+class StiffnessTests(FeltStiffness):
     """Stiffness [N*m/rad] over amplitude and rate of a motion about the angle held by a scenario's controller."""
 
-    figures = ("stiffness",)
+    figures = ("felt_stiffness", "stiffness")
 
-    scenario: Scenario
     angle: float = column("rad", "angle held", "deg")
     pressures: tuple[float, float]
     """Held, gauge [Pa]."""
@@ -61,28 +122,35 @@ class StiffnessTests(Result):
         pressures = " and ".join(f"{pressure / bar:.3g}" for pressure in self.pressures)
         low, high = self.secant.min(), self.secant.max()
         held = f"{self.scenario.name}, held at {round(self.angle / deg, 3) + 0.0:g} deg by {pressures} bar"
-        return f"{held}: {low:.4g} to {high:.4g} N*m/rad at constant pressures"
+        return f"{held}: {low:.4g} to {high:.4g} N*m/rad at constant pressures; {super().verdict()}"
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield setpoint and closed forms, then each simulated test over the rates; the magnitude for a controller."""
-        yield from super().listings()
+    @table()
+    def simulated(self) -> list[Listing]:
+        """Each simulated test over the rates; for a controller the magnitude."""
+        listings = []
         for name, test in self.tests.items():
             stiffness = test.magnitude if name == CONTROLLED else test.stiffness
-            columns: dict[str, tuple[Column, Any]] = {"amplitude": (Column("rad", "amplitude", "deg"), self.amplitude)}
+            columns: TableColumns = {"amplitude": (Column("rad", "amplitude", "deg"), self.amplitude)}
             for rate, values, loss in zip(test.frequency, stiffness, test.loss, strict=True):
                 columns[f"{rate:.3g} Hz"] = Column("N*m/rad"), values
                 columns[f"loss at {rate:.3g} Hz"] = Column("N*m/rad"), loss
-            detail = name == HELD or (name == CLOSED and self.scenario.valve.wall_conductance is None)
-            yield Listing(f"Simulated: {SHOWN[name]}", columns, detail=detail)
+            shown = name == CONTROLLED or (name == CLOSED and self.scenario.valve.wall_conductance is not None)
+            listings.append(Listing(f"Simulated: {SHOWN[name]}", columns, detail=not shown))
+        return listings
 
 
 def stiffness_tests(
-    scenario: Scenario, amplitudes: ArrayLike, rates: ArrayLike, *, progress: Progress | None = None
+    scenario: Scenario,
+    amplitudes: ArrayLike,
+    rates: ArrayLike,
+    *,
+    torque: float | None = None,
+    progress: Progress | None = None,
 ) -> StiffnessTests:
-    """Hold the first setpoint of a scenario for 2 s, and test the stiffness over amplitudes and rates of a motion.
+    """Hold the first setpoint of a scenario, test the stiffness over amplitudes and rates of a motion, and push.
 
     The tests are simulated with constant pressures (ideal valves), with closed valves, with constant commands if the
-    valves hold air, and with the controller active.
+    valves hold air, and with the controller active, from the state after 2 s.
 
     Parameters
     ----------
@@ -92,6 +160,8 @@ def stiffness_tests(
         Amplitudes of the imposed motion [rad], shape (n,).
     rates
         Frequencies of the imposed motion [Hz], shape (m,).
+    torque
+        Amplitude of the pushes [N*m], see `felt_stiffness`.
     progress
         Called with the current step and the completed fraction, 0 to 1.
 
@@ -136,6 +206,7 @@ def stiffness_tests(
     isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
     return StiffnessTests(
         scenario=scenario,
+        felt=felt_stiffness(scenario, torque=torque, progress=progress),
         angle=float(state.angle),
         pressures=(float(state.pressures[0]), float(state.pressures[1])),
         setpoint=float(setpoint.stiffness),

@@ -22,7 +22,7 @@ from mckibben.web import identify, joint, rig, robot, run, tune
 from mckibben.web import start as start_page
 from mckibben.web.layout import PAGES
 from mckibben.web.security import LOCAL, Access, Guard
-from mckibben.web.session import collect_warnings, end_sessions
+from mckibben.web.session import collect_warnings, end_sessions, share_heaps
 
 HOST = LOCAL[0]
 
@@ -60,6 +60,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
         If the port is taken.
     """
     _check_free(port)
+    share_heaps()
     pages()
     binding.MAX_PROPAGATION_TIME = float("inf")  # on a busy machine it would remark on each step of the page
     gc.set_threshold(700, 10, 10)  # Python's own: a page that was left is a cycle, and the command line collects rarely

@@ -115,13 +115,13 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
     ]
 
 
-def cloud(name: str, x: ArrayLike, y: ArrayLike, pressure: ArrayLike) -> Series:
+def cloud(name: str, x: ArrayLike, y: ArrayLike, pressure: ArrayLike, symbol: str = "circle") -> Series:
     """Points of a chart with a scale of colours, see `chart`.
 
     Parameters
     ----------
-    name
-        Text at the pointer.
+    name, symbol
+        Text at the pointer, and shape of ECharts.
     x, y, pressure
         Arrays of shape (samples,), in the units of the axes and of the scale.
     """
@@ -129,7 +129,8 @@ def cloud(name: str, x: ArrayLike, y: ArrayLike, pressure: ArrayLike) -> Series:
     step = max(1, -(-len(x) // _MOST_POINTS))
     rows = np.round(np.column_stack([x, y, pressure])[::step], 5)
     data = rows[np.isfinite(rows).all(axis=1)].tolist()
-    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if len(data) > 400 else 6}
+    size = 4 if len(data) > 400 else 6
+    return {"type": "scatter", "name": name, "data": data, "symbol": symbol, "symbolSize": size, "z": 4}
 
 
 def chart(
@@ -150,7 +151,7 @@ def chart(
     height
         Height in pixels.
     scale, span
-        Label of a scale of colours for a third number of each point, and its ends.
+        Label of a scale of colours for a third number of the points of the first two series, and its ends.
     axes
         Further options of `xAxis` and `yAxis`, such as `min`.
     """
@@ -159,7 +160,14 @@ def chart(
         options[axis] |= {"name": name, **axes.get(axis, {})}
     if scale:
         low, high = span
-        options["visualMap"] |= {"show": True, "dimension": 2, "min": low, "max": high, "text": [scale, ""]}
+        options["visualMap"] |= {
+            "show": True,
+            "dimension": 2,
+            "seriesIndex": [0, 1],
+            "min": low,
+            "max": high,
+            "text": [scale, ""],
+        }
         options["visualMap"]["inRange"] = {"color": _PRESSURES}
         options["tooltip"]["trigger"], options["legend"]["show"] = "item", False
         options["grid"]["top"] = 50

@@ -13,7 +13,7 @@ from nicegui import events, ui
 
 from mckibben.component.schema import field_types
 from mckibben.config.model import fields_by_key
-from mckibben.scenario import Scenario, ScenarioParameter
+from mckibben.scenario import ScenarioParameter, StudiedScenario
 from mckibben.scenario.parameters import Mark
 from mckibben.units import BoundedInt, factor, quantity
 from mckibben.web.layout import NumberField
@@ -41,12 +41,13 @@ def descriptions(kind: type) -> dict[str, str]:
     return found
 
 
-def meaning(scenario: Scenario, parameter: ScenarioParameter) -> str:
+def meaning(scenario: StudiedScenario, parameter: ScenarioParameter) -> str:
     """Description of a parameter from the docstring of its component; empty without one."""
     (first, *others), owner = parameter.places[0], scenario
-    part: object = getattr(owner, fields_by_key(type(owner)).get(first, first))
+    part: Any = getattr(owner, fields_by_key(type(owner)).get(first, first))
     for key in others[:-1]:
-        part = part[int(key)] if isinstance(part, tuple) else getattr(part, key)
+        is_item = isinstance(part, tuple | dict)
+        part = part[int(key) if isinstance(part, tuple) else key] if is_item else getattr(part, key)
     return descriptions(type(part)).get(parameter.places[0][-1], "")
 
 

@@ -25,17 +25,20 @@ from mckibben.dataset import IsobaricDataset, Question, Recipe, Table
 from mckibben.dataset.formats import ENDINGS
 from mckibben.errors import ScenarioError, printable
 from mckibben.identification import identify_with_friction, rank
+from mckibben.identification.with_friction import FitWithFriction
 from mckibben.muscle import LAWS, Muscle
+from mckibben.muscle.muscle import forces, half_widths
 from mckibben.report.palette import CONTRACTION, FORCE, PRESSURE
 from mckibben.result import Remark
 from mckibben.scenario import air_volume, write_identified
 from mckibben.units import bar, percent
-from mckibben.web.charts import chart, cloud, draw, line
+from mckibben.web.charts import Series, chart, cloud, draw, line, pressure_colour
 from mckibben.web.layout import (
     MEANINGS,
     JobPage,
     actions,
     button,
+    fold,
     frame,
     panel,
     progress_row,
@@ -83,6 +86,8 @@ class IdentificationState(JobState):
         What was understood of each file, and what is not plain.
     results
         Fit and ranking by name, the newest first.
+    curves
+        Curves of the fit over the points.
     muscle
         Identified muscle; None without an initial length.
     """
@@ -102,7 +107,12 @@ class IdentificationState(JobState):
     questions: tuple[Question, ...] = ()
     wanted: str = ""
     results: dict[str, Presented] = field(default_factory=dict)  # fit and ranking, the newest first
+    curves: list[Series] = field(default_factory=list)
     muscle: Muscle | None = None
+
+    @property
+    def finished(self) -> bool:
+        return self.muscle is not None
 
     def use(
         self,
@@ -123,7 +133,7 @@ class IdentificationState(JobState):
         """
         self.name, self.sources, self.read_by, self.old = name, tuple(sources), read_by, False
         self.tables, self.data, self.questions = read
-        self.results, self.error = {}, None
+        self.results, self.curves, self.error = {}, [], None
         self.reading_notes, self.notes = list(reading_notes), []
 
     def steps(self, law: str, *, friction: bool | None = None, robust: bool, inner: str = "") -> Repetition:
@@ -148,11 +158,33 @@ class IdentificationState(JobState):
         self.notes, self.error = heard, None
 
 
+def _span(data: IsobaricDataset) -> tuple[float, float]:
+    """Lowest and highest pressure [bar]."""
+    return float(np.min(data.pressure)) / bar, float(np.max(data.pressure)) / bar
+
+
+def fit_curves(fit: FitWithFriction, data: IsobaricDataset, most: int = 8) -> list[Series]:
+    """Curves of a law, and of loading and unloading with its friction, at up to `most` of the pressures of points."""
+    domain, levels, (low, high) = fit.law.domain, data.pressures, _span(data)
+    contraction = np.linspace(float(domain.contraction_min), float(domain.contraction_max), 120)
+    curves = []
+    for level in levels[np.unique(np.linspace(0, len(levels) - 1, most).astype(int))]:
+        colour = pressure_colour((level / bar - low) / (high - low or 1.0))
+        force = forces(fit.law, contraction, level)
+        half = half_widths(fit.friction, force, level) if fit.friction else 0.0
+        for sign in (0, 1, -1) if fit.friction else (0,):
+            values = force + sign * half
+            shown = np.where((force > 0) & (values > 0), values, np.nan)
+            name = f"{level / bar:.3g} bar" + ("", ", loading", ", unloading")[sign]
+            curves.append(line(name, contraction / percent, shown, colour, dash=sign != 0, width=2 - abs(sign)))
+    return curves
+
+
 def page() -> None:
     """The page."""
     visitor = session()
     state = visitor.state(IdentificationState)
-    with frame("/identify", state, "law", "friction", "keep_outliers", "diameter", "reading"):
+    with frame("/identify", state, "law", "friction", "keep_outliers", "diameter", "reading", state=state):
         _Page(state, visitor.folder)
 
 
@@ -299,7 +331,7 @@ class _Page(JobPage[IdentificationState]):
         law, inner, keep = LAWS[state.law], state.diameter, state.keep_outliers
         friction = _FRICTION[state.friction]
 
-        def compute(_: Callable[[str, float], None]) -> tuple[Presented, Muscle | None, Path]:
+        def compute(_: Callable[[str, float], None]) -> tuple[Presented, list[Series], Muscle | None, Path]:
             volume = air_volume(inner, data.table.attrs.get("initial_length"))
             fit = identify_with_friction(law, data, friction=friction, robust=not keep)
             written = Path(tempfile.mkdtemp(dir=folder))
@@ -309,10 +341,10 @@ class _Page(JobPage[IdentificationState]):
             muscle = read_component(Muscle, path) if known else None
             steps = state.steps(law.__name__, friction=friction, robust=not keep, inner=inner)
             steps.files.update({path.name: path.read_bytes() for path in written.iterdir()})
-            return Presented.of(fit, steps), muscle, written
+            return Presented.of(fit, steps, charts=True), fit_curves(fit, data), muscle, written
 
-        def done(made: tuple[Presented, Muscle | None, Path], heard: list[str]) -> None:
-            fit, state.muscle, written = made
+        def done(made: tuple[Presented, list[Series], Muscle | None, Path], heard: list[str]) -> None:
+            fit, state.curves, state.muscle, written = made
             state.show_first("fit", fit, heard)
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
@@ -320,7 +352,7 @@ class _Page(JobPage[IdentificationState]):
                     (written / name).replace(folder / name)
             written.rmdir()
 
-        self.start_job(compute, done)
+        self.start_job(compute, done, kind="fit")
 
     def rank(self) -> None:
         """Fit all laws, and rank them."""
@@ -334,7 +366,7 @@ class _Page(JobPage[IdentificationState]):
             steps = state.steps("all", robust=robust)
             return Presented.of(rank(data, robust=robust, progress=progress), steps)
 
-        self.start_job(compute, partial(state.show_first, "ranking"))
+        self.start_job(compute, partial(state.show_first, "ranking"), kind="rank")
 
     def show(self) -> None:
         """Show everything known."""
@@ -352,16 +384,17 @@ class _Page(JobPage[IdentificationState]):
                 show_remarks(Remark.warning("", text) for text in notes)
         with ui.column().classes("w-full" + (" stale" if state.old else "")).style("gap: 16px"):
             for name, result in state.results.items():
-                with show_result(result, name):
-                    if name == "fit":
-                        self.show_uses()
+                show_result(result, name, self.show_fit if name == "fit" else lambda: None)
             if state.questions:
                 self.show_columns()
-            if state.data is not None:
-                self.show_data(state.data)
-            self.show_recordings()
-            if not state.questions:
-                self.show_columns()
+            if state.data is not None and "fit" not in state.results:
+                with panel(f"{len(state.data)} points, {len(state.data) - len(state.data.taut)} slack"):
+                    self.show_points(state.data)
+            folded = bool(state.results and state.tables)
+            with panel() if folded else nullcontext(), fold("The file") if folded else nullcontext():
+                self.show_recordings()
+                if not state.questions:
+                    self.show_columns()
 
     def show_columns(self) -> None:
         """Quantity and unit of each column, and the questions."""
@@ -372,15 +405,31 @@ class _Page(JobPage[IdentificationState]):
         with panel(f"{count} question{'s' * (count > 1)} about {state.name}" if count else f"Columns of {state.name}"):
             ColumnPicker(state.tables[0], state.reading, state.questions, self.read)
 
-    def show_data(self, data: IsobaricDataset) -> None:
-        """The points, and remarks from reading."""
-        with panel(f"{len(data)} points, {len(data) - len(data.taut)} slack"):
-            pressure = data.pressure / bar
-            span = float(np.min(pressure)), float(np.max(pressure))
-            points = chart("contraction [%]", "force [N]", height=330, scale="pressure [bar]", span=span)
-            draw(points, [cloud("points", data.contraction / percent, data.force, pressure)])
-            for text in self.named(data.table.attrs.get("preprocessing", "")).splitlines():
-                quiet(printable(text, 500))
+    def show_points(self, data: IsobaricDataset) -> None:
+        """The points as measured, with the curves of a fit, and remarks from reading."""
+        pressure, known = data.pressure / bar, data.table.get("direction")
+        loading = np.zeros(len(data), bool) if known is None else known.values == "loading"
+        points = chart("contraction [%]", "force [N]", height=360, scale="pressure [bar]", span=_span(data))
+        clouds = [
+            cloud(name, data.contraction[rows] / percent, data.force[rows], pressure[rows], symbol)
+            for name, rows, symbol in (("loading", loading, "circle"), ("measured", ~loading, "emptyCircle"))
+        ]
+        draw(points, [*clouds, *self.state.curves])
+        quiet(
+            ("Filled points: loading, the muscle is stretched. " if loading.any() else "")
+            + ("Lines: the law; dashed: with its friction." if self.state.curves else "")
+        )
+        for text in self.named(data.table.attrs.get("preprocessing", "")).splitlines():
+            quiet(printable(text, 500))
+
+    def show_fit(self) -> None:
+        """The points with the curves of the fit, and what can be done with the muscle."""
+        assert self.state.data is not None
+        self.show_points(self.state.data)
+        if self.state.muscle is not None:
+            button("Design a joint with it", self.design, main=True)
+        else:
+            quiet("give the initial length to use the muscle in scenarios")
 
     def show_recordings(self) -> None:
         """The columns over time, those that are understood while questions are open."""
@@ -391,13 +440,6 @@ class _Page(JobPage[IdentificationState]):
                 if shown:
                     curves = [line(name, time, values, color, width=1) for time, values in shown]
                     draw(chart("time [s]", f"{name} [{unit}]", height=190), curves, legend=())
-
-    def show_uses(self) -> None:
-        """What can be done with the muscle."""
-        if self.state.muscle is not None:
-            button("Design a joint with it", self.design, main=True)
-        else:
-            quiet("give the initial length to use the muscle in scenarios")
 
     def design(self) -> None:
         """Use the muscle on the joint page."""

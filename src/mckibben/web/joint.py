@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 
 import numpy as np
 from nicegui import events, ui
@@ -46,7 +47,12 @@ from mckibben.web.layout import (
     side,
 )
 from mckibben.web.session import Latest, in_thread, session
+from mckibben.web.workbench import Workbench, with_joint
 
+_NEW_JOINT = (
+    "The joint is that of the page Joint, with a stiffness that it can have. Load, valve and controller are those of "
+    "`mckibben new joint`: set them here, and tune the gains on the page Tune."
+)
 _COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
 
 
@@ -284,8 +290,6 @@ class _Page:
 
     def run(self) -> None:
         """Use the joint on the page of runs."""
-        from mckibben.web.workbench import Workbench
-
-        muscle = self.known[self.design.muscle]
-        session().state(Workbench).joint = scenario_lines(self.design, muscle)
+        lines, bench = scenario_lines(self.design, self.known[self.design.muscle]), session().state(Workbench)
+        bench.waiting, bench.note = partial(with_joint, lines), _NEW_JOINT
         ui.navigate.to("/run")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import copy
 import math
-import time
+import re
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,7 +35,7 @@ PAGES = {
     "/": ("Start", "From a muscle's test data to a controlled joint."),
     "/identify": ("Muscle", "From measured points to a force law with friction and error bars."),
     "/joint": ("Joint", "The stiffness and torque that two muscles attain on your joint."),
-    "/run": ("Run", "The joint with controller, valves and sensors, simulated."),
+    "/run": ("Run", "A joint or a robot with controller, valves and sensors, simulated."),
     "/tune": ("Tune", "Gains for your tolerances, with a margin to the limit of stability."),
     "/rig": ("Rig", "A test of a muscle on the simulated rig."),
     "/robot": ("Robot", "Arms, necks and legs: posture, and the torque and stiffness that their muscles attain."),
@@ -46,7 +46,7 @@ MEANINGS: dict[str, str] = plain(read_document(resource("starts/meanings.yaml"))
 
 
 @contextmanager
-def frame(here: str, form: object = None, *names: str) -> Iterator[None]:
+def frame(here: str, form: object = None, *names: str, state: JobState | None = None) -> Iterator[None]:
     """Header with links to the pages, title, the columns of a page, and a link to the next page.
 
     Parameters
@@ -55,6 +55,8 @@ def frame(here: str, form: object = None, *names: str) -> Iterator[None]:
         Path of the page, a key of `PAGES`.
     form, names
         Object that holds the inputs of the page, and its attributes to which "undo" goes back.
+    state
+        State of the page; the next page is offered as soon as it has what that needs.
     """
     ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative=_RED, positive=GREEN)
     ui.add_css(resource("style.css"))
@@ -77,8 +79,10 @@ def frame(here: str, form: object = None, *names: str) -> Iterator[None]:
         quiet(purpose)
     with ui.element("div").classes("columns"):
         yield
-    if following := [*PAGES][[*PAGES].index(here) + 1 :]:
-        ui.link(f"Next: {PAGES[following[0]][0]}", following[0]).classes("next").mark("next")
+    if state is not None:
+        following = [*PAGES][[*PAGES].index(here) + 1]
+        following_link = ui.link(f"Next: {PAGES[following][0]}", following).classes("next").mark("next")
+        following_link.bind_visibility_from(state, "finished")
 
 
 def _undo(here: str, form: object, names: Sequence[str]) -> None:
@@ -171,7 +175,7 @@ def select(options: list[str] | dict[Any, str], label: str, mark: str, **others:
     others
         Options of `ui.select`.
     """
-    meaning = MEANINGS.get(mark) or MEANINGS[mark.partition("-")[0]]
+    meaning = MEANINGS.get(mark) or MEANINGS[re.split("-| of ", mark)[0]]
     return ui.select(options, label=label, **others).props("dense").classes("w-full").mark(mark).tooltip(meaning)
 
 
@@ -214,8 +218,11 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
     def refresh() -> None:
         shown.visible = jobs.busy
         if jobs.busy:
-            bar.props(**{"remove" if jobs.part else "add": "indeterminate"})
-            bar.value, step.text = jobs.part, f"{jobs.step or 'starting'}, {time.monotonic() - jobs.began:.0f} s"
+            elapsed, expected = jobs.elapsed, jobs.expected
+            bar.props(**{"remove" if expected else "add": "indeterminate"})
+            bar.value = min(elapsed / expected, 0.95) if expected else 0.0
+            about = f" of about {expected:.0f} s" if expected else " s"
+            step.text = f"{jobs.step or 'starting'}, {elapsed:.0f}{about}"
 
     return refresh
 
@@ -275,6 +282,7 @@ class JobPage(Generic[State]):
         done: Callable[[Value, list[str]], None],
         *,
         scroll: bool = True,
+        kind: str = "",
     ) -> None:
         """Run a job in a thread, as `Jobs.start`; an error is stored in the state.
 
@@ -286,13 +294,15 @@ class JobPage(Generic[State]):
             Called on the event loop with the result and the texts of warnings.
         scroll
             Whether the page scrolls to the results, or stays where it is.
+        kind
+            Kind of the job, by which its duration is expected.
         """
 
         def end(result: Value, heard: list[str]) -> None:
             done(result, heard)
             self.ended = scroll
 
-        self.state.jobs.start(compute, end, self.fail)
+        self.state.jobs.start(compute, end, self.fail, kind)
 
     def fail(self, error: McKibbenError) -> None:
         """Store an error for display."""

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 
 from mckibben import catalog
 from mckibben.component.schema import replaced
+from mckibben.control import Reference
 from mckibben.muscle import MaxwellSlip, NoFriction
-from mckibben.scenario import Scenario
-from mckibben.units import mm
-from mckibben.web.workbench import OFFERED, START, with_section
+from mckibben.scenario import StudiedScenario
+from mckibben.units import deg, mm
+from mckibben.web.workbench import LEG, OFFERED, START, read_text, with_section
 
 
 class Choice(NamedTuple):
@@ -31,47 +32,52 @@ class Choice(NamedTuple):
     """
 
     options: tuple[str, ...]
-    choose: Callable[[Scenario, str], Scenario]
-    chosen: Callable[[Scenario], str | None]
+    choose: Callable[[StudiedScenario, str], StudiedScenario]
+    chosen: Callable[[StudiedScenario], str | None]
 
 
-def _section(key: str, sections: Mapping[str, str]) -> Choice:
-    """Choice of a section of a scenario, by its key, from its texts by label."""
+def _section(key: str, sections: Mapping[str, str], within: str = START, **others: object) -> Choice:
+    """Choice of a section of a scenario from its texts by label, read within a text; it sets other parts, too."""
 
     @functools.cache
     def component(name: str) -> object:
-        return getattr(Scenario.parse(with_section(START, sections[name], (key,))), key)
+        return getattr(read_text(with_section(within, sections[name], (key,))), key)
 
-    def chosen(scenario: Scenario) -> str | None:
+    def chosen(scenario: StudiedScenario) -> str | None:
         now = getattr(scenario, key)
         alike = [name for name in sections if _kind(component(name)) == _kind(now)]
         equal = [name for name in alike if eqx.tree_equal(component(name), now)]
         return equal[0] if equal else alike[0] if len(alike) == 1 else None
 
-    return Choice(tuple(sections), lambda scenario, name: scenario.replace(**{key: component(name)}), chosen)
+    return Choice(tuple(sections), lambda scenario, name: scenario.replace(**{key: component(name)}, **others), chosen)
 
 
-def _kind(component: object) -> tuple[type, type]:
-    """Class of a component and, of a controller, of its loop of the angle."""
-    return type(component), type(getattr(component, "position", None))
+def _kind(component: object) -> tuple[object, ...]:
+    """Class of a component and, of a controller, of its loops; whether it is a spring."""
+    loops = (type(getattr(component, name, None)) for name in ("position", "feedback"))
+    return type(component), *loops, getattr(component, "impedance", False)
 
 
-def _signal(name: str, unit: str) -> Choice:
-    """Choice of a reference; levels of the angle are fixed, those of the stiffness about its present mean."""
+def _signal(joint: str, name: str, unit: str, size: float) -> Choice:
+    """Choice of a reference of a joint, "" of an unnamed one; its levels are about its present mean."""
     signals = OFFERED["signals"]
 
-    def choose(scenario: Scenario, kind: str) -> Scenario:
-        times = np.linspace(0.0, scenario.duration, 200)
-        mean = 0.0 if name == "angle" else float(np.mean([scenario.signals.stiffness(time) for time in times]))
-        spans = {"at": 0.0, "low": -8.0, "high": 8.0, "half": 10.0}
-        if name == "stiffness":
-            spans = {"at": mean, "low": 0.9 * mean, "high": 1.1 * mean, "half": 0.1 * mean}
-        section = signals[kind].format(**{level: f"{value:.3g} {unit}" for level, value in spans.items()})
-        signal = getattr(Scenario.parse(with_section(START, section, ("reference", name))).signals, name)
-        return scenario.replace(reference=replaced(scenario.signals, {name: signal}))
+    def own(scenario: StudiedScenario) -> Reference:
+        return scenario.references()[joint] if joint else scenario.references()
 
-    def chosen(scenario: Scenario) -> str | None:
-        kind = type(getattr(scenario.signals, name)).__name__.lower()
+    def choose(scenario: StudiedScenario, kind: str) -> StudiedScenario:
+        times, signal = np.linspace(0.0, scenario.timing["duration"], 200), getattr(own(scenario), name)
+        mean = round(float(np.mean([signal(time) for time in times])) / size, 6)
+        half = 0.1 * mean if name == "stiffness" else 3.0 if joint else 10.0
+        step = half if name == "stiffness" else 0.8 * half
+        levels = {"at": mean, "low": mean - step, "high": mean + step, "half": half}
+        section = signals[kind].format(**{level: f"{value:.3g} {unit}" for level, value in levels.items()})
+        made = getattr(read_text(with_section(START, section, ("reference", name))).references(), name)
+        reference = replaced(own(scenario), {name: made})
+        return scenario.replace(reference=scenario.references() | {joint: reference} if joint else reference)
+
+    def chosen(scenario: StudiedScenario) -> str | None:
+        kind = type(getattr(own(scenario), name)).__name__.lower()
         return kind if kind in signals else None
 
     return Choice(tuple(signals), choose, chosen)
@@ -81,13 +87,13 @@ def _friction() -> Choice:
     """Friction of both muscles."""
     options = {"none": NoFriction(), "Maxwell slip": MaxwellSlip(half_width=6.0, presliding_length=0.5 * mm)}
 
-    def choose(scenario: Scenario, name: str) -> Scenario:
+    def choose(scenario: Any, name: str) -> StudiedScenario:
         muscles = {
             key: replaced(getattr(scenario.joint, key), {"friction": options[name]}) for key in ("muscle1", "muscle2")
         }
         return scenario.replace(joint=replaced(scenario.joint, muscles))
 
-    def chosen(scenario: Scenario) -> str | None:
+    def chosen(scenario: Any) -> str | None:
         kinds = {type(muscle.friction) for muscle in (scenario.joint.muscle1, scenario.joint.muscle2)}
         return next((name for name, friction in options.items() if kinds == {type(friction)}), None)
 
@@ -102,15 +108,37 @@ def _valves() -> dict[str, str]:
 
 
 _PID = START[START.index("  position") : START.index("reference")]
-CHOICES: Mapping[str, Choice] = {
-    "controller": _section("controller", {"two PID loops": _PID, **OFFERED["controllers"]}),
-    "angle reference": _signal("angle", "deg"),
-    "stiffness reference": _signal("stiffness", "N*m/rad"),
-    "friction of the muscles": _friction(),
-    "load": _section("load", OFFERED["load"]),
-    "friction of the joint": _section("friction", OFFERED["friction"]),
-    "valves": _section("valve", OFFERED["valve"] | _valves()),
-    "sensors": _section("sensors", OFFERED["sensors"]),
-    "disturbance": _section("disturbance", OFFERED["disturbance"]),
+_CONTROLLERS = (
+    _section("controller", {"two PID loops": _PID, **OFFERED["controllers"]}),
+    _section("controller", OFFERED["controllers of all joints"], LEG, controllers={}),
+)
+"""Those of a joint, and of several."""
+_PLANT: Mapping[str, tuple[str, Choice]] = {
+    "friction of the muscles": ("joint", _friction()),
+    "load": ("load", _section("load", OFFERED["load"])),
+    "friction of the joint": ("friction", _section("friction", OFFERED["friction"])),
+    "valves": ("valve", _section("valve", OFFERED["valve"] | _valves())),
+    "sensors": ("sensors", _section("sensors", OFFERED["sensors"])),
+    "disturbance": ("disturbance", _section("disturbance", OFFERED["disturbance"])),
 }
-"""Choices by label; the first three are those of the controller, the others of the plant."""
+"""Key of the part, and its choice, by label."""
+
+
+def plant_choices(scenario: StudiedScenario) -> dict[str, Choice]:
+    """Choices of the parts of the plant that a scenario has, by label."""
+    fields = type(scenario).model_fields
+    return {label: choice for label, (key, choice) in _PLANT.items() if key in fields}
+
+
+def control_choices(scenario: StudiedScenario) -> dict[str, Choice]:
+    """Choices of the controller, and of the references of each joint, by label; that of a point has none."""
+    joints = scenario.joint_names
+    choices = {"controller": _CONTROLLERS[bool(joints)]}
+    if joints and scenario.references() is not getattr(scenario, "reference", None):
+        return choices
+    units = (("angle", "deg", deg), ("stiffness", "N*m/rad", 1.0))
+    return choices | {
+        f"{name} reference of {joint}".removesuffix(" of "): _signal(joint, name, unit, size)
+        for joint in joints or ("",)
+        for name, unit, size in units
+    }

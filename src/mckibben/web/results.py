@@ -8,7 +8,7 @@ import io
 import shlex
 import threading
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple, Self
 
@@ -78,7 +78,9 @@ class Presented(NamedTuple):
         """
         listings = result.listings()
         if charts:
-            titled = ((table.title or "all numbers", table) for table in listings)
+            titled = (
+                (table.title or f"all numbers{'' if table.vertical else ', by joint'}", table) for table in listings
+            )
             listings = (dataclasses.replace(table, title=title, detail=True) for title, table in titled)
         picture = b"" if charts else _picture_of(result)
         return cls(result, tuple(result.remarks()), tuple(listings), picture, steps)
@@ -101,13 +103,13 @@ class Presented(NamedTuple):
         return content.getvalue()
 
 
-def _picture_of(result: Result, resolution: int = 150) -> bytes:
+def _picture_of(result: Result, resolution: int = 220) -> bytes:
     """The first figure of a result as PNG with a resolution [dpi]; empty if it has none."""
     with _drawing:
         return png_of(result.plot(), resolution) if result.figures else b""
 
 
-def show_result(presented: Presented, name: str) -> ui.column:
+def show_result(presented: Presented, name: str, figure: Callable[[], object] = lambda: None) -> ui.column:
     """Show a result in a panel, to which the page may add.
 
     From top to bottom: verdict, remarks, figure, tables, and a button for the download.
@@ -118,6 +120,8 @@ def show_result(presented: Presented, name: str) -> ui.column:
         What is shown.
     name
         Name of the downloaded zip file.
+    figure
+        Adds what the page shows in place of the figure, or below it.
     """
 
     async def download() -> None:
@@ -129,6 +133,7 @@ def show_result(presented: Presented, name: str) -> ui.column:
         if presented.picture:
             data = base64.b64encode(presented.picture).decode("ascii")
             ui.image(f"data:image/png;base64,{data}").classes("w-full").props(f'alt="figure: {name}" no-spinner')
+        figure()
         for listing in presented.listings:
             if not listing.detail:
                 quiet(listing.title)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import tempfile
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,13 +14,15 @@ import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
-from mckibben.config.document import LONGEST_TEXT
+from mckibben.component.schema import read_component
+from mckibben.config.document import LONGEST_TEXT, plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import McKibbenError, RangeError, printable
 from mckibben.mechanism.outline import Ellipsoid, Outline, outline, stiffness_ellipsoid
 from mckibben.muscle import Muscle
 from mckibben.report.palette import BLUE, GREY
 from mckibben.result import Listing, Remark
+from mckibben.scenario import StudiedScenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.statics.attainable import attainable_listing, attainable_statics
 from mckibben.statics.posture import holding_torques
@@ -29,6 +33,7 @@ from mckibben.web.design import muscles
 from mckibben.web.identify import IdentificationState
 from mckibben.web.layout import (
     NumberSlider,
+    actions,
     button,
     fold,
     frame,
@@ -42,6 +47,12 @@ from mckibben.web.layout import (
 )
 from mckibben.web.results import show_listing
 from mckibben.web.session import Latest, in_thread, session
+from mckibben.web.workbench import LEG, Workbench, parse, save_scenario
+
+_NEW_ROBOT = (
+    "The robot is that of the page Robot. Without a controller in its file, its base is held, and computed torque "
+    "moves each joint about the posture of the sliders, with a stiffness that it can have: set them here."
+)
 
 
 @dataclass
@@ -94,24 +105,23 @@ class Posed(NamedTuple):
     error: McKibbenError | None
 
 
-def read_robot_file(path: Path, muscle: Muscle, folder: Path) -> tuple[RobotScenario, tuple[Remark, ...]]:
-    """Read a robot of ours, or of MJCF or URDF with one muscle for all tendons.
+def read_robot_file(path: Path, muscle: Muscle) -> tuple[RobotScenario, tuple[Remark, ...]]:
+    """Read a robot of ours, or of MJCF or URDF, which MuJoCo reads, with one muscle for all tendons.
 
     Parameters
     ----------
     path
-        File, which MuJoCo reads if it ends in .xml or .urdf.
+        File in a folder with those that it may name.
     muscle
-        Muscle of all tendons.
-    folder
-        Folder of the files that it may name.
+        Muscle of all tendons, unless the folder has the file of one.
     """
     if path.suffix not in (".xml", ".urdf"):
-        return parse_model(RobotScenario, path.read_text("utf-8"), source=path.name, folder=folder, confined=True)[
-            0
-        ], ()
+        text = path.read_text("utf-8")
+        return parse_model(RobotScenario, text, source=path.name, folder=path.parent, confined=True)[0], ()
     from mckibben.scenario.reading import read_mjcf
 
+    for file in path.parent.glob("*.y*ml"):
+        muscle = read_component(Muscle, file)
     read = read_mjcf(path, muscle, confined=True)
     return read.scenario(), tuple(read.remarks())
 
@@ -134,6 +144,30 @@ def pose(scenario: RobotScenario, angles: tuple[float, ...]) -> Posed:
         with contextlib.suppress(RangeError):
             ellipsoid = stiffness_ellipsoid(robot, angles, solved.joint_stiffness, point, 0.15 * extent(lines)[1])
     return Posed(lines, np.array(solved.pressures), ellipsoid, (attainable_listing(ranges), holding), None)
+
+
+def with_control(scenario: RobotScenario, angles: tuple[float, ...], folder: Path) -> StudiedScenario:
+    """A robot whose held base carries joints that move about a posture [rad]; one with a controller as it is.
+
+    Their stiffness is the nearest to the middle of the stable part of their ranges that they have together. Raises
+    `McKibbenError` if the muscles cannot hold the posture.
+    """
+    data, control = plain(read_document(scenario.dumps(folder=folder)).data), plain(read_document(LEG).data)
+    if scenario.duration:
+        return parse(to_text(data), folder)
+    robot, held = scenario.robot, holding_torques(scenario.robot, angles)
+    ranges = attainable_statics(robot, angles, torques=held, supply=scenario.supply)
+    stable = {name: float(np.mean(np.maximum(ranges[name].stiffness, 0.0))) for name in ranges}
+    middle = [stable.get(name) for name in robot.joint_names]
+    solved = pressures_for_joint_stiffness(robot, angles, middle, torques=held, supply=scenario.supply)
+    for name in ("landing", "jump", "stiffness"):
+        data.pop(name, None)
+    data["robot"].pop("base", None)
+    data |= {key: control[key] for key in ("controller", "start", "duration", "control_period")} | {"reference": {}}
+    for joint, angle, stiffness in zip(robot.joint_names, angles, np.diag(solved.joint_stiffness), strict=True):
+        sine = {"class": "sine", "amplitude": "3 deg", "frequency": "0.5 Hz", "offset": f"{angle / deg:.4g} deg"}
+        data["reference"][joint] = {"angle": sine, "stiffness": f"{stiffness:.3g} N*m/rad"}
+    return parse(to_text(data), folder)
 
 
 def extent(lines: Outline) -> tuple[np.ndarray, float]:
@@ -168,14 +202,16 @@ class _Page:
         with side():
             with panel("Robot"):
                 select(list(catalog.names("legs")), "an example", "example", on_change=self.example)
-                upload("or robot.yaml, MJCF, URDF", LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml,.xml,.urdf")
+                upload("or robot.yaml, MJCF, URDF, with the files that it names", LONGEST_TEXT, self.uploaded, most=16)
                 label = "muscle of all tendons of MJCF"
                 self.muscle = select(list(self.known), label, "muscle", value=next(iter(self.known)))
                 self.name = quiet("")
                 self.remarks = ui.column()
             with panel("Posture"):
                 self.sliders = ui.column().classes("w-full").style("gap: 10px")
-            button("Download robot.yaml", self.download, "download")
+            with actions():
+                button("Run this robot", self.run, "run-robot", main=True)
+                button("Download robot.yaml", self.download, "download")
         with side():
             with panel("", stays=True):
                 self.view = ui.scene(height=420, grid=False, background_color="#f4f6f8").classes("w-full")
@@ -210,15 +246,14 @@ class _Page:
 
     async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
         """Show the robot of a file."""
-        file = event.files[0]
-        path = self.folder / f"robot{Path(file.name).suffix.lower()}"
-        await file.save(path)
+        folder = Path(tempfile.mkdtemp(dir=self.folder, prefix="robot-"))
         try:
-            read, _ = await in_thread(read_robot_file, path, self.known[self.muscle.value], self.folder)
+            path = await save_scenario(event.files, folder)
+            read, _ = await in_thread(read_robot_file, path, self.known[self.muscle.value])
         except McKibbenError as error:
             self.fail(error)
             return
-        self.state.use(printable(file.name, 80), *read)
+        self.state.use(printable(path.name, 80), *read)
         await self.shown()
 
     async def shown(self) -> None:
@@ -298,6 +333,13 @@ class _Page:
         self.results.clear()
         with self.results:
             show_error(error)
+
+    def run(self) -> None:
+        """Run the robot on the page of runs, from this posture."""
+        bench, angles = session().state(Workbench), tuple(angle * deg for angle in self.state.angles)
+        if self.state.scenario is not None:
+            bench.waiting, bench.note = partial(with_control, self.state.scenario, angles), _NEW_ROBOT
+            ui.navigate.to("/run")
 
     def download(self) -> None:
         """Offer the robot as a file, in this posture."""

@@ -1,4 +1,4 @@
-"""Page of runs: references, controller and gains, live plots, and the scenario as YAML.
+"""Page of runs: references, controller and gains, live plots, and the scenario as YAML, of a joint or a robot.
 
 Selects change a part of the scenario, fields its numbers, and the text all of it; every change runs it again.
 """
@@ -6,27 +6,31 @@ Selects change a part of the scenario, fields its numbers, and the text all of i
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from nicegui import events, ui
 
+from mckibben.component.columns import labels_of
 from mckibben.config.document import LONGEST_TEXT
-from mckibben.report.palette import DESIRED, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
-from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
-from mckibben.simulation import SimulationResult
-from mckibben.simulation.metrics import in_shown_units
+from mckibben.errors import ParameterError
+from mckibben.report.palette import BLUE, DESIRED, GREEN, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
+from mckibben.scenario import ScenarioParameter, StudiedScenario, list_parameters, with_values
+from mckibben.simulation.result import BAND
 from mckibben.units import bar, deg
 from mckibben.web.charts import Series, band, chart, draw, line
 from mckibben.web.forms import meaning, number
 from mckibben.web.layout import (
     JobPage,
+    NumberField,
     button,
     fold,
     frame,
     panel,
+    progress_row,
     quiet,
     select,
     side,
@@ -34,34 +38,39 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
-from mckibben.web.parts import CHOICES
+from mckibben.web.parts import Choice, control_choices, plant_choices
 from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import session
 from mckibben.web.workbench import (
+    LEG,
+    READ,
     SMALL_MOTION,
+    START,
     ScenarioRun,
     Workbench,
     compute,
     parse,
+    save_scenario,
     scenario_files,
-    with_joint,
 )
 
-_NEW_JOINT = (
-    "The joint is that of the page Joint, with a stiffness that it can have. Load, valve and controller are {}: set "
-    "them here, and tune the gains on the page Tune."
-)
 _KEPT = (PURPLE, ORANGE, SKY)
 """Colours of kept runs, of which there are at most as many."""
-_PARTS = ("controller", "reference", "joint", "load", "friction", "valve", "sensors", "disturbance")
-"""Parts of a scenario with fields; the first two are open at first."""
+_COLOURS = (*MUSCLES, GREEN, PURPLE, ORANGE, SKY, BLUE)
+"""Colours of muscles, in turn."""
+_PARTS = ("controller", "controllers", "reference", "joint", "load", "friction", "valve", "sensors", "disturbance")
+"""Parts of a scenario with fields; the first three are open at first."""
+_EXAMPLES = {"": "none", "knee": "the knee of the paper", "leg": "the leg of the paper"}
+_TEXTS = {"knee": START, "leg": LEG}
+_METRICS = ("angle_rmse", "stiffness_rmse", "coupling", "air")
+"""Metrics of the comparison of kept runs."""
 
 
 def page() -> None:
     """The page."""
     visitor = session()
     state = visitor.state(Workbench)
-    with frame("/run", state, "ran"):
+    with frame("/run", state, "ran", state=state):
         _Page(state, visitor.folder)
 
 
@@ -72,39 +81,38 @@ _HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
 class _Page(JobPage[Workbench]):
     """Forms and plots of one visit.
 
-    Fields and curves are those of the last scenario that ran; after an error they are grey.
+    Fields and curves are those of the last scenario that ran: dimmed while another one runs, and grey after an error,
+    beside a value that is refused, and beside an edited text.
     """
 
     def __init__(self, state: Workbench, folder: Path) -> None:
         super().__init__(state, folder)
-        self.formed = -1
+        self.formed, self.look = -1, ""
         self.text = ""
         self.selects: dict[str, ui.select] = {}
+        self.numbers: list[NumberField] = []
         with side():
             with panel("Controller and references"):
-                for label in [*CHOICES][:3]:
-                    self.select(label)
+                select(_EXAMPLES, "an example", "start", value="", on_change=self.example)
+                self.control = ui.element("div").classes("fields")
             with panel(), fold("Plant").mark("plant"):
-                for label in [*CHOICES][3:]:
-                    self.select(label)
+                self.plant = ui.element("div").classes("fields")
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel(), fold("Advanced: the scenario as YAML"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260)
                 with ui.row().style("gap: 8px"):
                     button("Run", self.apply, "run", main=True)
-                upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
+                upload("or a file, with those that it names", 4 * LONGEST_TEXT, self.uploaded, most=16)
         with side():
             with ui.row().classes("w-full items-center").style("gap: 12px"):
                 button("Keep this run", self.keep, "keep", main=True)
                 button("Remove kept runs", self.clear)
                 button("Margins", partial(self.study, "margins"), "margins")
                 button("Limits", partial(self.study, "envelope"), "limits")
-                with ui.row().classes("items-center no-wrap") as self.busy:
-                    ui.spinner(size="20px")
-                    quiet("computing; a new kind of controller compiles for a few seconds")
-                    button("Cancel", state.jobs.cancel, "cancel").props("dense")
+            self.progress = progress_row(state.jobs)
             self.remarks = ui.column().classes("w-full")
-            with panel("Angle", stays=True):
+            with panel("Angle", stays=True) as self.first:
+                self.joints = ui.toggle([], on_change=self.choose_joint).props("no-caps flat").mark("joint")
                 self.angle = chart("time [s]", "angle [°]", height=270)
             with ui.column().classes("w-full").style("gap: 16px") as self.results:
                 with panel("Stiffness"):
@@ -114,63 +122,71 @@ class _Page(JobPage[Workbench]):
                 with panel("Pressures"):
                     self.pressure = chart("time [s]", "pressure [bar]", height=230)
                 with panel("Kept runs") as self.comparison:
-                    self.numbers = ui.column().classes("w-full")
+                    self.table = ui.column().classes("w-full")
+        self.first.visible = self.results.visible = state.current is not None
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
 
-    def select(self, label: str) -> None:
+    def select(self, label: str, choice: Choice) -> None:
         """A select that changes the scenario, and shows the kind that runs."""
 
         def changed(event: events.ValueChangeEventArguments) -> None:
             scenario = self.state.scenario
             if event.value and scenario is not None and event.value != self.state.options.get(label):
-                self.change(lambda: CHOICES[label].choose(scenario, event.value))
+                self.change(lambda: choice.choose(scenario, event.value))
 
-        self.selects[label] = select(list(CHOICES[label].options), label, label, on_change=changed)
+        made = select(list(choice.options), label, label, value=self.state.options[label], on_change=changed)
+        self.selects[label] = made.classes("wide" if " of " in label else "")
+
+    def example(self, event: events.ValueChangeEventArguments) -> None:
+        """Run an example."""
+        if event.value:
+            self.apply_text(_TEXTS[event.value])
 
     def begin(self) -> None:
-        """Run the joint of another page, or the first scenario."""
+        """Run the scenario of another page, or the first one."""
         state, folder = self.state, self.folder
-        if state.waiting:
-            text, state.waiting = state.waiting, ""
-            self.apply_text(text)
-        elif state.joint:
-            text = None if state.current is None else state.current.text
-            joint, state.joint = state.joint, ""
-            note = _NEW_JOINT.format("still those of the scenario before" if text else "those of `mckibben new joint`")
-            self.change(lambda: with_joint(text, joint, folder), note=note)
+        if state.waiting is not None:
+            make, note = state.waiting, state.note
+            state.waiting = None
+            self.change(lambda: make(folder), note=note)
         elif state.current is None and not state.jobs.busy:
             self.apply_text(state.text)
 
     def refresh(self) -> None:
-        """Show new results."""
+        """Show new results, and whether they are those of the fields and of the text."""
         state = self.state
-        self.busy.visible = state.jobs.busy
-        if self.formed != state.form:
+        self.progress()
+        if self.formed != state.form and state.scenario is not None:
             self.formed = state.form
-            self.form.clear()
-            if state.scenario is not None:
-                with self.form:
-                    self.fields(state.scenario)
+            self.parts(state.scenario)
         if self.news():
             if self.text != state.text:  # otherwise it may be being edited
                 self.text = self.yaml.value = state.text
             self.show_results(self.remarks, self.show)
-            if state.scenario is not None and not state.jobs.busy:
-                for label, kind in state.options.items():
-                    self.selects[label].value = kind
-            for part in (self.angle, self.results, self.form):
-                part.classes(**{"remove" if state.error is None else "add": "stale"})
+            for label, made in self.selects.items():
+                if not state.jobs.busy:
+                    made.value = state.options.get(label)
+            self.first.visible = self.results.visible = state.current is not None
             if state.current is not None:
                 self.plot(state.current)
+        refused = any(made.error for made in self.numbers)
+        old = state.error is not None or refused or self.yaml.value != self.text
+        look = "waiting" if state.jobs.busy else "stale" if old else ""
+        if look != self.look:
+            for part in (self.remarks, self.first, self.results):
+                part.classes(look, remove=self.look or None)
+            self.form.classes("stale" if look else "", remove="stale")
+            self.look = look
 
     def show(self) -> None:
         """Show the error or the warnings of the last run, and the result of the last scenario that ran."""
         state = self.state
         self.show_notes()
         if state.current is not None:
-            old = " stale" if state.error else ""
-            with ui.column().classes(f"w-full{old}"), show_result(state.current.presented, "run"):
+            with show_result(state.current.presented, "run"):
+                if state.note:
+                    quiet(state.note)
                 if state.error is not None:
                     quiet("Fields, curves and numbers are those of the last scenario that ran.")
         for name, presented in state.studies.items():
@@ -178,7 +194,7 @@ class _Page(JobPage[Workbench]):
 
     def change(
         self,
-        make: Callable[[], Scenario],
+        make: Callable[[], StudiedScenario],
         *,
         form: bool = True,
         note: str = "",
@@ -199,37 +215,60 @@ class _Page(JobPage[Workbench]):
         """
         state, folder = self.state, self.folder
 
-        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], ScenarioRun]:
+        def run(progress: Callable[[str, float], None]) -> tuple[StudiedScenario, dict[str, str | None], ScenarioRun]:
             scenario = make()
-            progress("run", 0.1)  # unless another has been requested since
-            options = {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
+            options = {
+                label: choice.chosen(scenario)
+                for label, choice in (control_choices(scenario) | plant_choices(scenario)).items()
+            }
+            progress("run, a new kind compiles" if form else "run", 0.0)  # unless another has been requested since
+            if state.current is None:  # fields while the first run compiles
+                state.scenario, state.options, state.form = scenario, options, state.form + 1
             return scenario, options, compute(scenario, folder)
 
-        def done(ran: tuple[Scenario, dict[str, str | None], ScenarioRun], heard: list[str]) -> None:
+        def done(ran: tuple[StudiedScenario, dict[str, str | None], ScenarioRun], heard: list[str]) -> None:
+            state.form += form and ran[0] is not state.scenario
             state.scenario, state.options, state.current = ran
             state.studies = {}
             state.text, state.error = state.current.text, None
-            state.notes = [*filter(None, [note]), *state.current.presented.others(heard)]
-            state.form += form
+            state.note, state.notes = note, state.current.presented.others(heard)
 
-        self.start_job(run, done, scroll=scroll)  # not from a field or a select, which may be changed again
+        kind = "structure" if form else "numbers"
+        self.start_job(run, done, scroll=scroll, kind=kind)  # not from a field or a select: it may be changed again
 
-    def apply_text(self, text: str) -> None:
-        """Run the scenario in a text."""
+    def apply_text(self, text: str, folder: Path | None = None) -> None:
+        """Run the scenario in a text, which may name files of a folder."""
         self.state.text = text
-        self.change(lambda: parse(text, self.folder), scroll=True)
+        self.change(lambda: parse(text, folder or self.folder), scroll=True)
 
     def apply(self) -> None:
         """Run the text on the page."""
         self.apply_text(self.yaml.value or "")
 
     async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
-        """Run an uploaded scenario."""
-        content = await event.files[0].read()
-        self.apply_text(content[: 4 * LONGEST_TEXT].decode("utf-8", errors="replace"))
+        """Run an uploaded scenario, which may name other uploaded files."""
+        folder = Path(tempfile.mkdtemp(dir=self.folder, prefix="scenario-"))
+        try:
+            path = await save_scenario(event.files, folder)
+        except ParameterError as error:
+            ui.notify(str(error), type="negative")
+            return
+        self.apply_text(path.read_bytes()[: 4 * LONGEST_TEXT].decode("utf-8", errors="replace"), folder)
 
-    def fields(self, scenario: Scenario) -> None:
-        """Fields for the numbers set in a scenario, by its parts, with one column for each loop."""
+    def parts(self, scenario: StudiedScenario) -> None:
+        """Selects of the parts of a scenario, and fields of its numbers."""
+        self.selects, self.numbers = {}, []
+        for column, choices in ((self.control, control_choices), (self.plant, plant_choices)):
+            column.clear()
+            with column:
+                for label, choice in choices(scenario).items():
+                    self.select(label, choice)
+        self.form.clear()
+        with self.form:
+            self.fields(scenario)
+
+    def fields(self, scenario: StudiedScenario) -> None:
+        """Fields for the numbers set in a scenario, by its parts, with one column for each loop or joint."""
         parts: dict[str, dict[str, list[ScenarioParameter]]] = {part: {} for part in _PARTS}
         for parameter in list_parameters(scenario):
             if parameter.nominal is not None and parameter.part in parts and not _HIDDEN.search(parameter.name):
@@ -238,7 +277,7 @@ class _Page(JobPage[Workbench]):
         for part, columns in parts.items():
             if not columns:
                 continue
-            with panel(), fold(part.capitalize(), opened=part in _PARTS[:2]), ui.element("div").classes("fields"):
+            with panel(), fold(part.capitalize(), opened=part in _PARTS[:3]), ui.element("div").classes("fields"):
                 for group, members in columns.items():
                     alone = not group or len(columns) == 1
                     with ui.element("div").classes("fields wide") if alone else ui.column().style("gap: 4px"):
@@ -248,7 +287,7 @@ class _Page(JobPage[Workbench]):
                             name = parameter.name.removeprefix(f"{part}.").removeprefix(f"{group}.")
                             self.number(scenario, parameter, name)
 
-    def number(self, scenario: Scenario, parameter: ScenarioParameter, name: str) -> None:
+    def number(self, scenario: StudiedScenario, parameter: ScenarioParameter, name: str) -> None:
         """A number field, in the unit of files."""
 
         def changed(value: float) -> None:
@@ -256,7 +295,8 @@ class _Page(JobPage[Workbench]):
                 self.change(lambda: with_values(now, {parameter.name: value}), form=False)
 
         label, words = name.replace(".", " ").replace("_", " "), meaning(scenario, parameter)
-        number(label, parameter.mark, float(parameter.nominal or 0.0), changed, words).mark(parameter.name)
+        made = number(label, parameter.mark, float(parameter.nominal or 0.0), changed, words).mark(parameter.name)
+        self.numbers.append(made)
 
     def study(self, name: str) -> None:
         """Compute stability margins, or the attainable set, of the scenario that ran last."""
@@ -266,16 +306,16 @@ class _Page(JobPage[Workbench]):
         text = state.current.text
 
         def compute(progress: Callable[[str, float], None]) -> Presented:
-            progress(name, 0.1)
+            progress(name, 0.0)
             words = (name, "scenario.yaml", "--out", name)
-            python = f'result = mk.Scenario.read("scenario.yaml").{name}()'
-            return Presented.of(getattr(scenario, name)(), Repetition.of(words, python, scenario_files(text, folder)))
+            again = Repetition.of(words, f"result = {READ}.{name}()", scenario_files(text, folder))
+            return Presented.of(getattr(scenario, name)(), again)
 
         def done(presented: Presented, heard: list[str]) -> None:
             state.studies = {name: presented} | {other: old for other, old in state.studies.items() if other != name}
             state.notes, state.error = presented.others(heard), None
 
-        self.start_job(compute, done)
+        self.start_job(compute, done, kind=name)
 
     def keep(self) -> None:
         """Keep the current run for comparison."""
@@ -290,40 +330,59 @@ class _Page(JobPage[Workbench]):
         self.state.overlays.clear()
         self.state.jobs.version += 1
 
+    def choose_joint(self, event: events.ValueChangeEventArguments) -> None:
+        """Draw another joint."""
+        if event.value and event.value != self.state.joint and self.state.current is not None:
+            self.state.joint = event.value
+            self.plot(self.state.current)
+
     def plot(self, now: ScenarioRun) -> None:
         """Draw angle, stiffness with its attainable range, pressures and metrics of this run over kept ones."""
-        result, overlays = now.result, {f"run {k}": run.result for k, run in enumerate(self.state.overlays, 1)}
-        time = result["time"]
-
-        def reference(name: str, unit: float) -> Series:
-            return line("desired", time, result[name] / unit, DESIRED, dash=True, width=1.5)
+        state, names = self.state, now.joints or ("",)
+        joint = state.joint = state.joint if state.joint in names else names[0]
+        self.joints.visible = bool(now.joints)
+        if self.joints.options != [*now.joints]:
+            self.joints.set_options([*now.joints], value=joint or None)
+        time, runs = now.result["time"], {f"run {k}": run for k, run in enumerate(state.overlays, 1)} | {"now": now}
+        colours = dict(zip(runs, (*_KEPT[: len(runs) - 1], MEASURED), strict=True))
 
         def curves(name: str, unit: float) -> list[Series]:
-            older = [
-                line(kept, run["time"], run[name] / unit, color, width=1.5)
-                for color, (kept, run) in zip(_KEPT, overlays.items(), strict=False)
-                if name in run.columns
+            """Those of all runs, and of the reference."""
+            shown = [
+                (kept, run, name, {"color": colours[kept], "width": 1.5 + 0.5 * (run is now)})
+                for kept, run in runs.items()
             ]
-            return [*older, line("now", time, result[name] / unit, MEASURED)]
+            shown.append(("desired", now, f"desired_{name}", {"color": DESIRED, "dash": True, "width": 1.5}))
+            values = [
+                (label, run, run.of_joint(run.result.columns, column, joint), look)
+                for label, run, column, look in shown
+            ]
+            return [line(label, run.result["time"], y / unit, **look) for label, run, y, look in values if y.size]
 
-        draw(self.angle, [*curves("angle", deg), reference("desired_angle", deg)])
-        bounds = band("attainable at rest", time, result["lowest_stiffness"], result["highest_stiffness"], "#9aa7b3")
-        draw(self.stiffness, [*bounds, *curves("stiffness", 1.0), reference("desired_stiffness", 1.0)])
-        self.small_panel.visible = SMALL_MOTION in result.columns
-        if self.small_panel.visible:  # in its own chart, as it can be many times the isobaric stiffness
-            draw(self.small, curves(SMALL_MOTION, 1.0))
-        colors = (("muscle 1", "pressure1", MUSCLES[0]), ("muscle 2", "pressure2", MUSCLES[1]))
-        draw(self.pressure, [line(name, time, result[key] / bar, color) for name, key, color in colors])
-        self.comparison.visible = bool(overlays)
-        self.numbers.clear()
-        with self.numbers:
-            rows = [_row(name, run) for name, run in {"now": result, **overlays}.items()]
-            table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
+        draw(self.angle, curves("angle", deg))
+        low, high = (now.of_joint(now.result.columns, name, joint) for name in BAND)
+        bounds = band("attainable at rest", time, low, high, "#9aa7b3") if low.size else []
+        draw(self.stiffness, [*bounds, *curves("stiffness", 1.0)])
+        self.small_panel.visible = bool(small := curves(SMALL_MOTION, 1.0))
+        if small:  # in its own chart, as it can be many times the isobaric stiffness
+            draw(self.small, small)
+        pressures = enumerate(now.pressures.items())
+        draw(self.pressure, [line(name, time, p / bar, _COLOURS[k % len(_COLOURS)]) for k, (name, p) in pressures])
+        self.comparison.visible = len(runs) > 1
+        self.table.clear()
+        with self.table:
+            self.compare(runs, joint)
 
-
-def _row(name: str, result: SimulationResult) -> tuple[str, ...]:
-    """Cells of a run: name, RMSE of angle [deg] and stiffness [N*m/rad], coupling [deg], air [L], outcome."""
-    metrics = in_shown_units(result.metrics)
-    shown = (metrics[metric] for metric in ("angle_rmse_deg", "stiffness_rmse", "coupling_deg", "air_L"))
-    outcome = result.outcome.name.lower().replace("_", " ")
-    return name, *(f"{number:.3g}" if np.isfinite(number) else "-" for number in shown), outcome
+    def compare(self, runs: Mapping[str, ScenarioRun], joint: str) -> None:
+        """Table of runs with their metrics, those of joints for one of them."""
+        labels = {name: label for run in runs.values() for name, label in labels_of(run.result.kind).items()}
+        labels = {name: labels[name] for name in _METRICS if name in labels}
+        rows = []
+        for name, run in runs.items():
+            metrics, row = run.result.metrics, [name]
+            for metric, label in labels.items():
+                value = np.asarray(metrics.get(metric, np.nan))
+                value = run.of_joint(metrics, metric, joint) if value.ndim else value
+                row.append(f"{value.item() / label.size:.3g}" if value.size and np.isfinite(value) else "-")
+            rows.append([*row, "completed" if run.result.ok else "failed"])
+        table(("run", *(f"{label.title} [{label.shown_unit}]" for label in labels.values()), "outcome"), rows)

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+import ctypes
+import gc
+import platform
 import tempfile
 import time
 import warnings
@@ -154,6 +157,23 @@ class Latest(Generic[T]):
             self._busy = False
 
 
+def share_heaps() -> None:
+    """Let all threads allocate from two heaps: one for each thread would keep, of what a study frees, a third."""
+    if (libc := _glibc()) is not None:
+        libc.mallopt(-8, 2)  # M_ARENA_MAX
+
+
+def release_memory() -> None:
+    """Give freed memory back to the system."""
+    if (libc := _glibc()) is not None:
+        gc.collect()
+        libc.malloc_trim(0)
+
+
+def _glibc() -> ctypes.CDLL | None:
+    return ctypes.CDLL(None) if platform.libc_ver()[0] == "glibc" else None
+
+
 class Jobs:
     """At most one job per page: it continues when the page is closed, and a reloaded page shows its progress.
 
@@ -163,17 +183,30 @@ class Jobs:
         Increases whenever there is something new to show.
     step, part, began
         What the job does, the part that is done, 0 to 1, and its start [s, monotonic].
+    took
+        Duration of the last job of each kind [s].
     """
 
     def __init__(self) -> None:
         self.version = 0
-        self.step, self.part, self.began = "", 0.0, 0.0
+        self.step, self.part, self.began, self.kind = "", 0.0, 0.0, ""
+        self.took: dict[str, float] = {}
         self._number = self._running = 0
 
     @property
     def busy(self) -> bool:
         """Whether a job runs."""
         return self._running == self._number != 0
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the start of the job [s]."""
+        return time.monotonic() - self.began
+
+    @property
+    def expected(self) -> float | None:
+        """Duration [s] by the part that is done, or that of the last job of its kind; None if unknown."""
+        return self.elapsed / self.part if self.part > 0.05 else self.took.get(self.kind)
 
     def cancel(self) -> None:
         """Stop at the next progress report or evaluation of a fit; a run continues, but its result is discarded."""
@@ -185,6 +218,7 @@ class Jobs:
         compute: Callable[[Callable[[str, float], None]], T],
         done: Callable[[T, list[str]], None],
         fail: Callable[[McKibbenError], None],
+        kind: str = "",
     ) -> None:
         """Compute in a thread, replacing a running job.
 
@@ -196,10 +230,12 @@ class Jobs:
             Called on the event loop with the result and the texts of warnings.
         fail
             Called with a `McKibbenError` instead.
+        kind
+            Jobs of one kind take about as long.
         """
         self._number += 1
         number = self._running = self._number
-        self.step, self.part, self.began = "", 0.0, time.monotonic()
+        self.step, self.part, self.began, self.kind = "", 0.0, time.monotonic(), kind
         self.version += 1
 
         def check() -> None:
@@ -223,10 +259,12 @@ class Jobs:
                         fail(error)
                 else:
                     if number == self._number:
+                        self.took[kind] = self.elapsed
                         done(result, heard)
             if number == self._number:
                 self._running = 0
                 self.version += 1
+            release_memory()
 
         background_tasks.create(run(), name="mckibben job")
 
@@ -246,3 +284,8 @@ class JobState:
     error: McKibbenError | None = None
     notes: list[str] = field(default_factory=list)
     jobs: Jobs = field(default_factory=Jobs)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the page has what the next one needs."""
+        return False

@@ -12,7 +12,7 @@ from nicegui import events, ui
 
 from mckibben.component.columns import labels_of
 from mckibben.errors import printable
-from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario import StudiedScenario, list_parameters
 from mckibben.simulation import Metrics
 from mckibben.study.tune import parse_cost, parse_ranges, tune
 from mckibben.study.tune.search import SEARCHES
@@ -22,10 +22,10 @@ from mckibben.web.forms import section_form
 from mckibben.web.layout import JobPage, NumberField, actions, button, frame, panel, progress_row, quiet, select, side
 from mckibben.web.results import Presented, Repetition, show_result
 from mckibben.web.session import JobState, session
-from mckibben.web.workbench import START, Workbench, parse, scenario_files
+from mckibben.web.workbench import READ, START, Workbench, parse, scenario_files
 
 METRICS = labels_of(Metrics)
-"""Metrics with their titles and units."""
+"""Metrics with their titles and units; those of robots are some of them."""
 Progress = Callable[[str, float], None]
 
 
@@ -75,7 +75,7 @@ class Study(NamedTuple):
 
     presented: Presented
     text: str
-    tuned: Scenario
+    tuned: StudiedScenario
 
 
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Study:
@@ -109,7 +109,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         "from mckibben.study.tune import parse_cost\n\n"
         f"margins = {{'gain_margin': {request.gain_margin}, 'disk_margin': {request.disk_margin}}}\n"
         f"cost = parse_cost({request.cost!r}, **margins)\n"
-        f"result = mk.Scenario.read('scenario.yaml').tune({list(request.over)}, cost, **{search})"
+        f"result = {READ}.tune({list(request.over)}, cost, **{search})"
     )
     steps = Repetition.of(words, python, scenario_files(text, folder))
     return Study(Presented.of(result, steps), text, result.scenarios[0])
@@ -143,7 +143,8 @@ class _Page(JobPage[StudyState]):
                 self.name = quiet("").mark("scenario-name")
                 quiet("An error of this size counts as 1 in the cost:")
                 self.tolerances = ui.element("div").classes("fields")
-                metrics = {name: label.title for name, label in METRICS.items()}
+                measured = Metrics._fields
+                metrics = {name: label.title for name, label in METRICS.items() if name in measured}
                 chosen = list(request.tolerances)
                 select(metrics, "errors in the cost", "metrics", value=chosen, multiple=True, on_change=self.weigh)
                 self.weigh()
@@ -227,7 +228,7 @@ class _Page(JobPage[StudyState]):
     def run(self) -> None:
         """Open the tuned scenario on the page Run."""
         assert self.state.study is not None
-        self.bench.waiting = self.state.study.tuned.dumps(folder=self.folder)
+        self.bench.ran = self.state.study.tuned.dumps(folder=self.folder)
         ui.navigate.to("/run")
 
     def show(self) -> None:

@@ -45,11 +45,13 @@ class Kept:
 class StiffJoint:
     """In place of a `PlantProgram`: the joint stands still, its valves lag by 20 ms. Nothing is compiled."""
 
+    places = (0, 2, 3)
+
     def state(self, state):
         return np.array([0.0, 0.0, *map(float, state.pressures)])
 
-    def advance(self, state, command1, command2, time):
-        angle, velocity, pressure1, pressure2 = state.tolist()
+    def advance(self, state, commands, time):
+        (angle, velocity, pressure1, pressure2), (command1, command2) = state.tolist(), commands
         share = 1 - math.exp(-time / 0.02)
         pressure1, pressure2 = pressure1 + share * (command1 - pressure1), pressure2 + share * (command2 - pressure2)
         return np.array([angle, velocity, pressure1, pressure2])

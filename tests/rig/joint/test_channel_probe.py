@@ -18,8 +18,8 @@ PROBING = 400  # periods
 class Turning(StiffJoint):
     """Muscle 1 turns the joint by 10 deg/bar, muscle 2 turns it back."""
 
-    def advance(self, state, command1, command2, time):
-        state = super().advance(state, command1, command2, time)
+    def advance(self, state, commands, time):
+        state = super().advance(state, commands, time)
         state[0] = 10 * deg * (state[2] - state[3]) / bar
         return state
 

@@ -230,7 +230,7 @@ class SlowBackend:
 )
 def test_the_status_names_a_slow_line_and_limits_that_hide_it(changes, problems, lenient):
     limits = dataclasses.replace(LIMITS, **changes)
-    session = JointSession(None, None, None, SlowBackend(), limits, None, None, {})
+    session = JointSession(None, None, None, None, SlowBackend(), limits, None, None, {})
     rows = list(session.status())
     assert sum(bool(row.problem) for row in rows) == problems
     assert bool(session.leniency) == lenient == any(row.name == "limits" for row in rows)

@@ -2,7 +2,7 @@
 #include "firmware.h"
 
 #include <Arduino.h>
-<% if angle.sensor == "as5600" %>
+<% if "as5600" in kinds %>
 #include <Wire.h>
 <% endif %>
 <% if board == "uno_r4" %>
@@ -113,21 +113,29 @@ static void set_output(bool dac, uint8_t pin, double share) // 0 to 1 of the ran
 <% endif %>
 }
 
+<% for angle in angles %>
+<% set k = loop.index0 %>
 <% if angle.sensor == "quadrature" %>
-static volatile int32_t counts;
-static void turned()
+static volatile int32_t counts_${k};
+static void turned_${k}()
 {
     static uint8_t last;
     static const int8_t STEP[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};
     const uint8_t now = (uint8_t)(digitalRead(${angle.pin_a}) << 1 | digitalRead(${angle.pin_b}));
-    counts += STEP[last << 2 | now];
+    counts_${k} += STEP[last << 2 | now];
     last = now;
 }
-<% endif %>
 
-static double joint_angle() // rad; NAN if the sensor does not answer, so that the controller does not use it
+<% endif %>
+static double angle_${k}() // rad; NAN if the sensor does not answer, so that the controller does not use it
 {
 <% if angle.sensor == "as5600" %>
+<% if angle.channel is not none %>
+    Wire.beginTransmission(0x70);
+    Wire.write(1 << ${angle.channel}); // of the multiplexer
+    if (Wire.endTransmission() != 0)
+        return NAN;
+<% endif %>
     Wire.beginTransmission(0x36);
     Wire.write(0x0C); // raw angle, 12 bits
     if (Wire.endTransmission(false) != 0 || Wire.requestFrom(0x36, 2) != 2)
@@ -137,12 +145,13 @@ static double joint_angle() // rad; NAN if the sensor does not answer, so that t
     angle -= 2 * PI * floor(angle / (2 * PI) + 0.5);
 <% else %>
     noInterrupts();
-    const int32_t now = counts;
+    const int32_t now = counts_${k};
     interrupts();
     const double angle = now * (2 * PI / ${angle.counts}) - ${angle.zero};
 <% endif %>
     return ${"-" if angle.reversed else ""}angle;
 }
+<% endfor %>
 <% if force %>
 
 static double force() // N, of an HX711; it has a new value every 12.5 ms at best, and the last one is given until then
@@ -170,16 +179,18 @@ uint32_t board_time(void) { return micros(); }
 
 void board_measure(double values[MEASUREMENTS])
 {
-    values[0] = joint_angle();
+<% for _ in angles %>
+    values[${loop.index0}] = angle_${loop.index0}();
+<% endfor %>
 <% for sensor in pressures %>
 <% if air[loop.index0] %>
-    values[${loop.index}] = pressure(${sensor.pin}, ${sensor.low_volts}, ${sensor.high_volts}, ${sensor.pressure});
+    values[${angles | length + loop.index0}] = pressure(${sensor.pin}, ${sensor.low_volts}, ${sensor.high_volts}, ${sensor.pressure});
 <% else %>
-    values[${loop.index}] = 0; // it takes no air
+    values[${angles | length + loop.index0}] = 0; // it takes no air
 <% endif %>
 <% endfor %>
 <% if force %>
-    values[3] = force();
+    values[${measurements | length - 1}] = force();
 <% endif %>
 }
 
@@ -216,15 +227,17 @@ void setup()
     pinMode(${valve.pin}, OUTPUT);
 <% endif %>
 <% endfor %>
-<% if angle.sensor == "as5600" %>
+<% if "as5600" in kinds %>
     Wire.begin();
     Wire.setClock(400000);
-<% else %>
+<% endif %>
+<% for angle in angles if angle.sensor == "quadrature" %>
+<% set k = angles.index(angle) %>
     pinMode(${angle.pin_a}, INPUT_PULLUP);
     pinMode(${angle.pin_b}, INPUT_PULLUP);
-    attachInterrupt(digitalPinToInterrupt(${angle.pin_a}), turned, CHANGE);
-    attachInterrupt(digitalPinToInterrupt(${angle.pin_b}), turned, CHANGE);
-<% endif %>
+    attachInterrupt(digitalPinToInterrupt(${angle.pin_a}), turned_${k}, CHANGE);
+    attachInterrupt(digitalPinToInterrupt(${angle.pin_b}), turned_${k}, CHANGE);
+<% endfor %>
 <% if force %>
     pinMode(${force.clock}, OUTPUT);
     pinMode(${force.data}, INPUT);

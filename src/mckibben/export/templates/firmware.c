@@ -6,7 +6,9 @@
 #include <math.h>
 #include <string.h>
 
-static const uint8_t HELLO[] = {${hello | join(", ")}};
+<% for body in hello %>
+static const uint8_t HELLO_${loop.index0}[] = {${body | join(", ")}};
+<% endfor %>
 enum { VERSION_OFFSET = 0, DIGEST_OFFSET = 8, DIGEST_SIZE = 32 };
 
 static controller joint;
@@ -30,6 +32,18 @@ static void send(uint8_t kind, const uint8_t *body, size_t size)
     board_write(line, link_encode(&message, line));
 }
 
+static void describe(uint8_t part)
+{
+<% for body in hello[1:] %>
+    if (part == ${loop.index}) {
+        send(KIND_CHANNELS, HELLO_${loop.index}, sizeof HELLO_${loop.index});
+        return;
+    }
+<% endfor %>
+    (void)part;
+    send(KIND_HELLO, HELLO_0, sizeof HELLO_0);
+}
+
 static void report(uint8_t code, uint8_t channel, double value)
 {
     uint8_t body[6] = {code, channel};
@@ -47,9 +61,9 @@ static void vent(uint8_t next)
 static controller_measurement measured(const double values[MEASUREMENTS])
 {
     controller_measurement measurement;
-    measurement.angle = (${real})values[0];
-    measurement.pressures_0 = (${real})values[1];
-    measurement.pressures_1 = (${real})values[2];
+<% for member in measured %>
+    measurement.${member} = ${"(%s)values[%d]" % (real, loop.index0) if loop.index0 < readings else 0};
+<% endfor %>
     return measurement;
 }
 
@@ -63,7 +77,7 @@ static void arm(const link_message *message)
         report(CODE_REFUSED, 255, message->kind);
         return;
     }
-    if (memcmp(message->body + 1, HELLO + DIGEST_OFFSET, DIGEST_SIZE) != 0) {
+    if (memcmp(message->body + 1, HELLO_0 + DIGEST_OFFSET, DIGEST_SIZE) != 0) {
         report(CODE_OTHER_DIGEST, 255, 0);
         return;
     }
@@ -86,7 +100,7 @@ static void take(const link_message *message)
     double numbers[SETPOINTS];
     switch (message->kind) {
     case KIND_HELLO:
-        send(KIND_HELLO, HELLO, sizeof HELLO);
+        describe(message->size > 0 ? message->body[0] : 0);
         break;
     case KIND_ARM:
         arm(message);
@@ -106,8 +120,9 @@ static void take(const link_message *message)
         }
         for (i = 0; i < SETPOINTS; ++i)
             numbers[i] = link_double(message->body + 8 * i);
-        setpoint.angle = numbers[0];
-        setpoint.stiffness = numbers[1];
+<% for member in setpoints %>
+        setpoint.${member} = numbers[${loop.index0}];
+<% endfor %>
         has_setpoint = true;
         break;
     case KIND_COMMAND:
@@ -131,7 +146,7 @@ void firmware_begin(bool watchdog)
     board_vent(true);
     controller_defaults(&joint);
     heard = board_time();
-    send(KIND_HELLO, HELLO, sizeof HELLO);
+    describe(0);
     if (watchdog) {
         state = STATE_VENTED;
         report(CODE_WATCHDOG, 255, 0);
@@ -152,9 +167,14 @@ static void follow_host(const controller_measurement *measurement, controller_co
 {
     const controller_parameters *limits = &joint.parameters;
     controller_setpoint inside;
-    inside.angle = limits->limits_lowest_setpoint_angle;
-    inside.stiffness = limits->limits_lowest_setpoint_stiffness;
-    if (controller_check(&joint, &inside, measurement) != 0 || !isfinite(asked[0]) || !isfinite(asked[1])) {
+    bool finite = true;
+    int i;
+    for (i = 0; i < COMMANDS; ++i)
+        finite = finite && isfinite(asked[i]);
+<% for member in setpoints %>
+    inside.${member} = limits->limits_lowest_setpoint_${member};
+<% endfor %>
+    if (controller_check(&joint, &inside, measurement) != 0 || !finite) {
         controller_hold(&joint, commands, telemetry);
         return;
     }
@@ -162,10 +182,11 @@ static void follow_host(const controller_measurement *measurement, controller_co
         joint.state.held = (${real})fmax((double)joint.state.held - ${period}, 0);
     joint.state.status = telemetry->status = STATE_RUNNING;
     telemetry->fault = CODE_NONE;
-    commands->pressure1 = (${real})fmin(fmax(asked[0], (double)limits->limits_lowest_commands_0), (double)limits->limits_highest_commands_0);
-    commands->pressure2 = (${real})fmin(fmax(asked[1], (double)limits->limits_lowest_commands_1), (double)limits->limits_highest_commands_1);
-    joint.state.commands_0 = commands->pressure1;
-    joint.state.commands_1 = commands->pressure2;
+<% for _ in air %>
+<% set k = loop.index0 %>
+    commands->pressure${k + 1} = (${real})fmin(fmax(asked[${k}], (double)limits->limits_lowest_commands_${k}), (double)limits->limits_highest_commands_${k});
+    joint.state.commands_${k} = commands->pressure${k + 1};
+<% endfor %>
 }
 
 static void control(const double values[MEASUREMENTS], uint16_t missed, controller_commands *commands)
@@ -190,7 +211,7 @@ static void control(const double values[MEASUREMENTS], uint16_t missed, controll
 
 void firmware_step(uint16_t missed)
 {
-    controller_commands commands = {0, 0};
+    controller_commands commands = {0};
     double values[MEASUREMENTS], sent[COMMANDS];
     uint8_t body[10 + 4 * (MEASUREMENTS + COMMANDS)];
     int i;
@@ -204,8 +225,9 @@ void firmware_step(uint16_t missed)
         control(values, missed < 100 ? missed : 100, &commands);
     }
     armed = state != STATE_DISARMED && state != STATE_VENTED;
-    sent[0] = armed ? (double)commands.pressure1 : 0;
-    sent[1] = armed ? (double)commands.pressure2 : 0;
+<% for _ in air %>
+    sent[${loop.index0}] = armed ? (double)commands.pressure${loop.index} : 0;
+<% endfor %>
     board_command(sent);
     board_vent(!armed);
     body[0] = state;

@@ -8,7 +8,7 @@
 extern "C" {
 #endif
 
-enum { MEASUREMENTS = ${measurements | length}, COMMANDS = 2, SETPOINTS = 2, PERIOD_US = ${microseconds}, SILENCE_US = ${silence} };
+enum { MEASUREMENTS = ${measurements | length}, COMMANDS = ${air | length}, SETPOINTS = ${setpoints | length}, PERIOD_US = ${microseconds}, SILENCE_US = ${silence} };
 
 /* At the start; `watchdog` says that the watchdog reset the board. */
 void firmware_begin(bool watchdog);

@@ -1,6 +1,10 @@
-/* The board is this computer, its joint is simulated.
+/* The board is this computer, its joints are simulated.
+<% if weight %>
  *     ./firmware PORT [MASS DISTANCE]   in real time, with a serial port of this name, which is made; a weight [kg] is
  *                                       clipped on the limb, at a distance [m] from the axis
+<% else %>
+ *     ./firmware PORT                   in real time, with a serial port of this name, which is made
+<% endif %>
  *     ./firmware                        a period after each frame from the host, on standard input and output
  */
 #define _XOPEN_SOURCE 700
@@ -69,7 +73,11 @@ int main(int count, char **arguments)
         perror(arguments[1]);
         return 1;
     }
+<% if weight %>
     simulated_begin(count > 3 ? atof(arguments[2]) : 0, count > 3 ? atof(arguments[3]) : 0);
+<% else %>
+    simulated_begin();
+<% endif %>
     firmware_begin(false);
     clock_gettime(CLOCK_MONOTONIC, &next);
     while (receive(lockstep)) {

@@ -1,4 +1,4 @@
-/* A simulated joint in place of sensors and valves. */
+/* Simulated joints in place of sensors and valves. */
 #include "firmware.h"
 #include "plant.h"
 #include "simulated.h"
@@ -6,7 +6,9 @@
 #include <string.h>
 
 static plant joint;
+<% if weight %>
 static plant_weight on_limb;
+<% endif %>
 static double commands_sent[COMMANDS], draw = 0.5;
 static uint32_t periods;
 
@@ -21,9 +23,11 @@ static double noise(void) /* logistic map, in -1..1: sensors that stand still lo
 void board_measure(double values[MEASUREMENTS])
 {
     memset(values, 0, sizeof(double) * MEASUREMENTS);
-    values[0] = joint.state.angle + 1e-6 * noise();
+<% for member in plant_angles %>
+    values[${loop.index0}] = joint.state.${member} + 1e-6 * noise();
+<% endfor %>
 <% for takes in air %>
-    values[${loop.index}] = ${"joint.state.pressures_%d + 100 * noise()" % loop.index0 if takes else "0"};
+    values[${plant_angles | length + loop.index0}] = ${"joint.state.pressures_%d + 100 * noise()" % loop.index0 if takes else "0"};
 <% endfor %>
 }
 
@@ -35,10 +39,12 @@ void board_vent(bool open)
         memset(commands_sent, 0, sizeof commands_sent);
 }
 
-void simulated_begin(double mass, double distance)
+void simulated_begin(${"double mass, double distance" if weight else "void"})
 {
+<% if weight %>
     on_limb.mass = mass;
     on_limb.distance = distance;
+<% endif %>
     plant_defaults(&joint);
     plant_init(&joint);
 }
@@ -46,8 +52,9 @@ void simulated_begin(double mass, double distance)
 void simulated_advance(void)
 {
     plant_commands commands;
-    commands._0 = commands_sent[0];
-    commands._1 = commands_sent[1];
-    plant_advance(&joint, &commands, &on_limb);
+<% for _ in air %>
+    commands._${loop.index0} = commands_sent[${loop.index0}];
+<% endfor %>
+    plant_advance(&joint, &commands${", &on_limb" if weight else ""});
     ++periods;
 }

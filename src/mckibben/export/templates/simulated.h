@@ -1,7 +1,6 @@
-/* A simulated joint in place of sensors and valves: begin, with a weight [kg] on its limb at a distance [m], and a control
- * period of its motion. */
+/* Simulated joints in place of sensors and valves: begin<% if weight %>, with a weight [kg] on the limb at a distance [m]<% endif %>, and a control period of their motion. */
 #ifndef SIMULATED_H
 #define SIMULATED_H
-void simulated_begin(double mass, double distance);
+void simulated_begin(${"double mass, double distance" if weight else "void"});
 void simulated_advance(void);
 #endif

@@ -7,13 +7,13 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
 from mckibben.actuator import AirState, AirVolume, PressureRegulator
@@ -179,8 +179,8 @@ _ADIABATIC = 1.4**1.5  # as `AirActuator.fastest_index`
 class ClampedMuscle(NamedTuple):
     """State of a muscle between clamps and its air: stretch [m] since it was mounted, gauge pressure [Pa], valve."""
 
-    stretch: Any
-    pressures: tuple[Any]
+    stretch: PyTree
+    pressures: tuple[PyTree]
     air: AirState
     muscle: MuscleState
 
@@ -190,14 +190,14 @@ class Clamps(NamedTuple):
 
     muscle: Muscle
     valve: PressureRegulator
-    mounted_at: Any
+    mounted_at: PyTree
 
-    def contraction(self, stretch: Any) -> Any:
+    def contraction(self, stretch: PyTree) -> PyTree:
         """Contraction [-] at a stretch [m]."""
         return self.mounted_at - stretch / self.muscle.specimen.initial_length
 
 
-def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Array, inputs: Any) -> Array:
+def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Array, inputs: PyTree) -> Array:
     """State after a move at constant speed, followed by the force [N] at its end.
 
     Inputs are the command [Pa], the stretch at the end [m], the duration [s], the conductances of the regulator and of
@@ -209,14 +209,14 @@ def advance_flat(numbers: FlatTree, states: FlatTree, packed: Array, state: Arra
     begin: ClampedMuscle = states.unpack(state)
     step, speed = duration / _STEPS, (end - begin.stretch) / duration
 
-    def rate(stretch: Any, pressures: Any, air: AirState, creep: Any, *, muscle: MuscleState) -> Any:
+    def rate(stretch: PyTree, pressures: PyTree, air: AirState, creep: PyTree, *, muscle: MuscleState) -> PyTree:
         volume, growth = value_and_derivative(lambda at: clamps.muscle.specimen.volume(clamps.contraction(at)), stretch)
         room = AirVolume(volume + valve.dead_volume, growth * speed)
         rates, air_rates = valve.air_rate(pressures, air, (command,), (room,))
         creeping = clamps.muscle.state_rate(muscle._replace(creep=creep), speed, pressures[0]).creep
         return speed, rates, air_rates, creeping
 
-    def integrate(_: Any, at: ClampedMuscle) -> ClampedMuscle:
+    def integrate(_: PyTree, at: ClampedMuscle) -> ClampedMuscle:
         motion = at.stretch, at.pressures, at.air, at.muscle.creep
         stretch, pressures, air, creep = rk4(lambda now: rate(*now, muscle=at.muscle), motion, step)
         muscle = clamps.muscle.update_state(at.muscle._replace(creep=creep), clamps.contraction(stretch), pressures[0])
@@ -322,7 +322,7 @@ class SimulatedRig(SimulatedBackend, MovingBackend):
         pressure_sensor: Sensor = PRESSURE_SENSOR,
         rate: float = 1000 * Hz,
         patience: float = 1 * s,
-        **others: Any,
+        **others: PyTree,
     ) -> None:
         check_within("simulated rig", -0.5, 0.8, mounted_at=mounted_at)
         sensors = force_sensor, pressure_sensor

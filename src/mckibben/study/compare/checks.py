@@ -6,22 +6,14 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from jaxtyping import PyTree
 
 from mckibben.config.document import Document, Place, dotted
 from mckibben.control import Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
+from mckibben.study.compare.settings import NOMINAL_JOINT, SuiteSettings
 from mckibben.study.parameters import SweptParameter, parse_sweeps
-
-if TYPE_CHECKING:
-    from mckibben.study.compare.suite import ControllerSuite
-
-NOMINAL_JOINT = "nominal"
-"""Plant name of the suite's own joint, which the controllers' models use."""
-PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-"""Sections of a suite that are those of a scenario, and whose parameters conditions can vary."""
 
 Check = tuple[Place, Callable[[], object]]
 """A place in the document, and a call that raises what is wrong there."""
@@ -36,7 +28,7 @@ def filename(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
-def problems_of_suite(suite: ControllerSuite, document: Document) -> list[Problem]:
+def problems_of_suite(suite: SuiteSettings, document: Document) -> list[Problem]:
     """Return the problems of interdependent parts, at their lines in the document."""
     problems: list[Problem] = []
     for checks in (_checks_of_names, _checks_of_settings, _checks_of_variation, _checks_of_runs):
@@ -55,14 +47,14 @@ def problems_of_suite(suite: ControllerSuite, document: Document) -> list[Proble
     return problems
 
 
-def _checks_of_names(suite: ControllerSuite) -> Iterator[Check]:
+def _checks_of_names(suite: SuiteSettings) -> Iterator[Check]:
     for key in ("other_joints", "references", "controllers"):
         for name in getattr(suite, key):
             yield (key, name), partial(_check_name, suite, key, name)
     yield ("valve",), suite.example
 
 
-def _checks_of_settings(suite: ControllerSuite) -> Iterator[Check]:
+def _checks_of_settings(suite: SuiteSettings) -> Iterator[Check]:
     yield ("conditions",), partial(check_differs, suite)
     yield ("tuning", "cost"), partial(_check_cost, suite)
     for i, text in enumerate(suite.conditions):
@@ -88,7 +80,7 @@ def _checks_of_variation(suite: PyTree) -> Iterator[Check]:
         yield ("references", name, "over"), partial(suite.reference_over, name)
 
 
-def _checks_of_runs(suite: ControllerSuite) -> Iterator[Check]:
+def _checks_of_runs(suite: SuiteSettings) -> Iterator[Check]:
     for name in suite.other_joints:
         yield ("other_joints", name), partial(_check_joint, suite, name)
     for name in suite.controllers:
@@ -96,7 +88,7 @@ def _checks_of_runs(suite: ControllerSuite) -> Iterator[Check]:
         yield place, partial(_check_within, ("controller", "controllers"), partial(suite.tuned_over, name))
 
 
-def _check_name(suite: ControllerSuite, key: str, name: str, longest: int = 80) -> None:
+def _check_name(suite: SuiteSettings, key: str, name: str, longest: int = 80) -> None:
     """Check that a name is one line, and its file name unique."""
     if not name.strip() or len(name) > longest or not name.isprintable():
         raise ParameterError(f"a name is one line of 1 to {longest} characters", remedy="give another")
@@ -107,14 +99,14 @@ def _check_name(suite: ControllerSuite, key: str, name: str, longest: int = 80) 
         raise ParameterError(f"would be kept in the same file as {same!r}", remedy="give it another name")
 
 
-def check_differs(suite: ControllerSuite) -> None:
+def check_differs(suite: SuiteSettings) -> None:
     """Raise `ParameterError` if all runs of a suite are identical."""
     several = len(suite.references) > 1 or any(case.over for case in suite.references.values())
     if not (several or suite.conditions or suite.has_noise or suite.other_joints):
         raise ParameterError("all runs are identical", remedy="give conditions, or `over` of a reference")
 
 
-def _check_cost(suite: ControllerSuite) -> None:
+def _check_cost(suite: SuiteSettings) -> None:
     """Check that every run has a value of each metric."""
     steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
@@ -128,7 +120,7 @@ def _check_joint(suite: PyTree, name: str) -> None:
     suite.example(joint=name).plant()
 
 
-def _check_known(suite: ControllerSuite, name: str) -> None:
+def _check_known(suite: SuiteSettings, name: str) -> None:
     if name not in suite.controllers:
         raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
 

@@ -26,12 +26,12 @@ def runs_of(suite: ControllerSuite, name: str) -> int:
     >>> [runs_of(suite, name) for name in ("PID", "decoupling")]
     [13050, 7290]
     """
-    tuning, own = suite.tuning, suite.evaluation.runs
+    tuning, evaluations = suite.tuning, suite.evaluation.runs
     if not suite.tuned_over(name):
-        return own
+        return evaluations
     starts = tuning.starts_of.get(name, tuning.starts)
     trials = starts * tuning.candidates + (starts + 1) * tuning.generations * tuning.population
-    return trials * tuning.runs + tuning.finalists * tuning.finalist_runs + 2 * own
+    return trials * tuning.runs + tuning.finalists * tuning.finalist_runs + 2 * evaluations
 
 
 def compare(
@@ -69,8 +69,8 @@ def compare(
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
         for number, name in enumerate(names):
 
-            def report(task: str, part: float, name: str = name, number: int = number) -> None:
-                done = sum(efforts[:number]) + part * efforts[number]
+            def report(task: str, fraction: float, name: str = name, number: int = number) -> None:
+                done = sum(efforts[:number]) + fraction * efforts[number]
                 progress(f"{name} ({number + 1} of {len(names)}): {task}", done / sum(efforts))
 
             result.tuned[name], result.at_bound[name] = {}, ()
@@ -79,16 +79,16 @@ def compare(
                 wrapped = suite.tuned_inside(name, result.tuned)
                 task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
                 report("tuning", 0.0)
-                tuned = task.run(store, lambda part: report("tuning", 0.98 * part))
+                tuned = task.run(store, lambda fraction: report("tuning", 0.98 * fraction))
                 result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned[:3]
                 result.trials[name], result.finalists[name] = tuned.trials, tuned.finalists
                 trial = trial_at_air(tuned.trials, result.training_air(names[0]))
                 if trial is not None:
                     at_air.tuned[name] = task.values(trial)
             report("evaluation runs, the last part", 0.98)
-            for part in (result, at_air):
-                if name in part.tuned:
-                    part.batches[name] = evaluate(evaluation, name, part.tuned[name])
+            for kind in (result, at_air):
+                if name in kind.tuned:
+                    kind.batches[name] = evaluate(evaluation, name, kind.tuned[name])
             with suppress(McKibbenError):  # its run cannot start or diverges, as the table shows
                 result.margins[name] = suite.tuned_scenario(name, result.tuned[name]).margins()
     progress("done", 1.0)

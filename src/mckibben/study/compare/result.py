@@ -6,6 +6,7 @@ import functools
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.schema import write_netcdf
-from mckibben.result import Listing, Remark, Result, Severity
+from mckibben.result import Column, Listing, Remark, Result, Severity, TableColumns, table
 from mckibben.scenario import StudiedScenario, find_parameters
 from mckibben.simulation import Batch, Margins, margin_remarks
-from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.checks import filename
 from mckibben.study.compare.runs import Runs, started
@@ -30,8 +30,6 @@ from mckibben.units import litre
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_UNIT = {metric: size for metric, _, size in METRICS.values()}
 
 
 class CompareResult(Result):
@@ -87,8 +85,8 @@ class CompareResult(Result):
         """Median air [m^3] of a tuned controller in the training runs; NaN if unknown."""
         trials = self.trials.get(controller, ())
         best = min(self.finalists.get(controller) or trials, key=lambda trial: trial.order, default=None)
-        known = (trial.metrics for trial in trials if best and trial.point == best.point)
-        return (next(known, None) or {}).get("air", np.nan)
+        metrics = (trial.metrics for trial in trials if best and trial.point == best.point)
+        return (next(metrics, None) or {}).get("air", np.nan)
 
     def scenario(self, controller: str, run: int) -> StudiedScenario:
         """Scenario of one run with the tuned controller."""
@@ -124,27 +122,41 @@ class CompareResult(Result):
                 text = f"{name}: at a bound of the range: {', '.join(parameters)}"
                 yield Remark.warning("at_bound", text, remedy="consider a wider range")
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield errors on the unseen runs, as tuned and with no more air than the first controller; tuned values."""
-        yield from self._tables
-        rows = []
-        for name, values in self.tuned.items():
-            after, before = self.training_cost.get(name, (np.nan, np.nan))
-            parameters = find_parameters(self.suite.tuned_scenario(name, {}), values)
-            tuned = "; ".join(f"{p.name} {p.show(values[p.name])}" for p in parameters)
-            rows.append((name, before, after, tuned or "not tuned"))
-        titles = ("controller", "cost before", "cost tuned", "parameters")
-        yield replace(Listing.of("Tuned on the training runs", titles, rows), detail=True)
-
     @functools.cached_property
-    def _tables(self) -> list[Listing]:
-        title = f"{self.suite.name}: {int(self.started.sum())} unseen runs"
-        tables, first = [error_table(title, [self], [self], self.order)], next(iter(self.batches))
+    def _errors(self) -> TableColumns:
+        return error_columns([self], [self], self.order)
+
+    def declared(self) -> TableColumns:
+        """Return the errors on the unseen runs as tuned, a row per controller."""
+        return super().declared() | self._errors
+
+    @table()
+    def at_equal_air(self) -> Iterator[Listing]:
+        """Yield the errors with no more air than the first controller, as tuned, takes."""
         if self.at_air:
+            first = next(iter(self.batches))
             air = f"{self.training_air(first) / litre:.4g} L in the training runs"
-            title = f"With no more air than the tuned {first} ({air})"
-            tables.append(error_table(title, [self.at_air], [self], list(self.at_air.batches)))
-        return tables
+            yield Listing(f"With no more air than the tuned {first} ({air})", self.at_air.errors_against(self))
+
+    def errors_against(self, tuned: CompareResult) -> TableColumns:
+        """Return the errors, against those of the first controller as tuned in another result."""
+        return error_columns([self], [tuned], list(self.batches))
+
+    @table("Tuned on the training runs", detail=True)
+    def tuned_values(self) -> TableColumns:
+        """Return the cost of each controller on the training runs, and its tuned values."""
+        costs = [self.training_cost.get(name, (np.nan, np.nan)) for name in self.tuned]
+        scenarios = {name: self.suite.tuned_scenario(name, {}) for name in self.tuned}
+        texts = [
+            "; ".join(f"{p.name} {p.show(values[p.name])}" for p in find_parameters(scenarios[name], values))
+            for name, values in self.tuned.items()
+        ]
+        return {
+            "controller": (Column(), [*self.tuned]),
+            "cost_before": (Column(), [before for _, before in costs]),
+            "cost_tuned": (Column(), [after for after, _ in costs]),
+            "parameters": (Column(), [text or "not tuned" for text in texts]),
+        }
 
     def to_dataset(self) -> xr.Dataset:
         """Return metrics and outcomes along ``controller`` and ``run``, and along ``run`` what varies."""
@@ -180,15 +192,23 @@ class PooledResult(Result):
         text = f"{best} has {ratios[best]:.3g} x the angle RMSE of {next(iter(ratios))}"
         return f"{self.suite}, {len(results)} setups: {text}"
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield the errors over all setups, then those of each setup as details."""
+    def declared(self) -> TableColumns:
+        """Return the errors over all setups as tuned, a row per controller."""
         results = list(self.results.values())
-        names, at_air = list(results[0].batches), [result.at_air for result in results if result.at_air]
-        yield error_table("All setups, as tuned", results, results, names)
-        if len(at_air) == len(results):
-            yield error_table("All setups, with no more air than the first", at_air, results, names)
-        for result in results:
-            yield from (replace(listing, detail=True) for listing in result.listings())
+        return super().declared() | error_columns(results, results, list(results[0].batches))
+
+    @table("All setups, with no more air than the first")
+    def at_equal_air(self) -> TableColumns:
+        """Return the errors over all setups with no more air than the first controller."""
+        results, at_air = list(self.results.values()), [r.at_air for r in self.results.values() if r.at_air]
+        return error_columns(at_air, results, list(results[0].batches)) if len(at_air) == len(results) else {}
+
+    @table()
+    def setups(self) -> Iterator[Listing]:
+        """Yield the tables of each setup."""
+        for name, result in self.results.items():
+            for listing in result.listings():
+                yield replace(listing, title=f"{name}: {listing.title or 'unseen runs'}", detail=True)
 
 
 def errors_in(results: Sequence[CompareResult], name: str, metric: str) -> Vector:
@@ -205,15 +225,13 @@ def ratio_of_errors(
     return ratio_of_medians(*errors, resamples)
 
 
-def error_table(
-    title: str, results: Sequence[CompareResult], tuned: Sequence[CompareResult], names: Sequence[str]
-) -> Listing:
-    """Return a table over the runs of all results: errors, ratios to the first controller as tuned, air, failed runs.
+def error_columns(
+    results: Sequence[CompareResult], tuned: Sequence[CompareResult], names: Sequence[str]
+) -> TableColumns:
+    """Return columns over the runs of all results: errors, ratios to the first controller as tuned, air, failed runs.
 
     Parameters
     ----------
-    title
-        Heading.
     results
         Results whose runs are pooled; a controller that one of them lacks is left out.
     tuned
@@ -221,24 +239,31 @@ def error_table(
     names
         Controllers, in the order of the rows.
     """
+    names, first = [name for name in names if all(name in r.batches for r in results)], next(iter(tuned[0].batches))
 
-    def spread(name: str, metric: str) -> tuple[float | None, float | None]:
+    def spread(name: str, metric: str) -> Vector:
         """Median and 95th percentile over the runs that did not fail."""
-        values = errors_in(results, name, metric) / _UNIT[metric]
+        values = errors_in(results, name, metric)
         finite = values[np.isfinite(values)]
-        return tuple(np.percentile(finite, [50, 95]).tolist()) if finite.size else (None, None)
+        return np.percentile(finite, [50, 95]) if finite.size else np.full(2, np.nan)
 
-    rows = []
-    for name in names:
-        if all(name in result.batches for result in results):
-            ratio, low, high = ratio_of_errors(results, name, tuned, resamples=2000)
-            failed = (
-                sum(int(mask.sum()) for mask in masks)
-                for masks in ([r.diverged(name) for r in results], [r.oscillates(name) for r in results])
-            )
-            errors = *spread(name, "angle_rmse"), ratio, f"{low:.3g}..{high:.3g}", *spread(name, "stiffness_rmse")
-            rows.append((name, *errors, spread(name, "air")[0], " + ".join(map(str, failed))))
-    first = next(iter(tuned[0].batches))
-    titles = ("controller", "angle rmse, deg", "angle, 95 %", f"x {first}", "95 % interval")
-    titles = (*titles, "stiffness rmse", "stiffness, 95 %", "air, L", "diverged + limit cycles")
-    return Listing.of(title, titles, rows, digits=3)
+    angle, stiffness, air = (
+        np.reshape([spread(name, metric) for name in names], (-1, 2)).T
+        for metric in ("angle_rmse", "stiffness_rmse", "air")
+    )
+    ratio, low, high = np.reshape([ratio_of_errors(results, n, tuned, resamples=2000) for n in names], (-1, 3)).T
+    limit_cycles = [sum(int(result.oscillates(name).sum()) for result in results) for name in names]
+    degrees, newtons, times = (partial(Column, unit, digits=3) for unit in ("rad", "N*m/rad", "1"))
+    return {
+        "controller": (Column(), names),
+        "angle_rmse": (degrees("angle RMSE", "deg"), angle[0]),
+        "angle_rmse_95": (degrees("angle RMSE, 95 %", "deg"), angle[1]),
+        "ratio": (times(f"x {first}"), ratio),
+        "ratio_low": (times("2.5 %"), low),
+        "ratio_high": (times("97.5 %"), high),
+        "stiffness_rmse": (newtons("stiffness RMSE"), stiffness[0]),
+        "stiffness_rmse_95": (newtons("stiffness RMSE, 95 %"), stiffness[1]),
+        "air": (Column("m^3", "air", "L", digits=3), air[0]),
+        "diverged": (Column(), [sum(int(r.diverged(name).sum()) for r in results) for name in names]),
+        "oscillating": (Column("", "limit cycles"), limit_cycles),
+    }

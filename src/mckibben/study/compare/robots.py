@@ -15,8 +15,9 @@ from mckibben.errors import ScenarioError
 from mckibben.scenario import batched, find_parameters, with_values
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import LEAST_DISK_MARGIN
-from mckibben.study.compare.checks import NOMINAL_JOINT, check_differs
-from mckibben.study.compare.suite import DEFAULTS, ControllerSuite, EvaluationSettings, TuningSettings
+from mckibben.study.compare.checks import check_differs
+from mckibben.study.compare.settings import NOMINAL_JOINT, EvaluationSettings, TuningSettings
+from mckibben.study.compare.suite import DEFAULTS, ControllerSuite
 from mckibben.study.parameters.uncertainty import usual_variation
 from mckibben.study.tune import gain_ranges
 

@@ -23,7 +23,8 @@ from mckibben.scenario.scenario import BatchParts
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
-from mckibben.study.compare.suite import NOMINAL_JOINT, ControllerSuite, Suite
+from mckibben.study.compare.settings import NOMINAL_JOINT
+from mckibben.study.compare.suite import ControllerSuite, Suite
 from mckibben.study.parameters import sample
 from mckibben.study.study import Table
 
@@ -68,9 +69,9 @@ class Runs:
         """Scenario of one run, numbered from 0, with a controller of tuned values [SI]."""
         reference, joint = self.reference_name[run], self.joint[run]
         group = next(group for group in self.groups if group.joint == joint)
-        own = np.searchsorted(group.rows, run), group.conditions
+        of_group = np.searchsorted(group.rows, run), group.conditions
         referred = self.reference_name[:run].count(reference), self.reference_values.get(reference, {})
-        numbers = {name: column[row].item() for row, table in (own, referred) for name, column in table.items()}
+        numbers = {name: column[row].item() for row, table in (of_group, referred) for name, column in table.items()}
         numbers |= values or {}
         scenario = self.suite.scenario(controller, reference, joint)
         return self.suite.at_rest(with_values(scenario, numbers) if numbers else scenario)
@@ -133,9 +134,9 @@ def draw(suite: ControllerSuite, count: int, seed: int) -> Runs:
         rows, scenario = np.flatnonzero(np.array(joints) == joint), suite.example(joint=joint)
         if suite.substeps is not None:
             scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
-        own = {name: column[rows] for name, column in conditions.items() if suite.has(joint, name)}
+        varied = {name: column[rows] for name, column in conditions.items() if suite.has(joint, name)}
         reference = Reference(*(Samples(times, column[rows]) for column in setpoints))
-        groups.append(Group(joint, rows, own, BatchParts(_with_columns(scenario, own).plant(), reference)))
+        groups.append(Group(joint, rows, varied, BatchParts(_with_columns(scenario, varied).plant(), reference)))
     return Runs(suite, joints, names, conditions, values, tuple(groups))
 
 
@@ -171,8 +172,8 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> Table:
     sine = suite.references[name].reference.angle
     if isinstance(sine, Sine):
         amplitude, frequency = (
-            table.get(f"reference.angle.{part}", np.full(count, getattr(sine, part)))
-            for part in ("amplitude", "frequency")
+            table.get(f"reference.angle.{term}", np.full(count, getattr(sine, term)))
+            for term in ("amplitude", "frequency")
         )
         rate = np.maximum(2 * np.pi * frequency, 1e-6)
         limits = (suite.max_angular_velocity, rate), (suite.max_angular_acceleration, rate**2)

@@ -27,9 +27,9 @@ def median(trial: Trial, metric: str) -> float:
 
 def least_failing(trials: Iterable[Trial]) -> list[Trial]:
     """Trials with known metrics and the smallest number of failed training runs."""
-    known = [trial for trial in trials if trial.metrics]
-    fewest = min((median(trial, FAILED_RUNS) for trial in known), default=np.inf)
-    return [trial for trial in known if median(trial, FAILED_RUNS) == fewest]
+    measured = [trial for trial in trials if trial.metrics]
+    fewest = min((median(trial, FAILED_RUNS) for trial in measured), default=np.inf)
+    return [trial for trial in measured if median(trial, FAILED_RUNS) == fewest]
 
 
 def best_trial(trials: Iterable[Trial]) -> Trial:
@@ -50,8 +50,8 @@ def comparable(trials: Sequence[Trial]) -> list[Trial]:
 
 def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
     """Comparable trial of fewest failed runs, then of lowest angle error, with at most some air [m^3], if any."""
-    known = least_failing(trial for trial in comparable(trials) if median(trial, "air") <= air)
-    return min(known, key=lambda trial: median(trial, "angle_rmse"), default=None)
+    affordable = least_failing(trial for trial in comparable(trials) if median(trial, "air") <= air)
+    return min(affordable, key=lambda trial: median(trial, "angle_rmse"), default=None)
 
 
 def front(trials: Sequence[Trial]) -> list[Trial]:
@@ -90,6 +90,6 @@ def ratio_of_medians(values: NDArray[np.float64], first: NDArray[np.float64], re
     medians = np.array([np.median(pair, axis=1), *(np.median(draw, axis=1) for draw in draws)])
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio, *ratios = medians[:, 0] / medians[:, 1]
-    known = np.array(ratios)[~np.isnan(ratios)]  # a ratio of two infinite medians is not known
-    low, high = np.percentile(known, [2.5, 97.5], method="nearest") if known.size else (np.nan, np.nan)
+    defined = np.array(ratios)[~np.isnan(ratios)]  # a ratio of two infinite medians is not known
+    low, high = np.percentile(defined, [2.5, 97.5], method="nearest") if defined.size else (np.nan, np.nan)
     return Ratio(float(ratio), float(low), float(high))

@@ -104,8 +104,8 @@ class ControllerTuning:
         columns = [begun & batch.usable, begun, *(mean_of_joints(batch.metrics[name]) for name in TRADED)]
         for usable, ran, *values in zip(*(column.reshape(rows, -1) for column in columns), strict=True):
             *errors, air = values
-            known = [np.where(usable, error, np.inf)[ran] for error in errors]
-            medians = [float(np.median(column)) for column in (*known, air[usable])] if usable.any() else [np.inf]
+            finite = [np.where(usable, error, np.inf)[ran] for error in errors]
+            medians = [float(np.median(column)) for column in (*finite, air[usable])] if usable.any() else [np.inf]
             failed = {FAILED_RUNS: float((ran & ~usable).sum())}
             yield dict(zip(TRADED, medians, strict=True)) | failed if np.isfinite(medians).all() else None
 
@@ -116,11 +116,11 @@ class ControllerTuning:
     def about(self) -> dict[str, object]:
         """Everything that determines the trials."""
         tuning = self.suite.tuning
-        parts = [(group.rows, *group.parts) for group in self.runs.groups]
+        groups = [(group.rows, *group.parts) for group in self.runs.groups]
         return {
             "software": software(self.engine),
             "controller": self.controller,
-            "digest of runs": digest((parts, self._scenario.control())),
+            "digest of runs": digest((groups, self._scenario.control())),
             **self.suite.timing,
             "parameters": [tuned.text for tuned in self.space.swept],
             "cost": tuning.cost,
@@ -160,7 +160,7 @@ class ControllerTuning:
                 seed=tuning.seed + number,
                 population=tuning.population,
                 generations=tuning.generations,
-                progress=lambda part: progress((number + part) / (self._starts + 1)),
+                progress=lambda fraction: progress((number + fraction) / (self._starts + 1)),
             )
 
         for number, points in enumerate(self._candidates(first)):
@@ -203,8 +203,8 @@ class ControllerTuning:
         tuning = self.suite.tuning
         if not tuning.finalists:
             return ()
-        known = {tuple(self.values(trial).values()): trial for trial in reversed(trials)}
-        chosen = dict(sorted(known.items(), key=lambda item: item[1].order)[: tuning.finalists])
+        distinct = {tuple(self.values(trial).values()): trial for trial in reversed(trials)}
+        chosen = dict(sorted(distinct.items(), key=lambda item: item[1].order)[: tuning.finalists])
         further = replace(self, runs=draw(self.runs.suite, tuning.finalist_runs, tuning.finalist_seed))
         return tuple(further.evaluate(np.array(list(chosen))).trials(np.array([t.point for t in chosen.values()])))
 

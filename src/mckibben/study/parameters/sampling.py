@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.errors import CallError, ParameterError, RangeError, UnitError, described, quoted
 from mckibben.scenario import ScenarioParameter, StudiedScenario, find_parameter, find_parameters
@@ -23,6 +22,7 @@ from mckibben.study.parameters.distributions import (
     Uniform,
     Values,
 )
+from mckibben.study.study import Table
 from mckibben.units import NUMBER, Quantity, split_range
 
 
@@ -266,9 +266,6 @@ def _read(mark: Any, text: str) -> Any:
 def _fail(message: str, remedy: str) -> NoReturn:
     raise ParameterError(message, remedy=remedy)
 
-
-Table = dict[str, NDArray]
-"""Values [SI] by name, float64 or int64, one row per run."""
 
 SamplingMethod = Literal["sobol", "random", "grid"]
 """Method by which combinations of values are chosen."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mckibben.component.columns import attributes
 from mckibben.dataset.schema import write_netcdf
 from mckibben.errors import ParameterError
-from mckibben.result import Column, Listing, Remark
+from mckibben.result import Column, Listing, Remark, TableColumns, table
 from mckibben.scenario import ModelFollows, StudiedScenario, with_values
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import RunTable, outcome_variable
@@ -138,13 +138,18 @@ class SweepResult(RunTable):
         steps = StepCounts(*(self[name] for name in STEP_COLUMNS)).summary()
         yield Remark.note("error_estimate", integration_sentence(steps))
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield outcomes, statistics of the metrics over the runs that did not fail, and rank correlations."""
+    @table("Outcomes")
+    def outcome_counts(self) -> TableColumns:
+        """Return the number and share of the runs by their outcome."""
         counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
         outcomes = [(outcome.value, int(count)) for outcome, count in zip(OUTCOMES, counts, strict=True) if count]
         names, runs = zip(*outcomes, strict=True)
         share = Column("1", "share", "%", digits=3), [count / self.count for count in runs]
-        yield Listing("Outcomes", {"outcome": (Column(), names), "runs": (Column(), runs), "share": share})
+        return {"outcome": (Column(), names), "runs": (Column(), runs), "share": share}
+
+    @table()
+    def metrics_over_runs(self) -> Iterator[Listing]:
+        """Yield statistics of the metrics over the runs that did not fail, and rank correlations."""
         statistics = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "runs")
         yield Listing.of("Runs that did not fail", statistics, self.statistics())
         ranks = self.correlations().rename_axis("parameter").reset_index()

@@ -57,8 +57,8 @@ class Sweep(ScenarioStudy):
         check_names("metric", chosen, Metrics._fields)
         follows = begun.get("model_follows", ()) if model_follows is None else model_follows
         engine = engine_of_job(set, begun["software"], engine) if begun else engine
-        own: dict[str, Any] = {"metrics": tuple(chosen), "model_follows": (), "software": software(engine)}
-        study = super().of(scenario, over, begun, **sampling, **own, batch_size=0, block=0)
+        settings: dict[str, Any] = {"metrics": tuple(chosen), "model_follows": (), "software": software(engine)}
+        study = super().of(scenario, over, begun, **sampling, **settings, batch_size=0, block=0)
         check_frequencies(study.scenarios(study.rows()).references(), scenario.control_period)
         batch_size, block = _sizes(study.samples, engine)
         followed = followed_names(scenario, follows, [parameter.name for parameter in study.swept])
@@ -113,8 +113,8 @@ class Sweep(ScenarioStudy):
         return replace(self, software=software(engine_of_job(trial, engine=engine)))
 
     def _simulate(self, rows: Table, **options: Any) -> Batch:
-        own = {"model_follows": self.model_follows, "metrics": self.metrics, "workers": 1}
-        return run_many(self.scenario, dict(rows), **own, **options)
+        settings = {"model_follows": self.model_follows, "metrics": self.metrics, "workers": 1}
+        return run_many(self.scenario, dict(rows), **settings, **options)
 
 
 @checked_call
@@ -188,8 +188,8 @@ def sweep(
     begun = begun_settings(out, Sweep.format, resume=resume)
     folder = "." if out is None else os.fspath(out)
     sampling: dict[str, Any] = {"design": design, "samples": samples, "seed": seed, "folder": folder}
-    own: dict[str, Any] = {"metrics": metrics, "model_follows": model_follows, "engine": engine}
-    study = Sweep.of(scenario, over, begun, **own, **sampling)
+    settings: dict[str, Any] = {"metrics": metrics, "model_follows": model_follows, "engine": engine}
+    study = Sweep.of(scenario, over, begun, **settings, **sampling)
     study = study if begun else study.with_known_engine(engine)
     records = study.run(out, resume=resume, workers=workers, dask=dask, progress=progress)
     inputs = {parameter: records.rows[parameter.name] for parameter in study.swept}

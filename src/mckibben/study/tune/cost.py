@@ -132,17 +132,17 @@ def parse_cost(text: str, **options: Any) -> Cost:
     >>> parse_cost("angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad").terms[1]
     Term(metric='stiffness_rmse', scale=0.5, weight=2.0)
     """
-    parts = [part.strip() for part in _PLUS.split(text)]
+    terms_of_text = [term_text.strip() for term_text in _PLUS.split(text)]
     terms = []
-    for part in parts:
-        match = _TERM.fullmatch(part)
+    for term_text in terms_of_text:
+        match = _TERM.fullmatch(term_text)
         if match is None:
             raise ParameterError(
-                f"{part!r} is not a term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
+                f"{term_text!r} is not a term of a cost", value=term_text, remedy="write it like angle_rmse/0.1 deg"
             )
         metric, scale = match["metric"], match["scale"]
         Term(metric, 1.0)  # raises for an unknown metric
-        if scale is None and len(parts) > 1:
+        if scale is None and len(terms_of_text) > 1:
             unit = _unit(metric).replace("ratio", "%")
             unit = "deg" if unit == "rad" else unit
             raise ParameterError(
@@ -153,9 +153,11 @@ def parse_cost(text: str, **options: Any) -> Cost:
             weight = float(match["weight"] or 1.0)
             size = 1.0 if scale is None else quantity(scale, _unit(metric))
         except UnitError as error:
-            raise ParameterError(f"{part!r}: {error}", value=part) from None
+            raise ParameterError(f"{term_text!r}: {error}", value=term_text) from None
         except ValueError:
-            raise ParameterError(f"{match['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
+            raise ParameterError(
+                f"{match['weight']!r} is not a number", value=term_text, remedy="write 2*metric"
+            ) from None
         terms.append(Term(metric, size, weight))
     return Cost(tuple(terms), **options)
 

@@ -147,14 +147,14 @@ class TuningProblem:
         rows = self._with_margin(values)
         workers = max(cores() // len(self.scenarios), 1)
         with ThreadPoolExecutor(cores()) as pool:
-            parts = list(pool.map(lambda scenario: self._costs_of_runs(scenario, rows, workers), self.scenarios))
-        costs = self._combine(np.concatenate(parts)).reshape(-1, len(values)).max(axis=0)
-        wanted = self.disk_margin
-        if not wanted:
+            by_scenario = list(pool.map(lambda scenario: self._costs_of_runs(scenario, rows, workers), self.scenarios))
+        costs = self._combine(np.concatenate(by_scenario)).reshape(-1, len(values)).max(axis=0)
+        required = self.disk_margin
+        if not required:
             return costs
         least = np.min([self._disk_margins(place, values) for place in range(len(self.scenarios))], axis=(0, 1))
         # Feasible points first, then by their violation: K. Deb, Comput. Methods Appl. Mech. Eng. 186, 2000.
-        return np.where((least < wanted) & (costs < FAILED_COST), UNSTABLE_COST * (2 - least / wanted), costs)
+        return np.where((least < required) & (costs < FAILED_COST), UNSTABLE_COST * (2 - least / required), costs)
 
     @property
     def disk_margin(self) -> float:

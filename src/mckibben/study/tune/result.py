@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from mckibben.errors import McKibbenError
-from mckibben.result import Listing, Remark, WritingResult, column
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, column, table
 from mckibben.scenario import StudiedScenario, find_parameter
 from mckibben.simulation import margin_remarks
 from mckibben.simulation.metrics import Metrics, metrics_of
@@ -20,7 +20,7 @@ from mckibben.study.tune.trials import Trial
 _MARGINS = {"least gain margin": "", "least phase margin": "deg", "least delay margin": "ms", "least disk margin": ""}
 
 
-class TuneResult(WritingResult):
+class TuneResult(Result):
     """Result of a tuning; its tables simulate each scenario before and after when they are first asked for.
 
     `trials` has every point of the search with its cost; `scenarios` can be written with their `to_yaml`.
@@ -87,37 +87,40 @@ class TuneResult(WritingResult):
             yield Remark.warning("at_bound", text, remedy="consider a wider range")
         yield from dict.fromkeys(remark for scenario in self.before for remark in scenario.model_remarks)
 
-    def listings(self) -> Iterator[Listing]:
-        """Yield the scalars, the parameters and the effect on each scenario."""
-        yield from super().listings()
+    @table("Parameters")
+    def parameters(self) -> TableColumns:
+        """Return the parameters before and after, as in a file."""
         parameters = [find_parameter(self.before[0], name) for name in self.values]
         nominal = ["-" if p.nominal is None else p.show(p.nominal) for p in parameters]
         tuned = [p.show(value) for p, value in zip(parameters, self.values.values(), strict=True)]
-        rows = zip(self.values, nominal, tuned, strict=True)
-        yield Listing.of("Parameters", ("parameter", "before", "tuned"), rows)
+        return {"parameter": (Column(), [*self.values]), "before": (Column(), nominal), "tuned": (Column(), tuned)}
+
+    @table()
+    def effect(self) -> Iterator[Listing]:
+        """Yield the effect on each scenario."""
         for scenario, (old, new) in zip(self.before, self.effects, strict=True):
             title = f"{scenario.name}{', nominal plant' if self.conditions or self.limit else ''}"
-            rows = [(name, old[name], new[name], unit) for name, (*_, unit) in _shown(scenario).items()]
-            rows += [(name, old[name], new[name], unit) for name, unit in _MARGINS.items()]
+            units = {name: unit for name, (*_, unit) in _metric_rows(scenario).items()} | _MARGINS
+            rows = [(name, old[name], new[name], unit) for name, unit in units.items()]
             yield Listing.of(title, ("metric", "before", "tuned", "unit"), rows)
 
 
 def _metrics_and_margins(scenario: StudiedScenario) -> dict[str, float]:
     """Metrics of a run and its least stability margins, by title and in shown units; NaN if it cannot be run."""
-    shown = _shown(scenario)
+    rows = _metric_rows(scenario)
     try:
         metrics, margins = scenario.run_once().metrics, scenario.margins().least()
     except McKibbenError:
-        return dict.fromkeys((*shown, *_MARGINS), np.nan)
-    values = {title: float(np.atleast_1d(metrics[name])[i]) / size for title, (name, i, size, _) in shown.items()}
+        return dict.fromkeys((*rows, *_MARGINS), np.nan)
+    values = {title: float(np.atleast_1d(metrics[name])[i]) / size for title, (name, i, size, _) in rows.items()}
     return values | dict(zip(_MARGINS, margins.values(), strict=True))
 
 
-def _shown(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, str]]:
+def _metric_rows(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, str]]:
     """Metrics of a scenario by title: name, number of the joint, shown unit as a number and as text."""
-    shown = {}
+    rows = {}
     for name, label in metrics_of(Metrics).items():
         title, joints = name.replace("_", " "), scenario.joint_names if label.along else ()
         for number, joint in enumerate(joints or ("",)):
-            shown[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
-    return shown
+            rows[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
+    return rows

@@ -41,7 +41,7 @@ class Evaluated(NamedTuple):
         """Return the trials at the points of the first rows."""
         metrics = self.metrics or [None] * len(points)
         rows = zip(points.tolist(), self.costs.tolist(), metrics, strict=False)
-        return [Trial(tuple(point), cost, known) for point, cost, known in rows]
+        return [Trial(tuple(point), cost, numbers) for point, cost, numbers in rows]
 
 
 class Trials:
@@ -52,29 +52,29 @@ class Trials:
 
     def __init__(self, job: Job, space: SearchSpace, batch: int, compute: Callable[[Vector], Evaluated]) -> None:
         self._job, self._space, self._batch, self._compute = job, space, batch, compute
-        self._known = {trial.point: trial for trial in _read_job(job)}
+        self._by_point = {trial.point: trial for trial in _read_job(job)}
 
     @property
     def all(self) -> list[Trial]:
         """All trials, in the order of the search."""
-        return list(self._known.values())
+        return list(self._by_point.values())
 
     @property
     def best(self) -> Trial:
         """Trial of the lowest cost."""
-        return min(self._known.values(), key=lambda trial: trial.order)
+        return min(self._by_point.values(), key=lambda trial: trial.order)
 
     def at(self, points: Vector) -> list[Trial]:
         """Return the trials at points, shape (n, parameters); new ones are on disk before it returns."""
-        new = {point: None for point in map(tuple, points.tolist()) if point not in self._known}
+        new = {point: None for point in map(tuple, points.tolist()) if point not in self._by_point}
         missing = np.array(list(new))
         for start in range(0, len(missing), self._batch):
             some = missing[start : start + self._batch]
             trials = self._compute(self._padded(self._space.values(some))).trials(some)
-            numbered = enumerate(trials, start=len(self._known))
+            numbered = enumerate(trials, start=len(self._by_point))
             self._job.add({number: json.dumps(trial._asdict()).encode() for number, trial in numbered})
-            self._known |= {trial.point: trial for trial in trials}
-        return [self._known[tuple(point)] for point in points.tolist()]
+            self._by_point |= {trial.point: trial for trial in trials}
+        return [self._by_point[tuple(point)] for point in points.tolist()]
 
     def costs(self, points: Vector) -> Vector:
         """Return the costs at points."""

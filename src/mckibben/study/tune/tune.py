@@ -135,9 +135,9 @@ def tune(
         job = store.job(_about(asked, problem, store.folder) | about | {"seed": seed, "population": population})
         trials = Trials(job, problem.space, 1 if method == "local" else population, problem.evaluate)
 
-        def step(part: float) -> None:
+        def step(fraction: float) -> None:
             lowest = min((trial.cost for trial in trials.all), default=FAILED_COST)
-            report(f"searching, lowest cost {lowest:.4g}" if lowest < FAILED_COST else "searching", part)
+            report(f"searching, lowest cost {lowest:.4g}" if lowest < FAILED_COST else "searching", fraction)
 
         step(0.0)
         first = problem.space.point(problem.space.nominal)
@@ -149,12 +149,12 @@ def tune(
 def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, object]:
     """Return all that determines the cost of a point, for JSON."""
     cost, model_follows = problem.cost, problem.model_follows
-    parts = [(scenario.plant(), scenario.control(), scenario.references()) for scenario in asked.scenarios]
+    models = [(scenario.plant(), scenario.control(), scenario.references()) for scenario in asked.scenarios]
     return {
         "format": FORMAT,
         "software": software(problem.engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in asked.scenarios],
-        "digest of models": digest(parts),
+        "digest of models": digest(models),
         "parameters": [tuned.text for tuned in problem.space.swept],
         "model_follows": model_follows if model_follows == "all" else sorted(model_follows),
         "cost": cost.text,

@@ -38,3 +38,8 @@ async function saveChart(id, kind, name) {
   link.click();
   return content ?? link.href;
 }
+
+if (matchMedia("(prefers-reduced-motion: reduce)").matches) {
+  const still = () => document.querySelectorAll("svg").forEach((svg) => svg.pauseAnimations());
+  new MutationObserver(still).observe(document.documentElement, { childList: true, subtree: true });
+}

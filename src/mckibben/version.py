@@ -1,0 +1,3 @@
+"""Version of mckibben."""
+
+__version__ = "0.1.0"
