@@ -62,7 +62,7 @@ def test_a_scenario_gives_the_rate_and_the_steps_of_its_plant(scenario, plant):
     made = casadi_plant(scenario, substeps=4, parameters=["load.mass2"])
     state = plant.init_state(0.1, (2e5, 3e5))._replace(velocity=np.array(1.5))
     commands = np.array(1e5), np.array(9e5)  # the second one above the rating
-    assert made.state == ("angle", "velocity", "pressures_0", "pressures_1")
+    assert made.state == ("position", "velocity", "pressures_0", "pressures_1")
     assert made.inputs == ("command1", "command2", "torque")
     assert made.left_out == ()
     numbers = [0.1, 1.5, 2e5, 3e5], [*commands, 0.0]
@@ -141,7 +141,7 @@ def test_a_robot(base):
     made, plant = casadi_plant(scenario, substeps=2, parameters=["robot.bodies.1.mass"]), scenario.plant()
     moving = ("z", "angles_0") if base == "vertical" else ("angles_0",)
     assert made.inputs == ("command1", "command2", "torque_0")
-    assert made.state == (*(f"{part}_{name}" for part in ("posture", "velocity") for name in moving), "pressures_0",
+    assert made.state == (*(f"{part}_{name}" for part in ("position", "velocity") for name in moving), "pressures_0",
                           "pressures_1")  # fmt: skip
     assert len(made.left_out) == 2
     plant = plant.with_ideal_io()
@@ -172,7 +172,7 @@ def test_a_robot(base):
 
 def test_a_plant_of_a_robot_alone():
     made = casadi_plant(RobotScenario.read("examples/robot/lei-leg-in-space.yaml").plant(), substeps=1)
-    assert [name for name in made.state if name.startswith("posture")]
+    assert [name for name in made.state if name.startswith("position")]
 
 
 def test_what_cannot_be_written_is_refused(knee, load, scenario):

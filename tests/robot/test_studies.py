@@ -13,6 +13,8 @@ from mckibben.cli import app
 from mckibben.codegen.templates import filled
 from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.storage.files import file_lock
+from mckibben.study import jumping as jump_search
+from mckibben.study import landing as landings
 from mckibben.study.landing import valve_with
 from mckibben.study.robot_draws import drawn_plant, quantile_interval, with_mass
 from tests.robot.conftest import FILE
@@ -125,7 +127,7 @@ def test_supply_that_is_too_low(scenario):
 def study(scenario):
     """In six blocks."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(robots.landing.Landings, "block_size", lambda self: 42)
+        patch.setattr(landings.Landings, "block_size", lambda self: 42)
         return robots.study_landing(scenario)
 
 
@@ -199,8 +201,8 @@ def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario):
 
 @pytest.mark.slow
 def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypatch):
-    monkeypatch.setattr(robots.landing.Landings, "block_size", lambda self: 42)
-    run, runs = robots.landing.Landings.compute, []
+    monkeypatch.setattr(landings.Landings, "block_size", lambda self: 42)
+    run, runs = landings.Landings.compute, []
 
     def counted(self, rows):
         runs.append(1)
@@ -208,7 +210,7 @@ def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypa
             raise KeyboardInterrupt
         return run(self, rows)
 
-    monkeypatch.setattr(robots.landing.Landings, "compute", counted)
+    monkeypatch.setattr(landings.Landings, "compute", counted)
     with pytest.raises(KeyboardInterrupt):
         robots.study_landing(scenario, out=tmp_path)
     with file_lock(tmp_path / ".study.sqlite.lock", "computing this study"), pytest.raises(FileError):
@@ -251,7 +253,7 @@ def test_draws_of_the_mass_scale_every_inertia():
 @pytest.mark.slow
 def test_standing_is_the_highest_posture(scenario):
     plant, drawn = scenario.plant(), drawn_plant(scenario)
-    standing = robots.jumping._standing_heights(plant, drawn)
+    standing = jump_search._standing_heights(plant, drawn)
     assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
     assert np.ptp(standing) > 0
 
@@ -260,7 +262,7 @@ def test_standing_is_the_highest_posture(scenario):
 def short_searches():
     with pytest.MonkeyPatch.context() as patch:
         for name in ("_GENERATIONS", "_POPULATION"):
-            patch.setattr(robots.jumping, name, 2)
+            patch.setattr(jump_search, name, 2)
         yield
 
 
@@ -287,23 +289,23 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario, jumps):
 def test_the_jump_is_that_of_its_generation_which_most_draws_reach(scenario, jumps, short_searches):
     """The quantile of a jump over fresh draws, from single runs of the drawn plants; it is chosen on others."""
     plant, drawn = scenario.plant(), drawn_plant(scenario, fresh=True)
-    variables = robots.jumping.ScheduleVariables((1e5,) * len(plant.muscles), 0.0, 6e5, 0.15, False)
+    variables = jump_search.ScheduleVariables((1e5,) * len(plant.muscles), 0.0, 6e5, 0.15, False)
     start = robots.RobotStart(
         plant.robot.posture_angles(scenario.jump.squat), tuple(jumps.constant.run["pressure"][:, 0].tolist())
     )
     steps = 0.5, scenario.control_period, jumps.constant.substeps
-    runs = robots.jumping.JumpRuns(plant, drawn, scenario.uncertainty.draws, start, variables, *steps)
+    runs = jump_search.JumpRuns(plant, drawn, scenario.uncertainty.draws, start, variables, *steps)
     columns = np.random.default_rng(0).uniform(size=(variables.size, 3))
     columns[:, 0] = np.array(jumps.constant.controller.levels)[:, 0] / 6e5
     sure = runs.sure_heights(columns)
-    apex = jumps.constant.heights[1:] + robots.jumping._standing_heights(plant, drawn)[1:]
+    apex = jumps.constant.heights[1:] + jump_search._standing_heights(plant, drawn)[1:]
     assert sure[0] == pytest.approx(np.percentile(apex, 5), abs=1e-6)
     assert sure[0] > sure[1:].max()
 
 
 @pytest.mark.slow
 def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeypatch):
-    computed, run = [], robots.jumping.JumpRuns.heights
+    computed, run = [], jump_search.JumpRuns.heights
 
     def counted(self, variables):
         computed.append(1)
@@ -311,7 +313,7 @@ def test_a_search_that_was_broken_off_goes_on(scenario, jumps, tmp_path, monkeyp
             raise KeyboardInterrupt
         return run(self, variables)
 
-    monkeypatch.setattr(robots.jumping.JumpRuns, "heights", counted)
+    monkeypatch.setattr(jump_search.JumpRuns, "heights", counted)
     with pytest.raises(KeyboardInterrupt):
         robots.study_jump(scenario, out=tmp_path)
     with pytest.raises(FileError):  # it exists

@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.engine import BatchFunction
-from mckibben.control import Setpoint
+from mckibben.control import Reference, Setpoint
 from mckibben.errors import ExportError
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit_arrays, numeric
@@ -221,10 +221,16 @@ def _starts(plants: Plants, rows: PyTree) -> tuple[PyTree, Array]:
 
     def start(row: Array) -> tuple[PyTree, Array]:
         (plant, references, at_rest), _ = plants.row(row)
-        state, exists = at_rest.state(plant, [reference(jnp.zeros(())).angle for reference in references])
+        state, exists = at_rest.state(plant, first_setpoints(plant, references))
         return jax.tree.map(jnp.asarray, state), exists
 
     return jax.vmap(start)(rows)
+
+
+def first_setpoints(plant: Plant, references: Sequence[Reference]) -> PyTree:
+    """Setpoints at the start, shape (1,), of a joint or of the joints of a robot."""
+    setpoints = tuple(reference(jnp.zeros(1)) for reference in references)
+    return setpoints if plant.mechanism.joint_names else setpoints[0]
 
 
 def elements_of(joints: Sequence[str], muscles: Sequence[str], history: int) -> dict[str, tuple[str, float]]:

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
+from numpy.typing import NDArray
 from pydantic import (
     Field,
     PrivateAttr,
@@ -40,6 +41,7 @@ from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.point_stiffness import SINGULAR, movable
 from mckibben.mechanism.robot import Robot
 from mckibben.numerics.batching import lanes_of
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import PerfectSensors, PlantState
 from mckibben.plant.robot_plant import RobotPlant, RobotStart
 from mckibben.result import Remark
@@ -60,6 +62,7 @@ from mckibben.scenario.scenario import (
     ValvePart,
 )
 from mckibben.simulation.accuracy import ACCURACY
+from mckibben.simulation.feasibility import held_by_pairs
 from mckibben.simulation.problem import sampling_times
 from mckibben.statics.posture import holding_torques, is_affine
 from mckibben.statics.pressures import pressures_for_joint_stiffness
@@ -295,7 +298,9 @@ class RobotScenario(StudiedScenario):
 
     def starts(self) -> RobotStart:
         """Return the start of a controlled run, of a batch with others in the place of those that do not exist."""
-        parts = {"robot": self.robot, "valve": self.valve, "reference": self.references()}
+        parts: dict[str, PyTree] = {"robot": self.robot, "reference": self.references()}
+        if lanes_of(getattr(self.valve, "supply", None))[0] is not None:
+            parts["valve"] = self.valve
         count, varying = lanes_of(parts)
         if count is None:
             return self._start()
@@ -310,26 +315,54 @@ class RobotScenario(StudiedScenario):
             except UnreachableError:
                 return None
 
-        starts = [start_of(*row) for row in np.stack(leaves, axis=-1).tolist()]
+        rows = np.stack(leaves, axis=-1)
+        attained, known = self._held_by_pairs(lanes, shared, rows[0], structure)
+        starts = [known(row) if attained[row] else start_of(*rows[row].tolist()) for row in range(count)]
         nowhere = RobotStart((0.0,) * len(self.joint_names), (0.0,) * len(self.muscle_names))
         found = next((start for start in starts if start), nowhere)
         exists = np.array([start is not None for start in starts])
         columns = jax.tree.map(lambda *each: np.array(each, float), *(start or found for start in starts))
         return columns._replace(exists=exists)
 
+    def _held_by_pairs(
+        self, lanes: PyTree, shared: PyTree, row: NDArray, structure: PyTree
+    ) -> tuple[NDArray[np.bool_], Callable[[int], RobotStart]]:
+        """Mask of the runs whose start follows in closed form, and a function of their numbers that gives it."""
+        robot = self.robot
+        limits = [(joint.lower, joint.upper, joint.locked) for joint in robot.joints]
+        varies = "valve" in shared or lanes_of((self.references(), limits))[0] is not None
+        if varies or not (robot.has_disjoint_pairs and is_affine(robot)):
+            return np.zeros(len(jax.tree.leaves(lanes)[0]), bool), lambda number: self._start()
+        own = self.model_copy(update=eqx.combine(jax.tree.unflatten(structure, row.tolist()), shared))
+        angles, stiffness = own._first()
+        posture = tuple(map(np.asarray, angles)), tuple(map(np.asarray, stiffness))
+        none, numbers = (None,) * len(angles), numeric(robot)
+        varied, fixed = eqx.partition(numbers, lanes_of(numbers)[1])
+        held = held_by_pairs((fixed, self.supply, RobotPlant.gravity, *posture), (varied, None, None, none, none))
+        pressures = np.stack([pressure for pair in held.pressures for pressure in pair])
+
+        def start(number: int) -> RobotStart:
+            return RobotStart(angles, tuple(pressures[:, number].tolist()), clearance=self.start.clearance)
+
+        return np.asarray(held.attained), start
+
     def initial(self, plant: RobotPlant) -> PlantState:
         return plant.begin(self._start())
+
+    def _first(self) -> tuple[tuple[float, ...], list[float]]:
+        """Return angles [rad] and stiffness [N*m/rad] of the joints at the start."""
+        first = {name: reference(0.0) for name, reference in self.references().items()}
+        given = {} if isinstance(self.reference, PointReference) else self.start.angles
+        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | given
+        stiffness = [float(first[name].stiffness) for name in self.joint_names]
+        return self.robot.posture_angles(wanted), stiffness
 
     def _start(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.
 
         Raises `McKibbenError` if the muscles cannot hold the posture.
         """
-        first = {name: reference(0.0) for name, reference in self.references().items()}
-        given = {} if isinstance(self.reference, PointReference) else self.start.angles
-        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | given
-        angles, robot = self.robot.posture_angles(wanted), self.robot
-        stiffness = [float(first[joint.name].stiffness) for joint in robot.joints]
+        (angles, stiffness), robot = self._first(), self.robot
         torques = holding_torques(robot, angles, RobotPlant.gravity)
         if is_affine(robot):
             pressures = pressures_for_joint_stiffness(

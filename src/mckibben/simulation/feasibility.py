@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
@@ -13,8 +17,7 @@ from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.component.calls import checked_call
 from mckibben.control.base import Reference, Setpoint
 from mckibben.errors import McKibbenError
-from mckibben.joint import AntagonisticJoint
-from mckibben.joint.attainable import leaves_domain, stiffness_range
+from mckibben.joint.attainable import leaves_domain, solve_static, stiffness_range
 from mckibben.mechanism.dynamics import joint_equations
 from mckibben.mechanism.robot import Robot
 from mckibben.numerics.compiled import numeric
@@ -142,37 +145,37 @@ def static_band(
     return static_bands(engine, numeric((plant, amplitude, tension)), padded)[0]
 
 
-def _held_by_pairs(plant: PyTree, angles: NDArray, stiffness: NDArray) -> NDArray[np.bool_]:
-    """Mask of postures in which a pair of muscles of each joint, and no others, attain the stiffness at rest.
+class HeldByPairs(NamedTuple):
+    """Pressures [Pa] of the pairs of muscles of joints that hold a robot at rest, by joint, and whether they do."""
 
-    Angles [rad] and stiffness [N*m/rad] have shape (joints, postures); all are False for other muscles.
-    """
-    robot = plant.robot
-    if not robot.has_disjoint_pairs:
-        return np.zeros(angles.shape[1], bool)
-    pairs = [robot.pair(index) for index in range(len(robot.joints))]
-    rated = [[min(float(muscle.domain.pressure_max), plant.supply) for muscle in pair.muscles] for pair in pairs]
-    supplied = [rated_for(pair, tuple(limits)) for pair, limits in zip(pairs, rated, strict=True)]
-    low, high = map(np.stack, zip(*_bands_of_pairs((robot, supplied, plant.gravity), tuple(angles)), strict=True))
-    return np.all((low <= stiffness * (1 + EXACT)) & (stiffness * (1 - EXACT) <= high), axis=0)
+    pressures: list[tuple[Array, Array]]
+    attained: Array
 
 
 @compiled
-def _bands_of_pairs(
-    shared: tuple[Robot, list[AntagonisticJoint], ArrayLike], angles: tuple[Array, ...]
-) -> list[tuple[Array, Array]]:
-    """Lowest and highest stiffness [N*m/rad] of the joints of a robot that is held at rest at angles [rad]."""
-    robot, pairs, gravity = shared
+def held_by_pairs(
+    shared: tuple[Robot, PyTree, PyTree, PyTree, PyTree], lane: tuple[Robot, PyTree, PyTree, PyTree, PyTree]
+) -> HeldByPairs:
+    """Closed form of a robot with a pair of muscles for each joint, and no others.
+
+    Both arguments are parts of the robot, the supply [Pa], g [m/s^2], and angles [rad] and stiffness [N*m/rad] by
+    joint: those that all runs have in common, and those with runs along the last axis.
+    """
+    robot, supply, gravity, angles, stiffness = eqx.combine(lane, shared)
     held = robot.held(angles)
     bias = iter(joint_equations(robot, held, (0.0,) * len(held), gravity).bias)
-    torques = [next(bias) if joint.locked is None else 0.0 for joint in robot.joints]
-    return [
-        stiffness_range(pair, angle, torque, None, _TAUT)
-        for pair, angle, torque in zip(pairs, held, torques, strict=True)
-    ]
+    found, attained = [], []
+    for index, (joint, angle, wanted) in enumerate(zip(robot.joints, held, stiffness, strict=True)):
+        pair, torque = robot.pair(index), next(bias) if joint.locked is None else 0.0
+        pair = rated_for(pair, tuple(jnp.minimum(muscle.domain.pressure_max, supply) for muscle in pair.muscles))
+        solution = solve_static(pair, angle, torque, wanted)
+        low, high = stiffness_range(pair, angle, torque, None, _TAUT)
+        found.append(solution.pressures)
+        attained.append(solution.exists & (low <= wanted * (1 + EXACT)) & (wanted * (1 - EXACT) <= high))
+    return HeldByPairs(found, functools.reduce(operator.and_, attained))
 
 
-def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], postures: int = 25) -> list[Remark]:
+def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], count: int = 25) -> list[Remark]:
     """Return remarks on postures that the muscles of a robot cannot hold, and on stiffness not attained there, at rest.
 
     Checked at some of the times [s] of setpoints.
@@ -181,12 +184,17 @@ def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], p
     if not is_affine(robot):
         text = "not checked: a law is not affine in pressure, or a tendon not rigid"
         return [Remark.note("reference", text)]
-    chosen = np.unique(np.linspace(0, times.size - 1, postures).astype(int))
+    chosen = np.unique(np.linspace(0, times.size - 1, count).astype(int))
     angles, stiffness = (
         np.stack([np.asarray(values)[chosen] for values in rows]) for rows in zip(*setpoints, strict=True)
     )
     worst: dict[str, tuple[float, Remark]] = {}
-    for index in np.flatnonzero(~_held_by_pairs(plant, angles, stiffness)):
+    missed = np.ones(chosen.size, bool)
+    if robot.has_disjoint_pairs:
+        numbers, none = numeric(robot), (None,) * len(angles)
+        unchanged, postures = (numbers, supply, plant.gravity, none, none), (tuple(angles), tuple(stiffness))
+        missed = ~held_by_pairs(unchanged, (eqx.filter(numbers, False), None, None, *postures)).attained
+    for index in np.flatnonzero(missed):
         time = times[chosen][index]
         posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {time:.3g} s"
         try:
