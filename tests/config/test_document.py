@@ -104,7 +104,7 @@ def test_every_scalar_of_an_example_can_be_edited_alone():
 @pytest.mark.parametrize(
     "name",
     """
-        comparison/knee.yaml robot/lei-leg.yaml rig/paper-protocol.yaml rig/joint-rig.yaml your-muscle/fit/fit.yaml
+        comparison/knee.yaml rig/paper-protocol.yaml rig/joint-rig.yaml your-muscle/fit/fit.yaml
         your-muscle/fit/muscle.yaml
     """.split(),
 )

@@ -104,7 +104,7 @@ MISTAKES = [
     ([("untuned: [as it is]", "untuned: [as it iss]")], "tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
     ([("seed: 1}", "seed: 99}")], "evaluation", "evaluation:", "seed of the tuning"),
     ([("tuning: {runs: 8", "tuning: {cost: coupling, runs: 8")], "tuning.cost", "untuned:", "coupling is defined for stiffness steps"),
-    ([("feedback: {bandwidth: 40", "friction_compensation: true\n    feedback: {bandwidth: 40")], "controllers.decoupling", "  decoupling:", "no muscle of its model has friction"),
+    ([("feedback: {bandwidth: 40", "friction_compensation: true\n    feedback: {bandwidth: 40")], "controllers.decoupling.friction_compensation", "feedback: {bandwidth: 40", "no muscle of its model has friction"),
     ([("  as it is:", "  pid-3:"), ("untuned: [as it is]", "untuned: [pid-3]")], "controllers.pid-3", "  as it is:", "the same file as 'PID 3'"),
     ([("  longer:", f"  {NOMINAL_JOINT}:")], "other_joints.nominal", "  longer:", "the suite's own joint"),
     ([("  longer:\n", "  longer:\n    valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}\n")], "other_joints.longer", "  longer:", "commands pressures"),

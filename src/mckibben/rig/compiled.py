@@ -41,7 +41,7 @@ def starting_state(scenario: Scenario | RobotScenario, plant: Plant) -> PyTree:
     """State of a plant at the start of a scenario."""
     if isinstance(plant, JointPlant):
         return complete_state(plant, scenario.initial(plant))  # type: ignore[call-arg]
-    return plant.begin(scenario.initial())  # type: ignore[call-arg]
+    return scenario.initial(plant)  # type: ignore[arg-type]
 
 
 def vented_state(plant: Plant, start: PyTree = None) -> PyTree:

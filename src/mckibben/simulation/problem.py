@@ -62,6 +62,9 @@ class SimulationProblem(NamedTuple):
 
         Raises `SimulationError` if there is not a reference of each joint.
         """
+        call = "write simulate(plant, controller, reference), or scenario.simulate()"
+        if controller is None:
+            raise SimulationError("a plant, a controller and a reference are needed", field="controller", remedy=call)
         if not isinstance(plant, Plant) or not isinstance(controller, DiscreteTimeSystem):
             raise TypeError("plant and controller")  # `checked_call` says what is there instead
         names = plant.mechanism.joint_names
@@ -71,8 +74,7 @@ class SimulationProblem(NamedTuple):
             known = reference if isinstance(reference, Mapping) else {}
             if (names and {*known} != {*names}) or not (names or isinstance(reference, Reference)):
                 text = f"a reference of each joint is needed: {', '.join(names)}" if names else "a reference is needed"
-                remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
-                raise SimulationError(text, field="reference", remedy=remedy)
+                raise SimulationError(text, field="reference", remedy=call)
         if initial is None and names:
             remedy = "give initial=RobotStart(angles, pressures), or use scenario.simulate()"
             raise SimulationError("a start is needed", field="initial", remedy=remedy)
