@@ -88,7 +88,7 @@ def test_commands_and_options_stay_few():
     shared = {"--details", "--json", "--out", "--force"}
     assert len(commands) <= 24
     assert len(shared) + sum(len(flags - shared) for flags in commands.values()) <= 87
-    assert sum(map(len, commands.values())) <= 148
+    assert sum(map(len, commands.values())) <= 150
 
 
 MISTAKES = [

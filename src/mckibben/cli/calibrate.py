@@ -61,8 +61,8 @@ def calibrate(
     Parameters
     ----------
     weight : MASS, LENGTH
-        A known weight to clip on, its centre at a distance from the axis: '0.5 kg, 200 mm', or with the radius of the
-        disc that it is, '2 kg, 200 mm, 50 mm'.
+        A known weight to clip on, its centre at a distance from the axis: '0.5 kg, 200 mm'; with the radius of a disc,
+        '2 kg, 200 mm, 50 mm'.
     limb : KNOWN
         'weighed' if the mass of the load is known to 2 % and its inertia to 5 %, else 'estimated'.
     valves
@@ -77,6 +77,9 @@ def calibrate(
         Use a recording instead (a data file, or result.nc of `rig control`); repeatable.
     weighted : FILE
         A recording with the weight clipped on; repeatable.
+
+    Other Parameters
+    ----------------
     held_out : FILE
         A recording that is not fitted; if the model before predicts it better, the files keep it; repeatable.
     prior : PRIOR.yaml
