@@ -1,0 +1,142 @@
+"""What works for which joint and robot: each command is tried on each, and a refusal keeps its reason.
+
+    python benchmarks/capabilities.py [NAME ...] [--out docs/results/capabilities.md]
+
+Runs are cut to a few control periods, as it is asked what works, not how well. Robots without a controller in their
+file are held at 0 deg by computed torque.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from datetime import date
+from pathlib import Path
+
+import mckibben as mk
+from mckibben.component.schema import read_component
+from mckibben.muscle import Muscle
+from mckibben.scenario.reading import read_mjcf
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+VALVE = "valve: {time_constant: 20 ms, supply: 7 bar}\n"
+HOLDING = """
+controller: {class: computed_torque, feedback: {bandwidth: 20 rad/s}, observer: {bandwidth: 30 rad/s}}
+duration: 100 ms
+control_period: 2 ms
+"""
+LONGEST = 400
+"""Time of a command [s]."""
+
+
+def held(text, folder, **stiffness):
+    """The scenario of a robot that is held at 0 deg, each joint with its stiffness [N*m/rad]."""
+    joints = ", ".join(f"{name}: {{angle: 0 deg, stiffness: {value} N*m/rad}}" for name, value in stiffness.items())
+    text = text.replace(VALVE, "") + VALVE + HOLDING + f"reference: {{{joints}}}\n"
+    return mk.Scenario.parse(text, folder=folder)
+
+
+def arm():
+    """The arm of a file of MJCF."""
+    folder = Path(tempfile.mkdtemp())
+    read = read_mjcf(EXAMPLES / "robot/arm.xml", read_component(Muscle, EXAMPLES / "robot/arm-muscle.yaml"))
+    read.scenario().to_yaml(folder / "robot.yaml")
+    stiffness = {"shoulder side": 6, "shoulder": 14, "elbow": 7.4, "wrist": 4}
+    return held("name: arm\nrobot: robot.yaml\n", folder, **stiffness)
+
+
+def example(name, duration):
+    """An example, for a shorter time [s]."""
+    return mk.Scenario.read(EXAMPLES / name).replace(duration=duration)
+
+
+def robot(name, **stiffness):
+    """A robot of the examples without a controller."""
+    return held((EXAMPLES / "robot" / name).read_text(encoding="utf-8"), EXAMPLES / "robot", **stiffness)
+
+
+SCENARIOS = {
+    "knee": lambda: example("pre-contracted-step-pid.yaml", 0.2),
+    "linear axis": lambda: example("linear-axis.yaml", 0.2),
+    "leg": lambda: example("robot/lei-leg-control.yaml", 0.1),
+    "arm": arm,
+    "neck": lambda: robot("neck.yaml", side=25, nod=25),
+    "UMArm": lambda: robot("umarm.yaml", **{f"u{i}{axis}": 10 for i in range(1, 7) for axis in "xy"}),
+}
+HOST = str(EXAMPLES / "hardware/host.yaml")
+COMMANDS = {
+    "simulate": ["simulate"],
+    "envelope": ["envelope"],
+    "stiffness: what a push feels": ["stiffness", "--push", "0.3 N*m"],
+    "margins": ["margins"],
+    "tune": ["tune", "--iterations", "1", "--out", "OUT"],
+    "sweep": ["sweep", "--over", "command_delay=0..4 ms", "--samples", "4", "--out", "OUT"],
+    "rig control": ["rig", "control", "--unpaced", "--out", "OUT"],
+    "calibrate": ["calibrate", "--duration", "30 s", "--angles", "-2..2 deg", "--limb", "weighed", "--out", "OUT"],
+    **{f"export --to {target}": ["export", "--to", target, "--out", "OUT"] for target in ("c", "js", "mjcf")},
+    "export --to firmware": ["export", "--to", "firmware", "--hardware", HOST, "--out", "OUT"],
+    **{f"export --to {target}": ["export", "--to", target, "--out", "OUT"] for target in ("fmu", "fmu-controller")},
+}
+PYTHON = {
+    "CasADi": "from mckibben.export.casadi import casadi_plant; casadi_plant(scenario, substeps=1)",
+    "Gymnasium": "from mckibben.export.gym import JointEnv; env = JointEnv(scenario); env.reset(seed=0); "
+    "env.step(env.action_space.sample())",
+    "page Run": "from pathlib import Path; from mckibben.web.workbench import compute; compute(scenario, Path())",
+}
+
+
+def tried(words, folder):
+    """What a command says: "yes", or why not."""
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=LONGEST, cwd=folder, check=False)
+    except subprocess.TimeoutExpired:
+        return f"not within {LONGEST} s"
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    failed = "Traceback" in done.stderr or any(line.startswith("failed:") for line in lines)
+    if done.returncode in (0, 1) and not failed:  # 1: a result that is not good
+        return "yes"
+    return lines[-1] if "Traceback" in done.stderr else " ".join(done.stderr.split())
+
+
+def answers(scenario):
+    """The answer of each capability for a scenario, tried in a folder of its own."""
+    folder = Path(tempfile.mkdtemp())
+    scenario.to_yaml(folder / "scenario.yaml")
+    found = {}
+    for number, (name, words) in enumerate(COMMANDS.items()):
+        words = [f"out{number}" if word == "OUT" else word for word in words]
+        place = 2 if words[0] == "rig" else 1
+        command = [sys.executable, "-m", "mckibben", *words[:place], "scenario.yaml", *words[place:]]
+        found[name] = tried(command, folder)
+    for name, code in PYTHON.items():
+        code = f"import mckibben as mk; scenario = mk.Scenario.read('scenario.yaml'); {code}"
+        found[name] = tried([sys.executable, "-c", code], folder)
+    return found
+
+
+def page(table):
+    """The table as Markdown, with the refusals below it."""
+    header = ["", *table]
+    names = list(next(iter(table.values())))
+    rows = [[name, *("yes" if of[name] == "yes" else "no" for of in table.values())] for name in names]
+    lines = [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)]
+    refused = [f"- {name}, {key}: {text}" for key, of in table.items() for name, text in of.items() if text != "yes"]
+    return "\n".join([*lines, "", *refused]) + "\n"
+
+
+def main():
+    """Try all, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", choices=[[], *SCENARIOS], help="joints and robots; default: all")
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    text = page({name: answers(SCENARIOS[name]()) for name in asked.names or SCENARIOS})
+    head = f"# What works for which robot\n\nMade on {date.today()} by `python benchmarks/capabilities.py`.\n\n"
+    if asked.out:
+        asked.out.write_text(head + text, encoding="utf-8")
+    else:
+        print(head + text)
+
+
+if __name__ == "__main__":
+    main()
