@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3420,
     "statics": 570,
     "storage": 600,
-    "study": 3740,
+    "study": 3830,
     "web": 3130,
 }
 

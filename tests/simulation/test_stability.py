@@ -70,7 +70,7 @@ def test_a_run_that_ends_in_a_limit_cycle_is_not_stable(loop, found):
     assert oscillating.oscillation > 0.5 * deg and not oscillating.stable and found.stable
     assert "limit cycle" in oscillating.verdict()
     unstable, stable = disk_margins(late, control, KICKED, start, **{**settings, "points": 2})
-    assert unstable == 0 < stable
+    assert unstable <= 0 < stable
 
 
 @pytest.mark.slow
