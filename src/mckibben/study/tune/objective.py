@@ -254,7 +254,7 @@ class TuningProblem:
         costs = np.full(good.size, FAILED_COST)
         if not good.any():
             return costs.reshape(-1, len(rows))
-        used = [name for name in USE if table is not draws and name in scenario.metrics._fields]
+        used = [name for name in USE if table is not draws]
         metrics = tuple(dict.fromkeys((*self.cost.metrics, *used)))
         batch = many.run_many(metrics=metrics, workers=workers, engine=self.engine)
         values = self.cost(batch.metrics)
