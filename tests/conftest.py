@@ -390,6 +390,9 @@ def simulating_nothing():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mckibben.study.compare.runs.simulate_group", invented)
         patch.setattr("mckibben.scenario.Scenario.margins", without_margins)
+        patch.setattr(
+            "mckibben.study.compare.tuning.ControllerTuning._least_margins", lambda _, table, count: np.ones(count)
+        )
         yield
 
 

@@ -95,7 +95,7 @@ BUDGET = {
     "actuator": 1000,
     "calibration": 1780,
     "catalog": 230,
-    "cli": 1520,
+    "cli": 1525,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3420,
     "statics": 570,
     "storage": 600,
-    "study": 3740,
+    "study": 3810,
     "web": 3130,
 }
 

@@ -8,6 +8,10 @@ from mckibben import catalog
 from mckibben.component.schema import ComponentField, write
 from mckibben.config.document import to_text
 from mckibben.muscle import Muscle
+from mckibben.scenario import Scenario, batched
+from mckibben.simulation import LEAST_DISK_MARGIN
+from mckibben.study.parameters.uncertainty import extremes, uncertainty
+from mckibben.units import deg
 
 OWN = Muscle(catalog.specimen("DMSP-20-300"), catalog.law("lei-mas-10-180n"))
 
@@ -18,9 +22,11 @@ def test_a_joint_runs_with_margins(cli, tmp_path, own):
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "muscle.yaml").write_text(to_text(write(OWN, ComponentField(Muscle))))
     assert cli("new", "joint", "joint.yaml", *(("--muscle", "own/muscle.yaml") if own else ())).code == 0
-    assert json.loads(cli("simulate", "joint.yaml", "--json").out)["verdict"] == "completed"
-    margins = json.loads(cli("margins", "joint.yaml", "--json").out)
-    assert min(margins["columns"]["disk"]["values"]) > 0.5
+    run = json.loads(cli("simulate", "joint.yaml", "--json").out)["scalars"]
+    assert run["angle_rmse"]["value"] < 0.3 * deg and run["command_reversals"]["value"] < (50 if own else 10)
+    scenario = Scenario.read("joint.yaml")
+    assert len(scenario.uncertainty) == 7 and all(muscle.has_friction for muscle in scenario.joint.muscles)
+    assert batched(scenario, extremes(uncertainty(scenario))).disk_margins(20).min() >= LEAST_DISK_MARGIN
     length = "266 mm" if own else "162 mm"
     assert (tmp_path / "joint.yaml").read_text().count(f"rest_length: {length}") == 2
 

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from mckibben.errors import FileError, ParameterError
-from mckibben.scenario import Scenario, run_scenario
+from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics
 from mckibben.storage.store import STUDY
 from mckibben.study.compare import CompareResult, Suite, compare, draw, evaluate
 from mckibben.study.compare.runs import controller_of
-from mckibben.study.compare.tuning import error_at_air
+from mckibben.study.compare.tuning import ControllerTuning, error_at_air
 from mckibben.study.tune import Trial, read_trials
-from mckibben.study.tune.objective import FAILED_COST
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST
+from mckibben.study.tune.space import SearchSpace
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -101,6 +102,25 @@ def kept(simulating_nothing, tmp_path_factory):
 def contest(suite, kept):
     """All three controllers, compared without a simulation."""
     return compare(suite, out=kept)
+
+
+@pytest.mark.usefixtures("simulating_nothing")
+def test_gains_without_the_margin_cost_more_than_any_with_it_and_are_not_on_a_front(monkeypatch):
+    one = changed(*ALONE)
+    task = ControllerTuning(one, "PID 3", SearchSpace(one.tuned_over("PID 3")), draw(one, 8, 99))
+    monkeypatch.setattr(ControllerTuning, "_least_margins", lambda _, table, count: np.array([0.3, 0.1, -0.2]))
+    found = task.evaluate(np.array([[2e5], [2e5], [2e5]]))
+    assert found.costs[0] < UNSTABLE_COST and found.costs[1:].tolist() == pytest.approx([1.5e5, 3e5])
+    assert [metrics is None for metrics in found.metrics] == [False, True, True]
+
+
+@pytest.mark.slow
+def test_margins_of_gains_are_the_least_on_plants_of_the_training_runs():
+    one = changed(*ALONE)
+    task = ControllerTuning(one, "PID 3", SearchSpace(one.tuned_over("PID 3")), draw(one, 8, 99))
+    least = task._least_margins({KP: np.array([1e5, 4e6])}, 2)
+    alone = [with_values(one.scenario("PID 3"), {KP: 1e5}).margins(4).disk.min()]
+    assert least[1] < least[0] <= alone[0] * 1.05
 
 
 @pytest.mark.usefixtures("simulating_nothing")

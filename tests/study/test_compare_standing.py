@@ -57,7 +57,8 @@ def contest(runs, columns):
     lost = {FIRST: (), SECOND: [LOST_RUN], THIRD: range(RUNS)}
     batches = {name: batch(columns[name], runs_lost) for name, runs_lost in lost.items()}
     tuned = {FIRST: {"controller.position.kp": 2e5}, SECOND: {}, THIRD: {}}
-    return CompareResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
+    none, margins = {FIRST: (), SECOND: (), THIRD: ()}, dict.fromkeys(batches, loop(0.5))
+    return CompareResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, none, batches, margins=margins)
 
 
 def loop(disk):
@@ -149,12 +150,15 @@ def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_
     assert both[0] == alone[0] and both[-2:] == (2, 0)
 
 
-def test_a_low_margin_is_a_severe_remark_on_the_best_controller_and_a_warning_on_others(contest):
-    low, high, (best, *others) = loop(0.12), loop(0.5), contest.order
-    for name, severity in ((best, Severity.SEVERE), (others[0], Severity.WARNING)):
-        margins = dict.fromkeys(contest.order, high) | {name: low}
-        (remark, _) = replace(contest, margins=margins).remarks()
-        assert (remark.severity, remark.field) == (severity, "disk_margin") and name in remark.text
+def test_the_best_is_a_loop_with_a_margin_and_a_low_margin_is_severe_where_none_has_it(contest):
+    low, (best, *others) = loop(0.12), contest.order
+    risky = replace(contest, margins=contest.margins | {best: low})
+    (remark, _) = risky.remarks()
+    assert (remark.severity, remark.field) == (Severity.WARNING, "disk_margin") and best in remark.text
+    assert risky.order == [*others, best] and f"{others[0]} is best" in risky.verdict()
+    none = replace(contest, margins=dict.fromkeys(contest.order, low))
+    severities = [remark.severity for remark in none.remarks() if remark.field == "disk_margin"]
+    assert severities.count(Severity.SEVERE) == 1 and f"{best} is best" not in none.verdict()
 
 
 def test_a_front_has_the_trials_with_the_least_error_for_their_air():

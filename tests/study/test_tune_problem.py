@@ -1,6 +1,7 @@
 """What is summed, and what numbers cost: as by hand from single runs."""
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from mckibben.simulation import LEAST_DISK_MARGIN, Metrics, Outcome, margins
 from mckibben.study.parameters import LogUniform, Uniform, sweep_parameters
 from mckibben.study.parameters.uncertainty import extremes, uncertainty
 from mckibben.study.tune import Cost, Term, parse_cost, tune
-from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, USE, TuningProblem
 from mckibben.units import bar, deg, mm
 
 SIZES = st.floats(1e-30, 1e30)
@@ -134,6 +135,27 @@ def test_the_cost_is_that_of_single_runs(by_hand):
     assert (raised < plain).any()
 
 
+@pytest.mark.slow
+def test_travel_beyond_that_of_ideal_sensors_costs():
+    noisy = Scenario.parse(TEXT.replace("controller:", "sensors: {pressure_noise: 40 kPa}\ncontroller:", 1))
+    name, gains = "controller.stiffness.kp", np.array([[0.001 * bar], [2 * bar]])
+    task = TuningProblem.of((noisy,), sweep_parameters(noisy, {name: Uniform(0.0005 * bar, 4 * bar)}), free(TERMS))
+    task = replace(task, scenarios=(noisy.model_copy(update={"substeps": 4}),))
+    costs = task.costs(gains)
+    for (gain,), cost, costly in zip(gains, costs, (False, True), strict=True):
+        own, ideal = (
+            run_scenario(with_values(task.scenarios[0], {name: gain, "sensors.pressure_noise": size})).metrics
+            for size in (40e3, 0.0)
+        )
+        excess = sum(max(own[use] / (most * ideal[use]) - 1, 0) for use, most in USE.items())
+        assert (excess > 1) is costly and (excess == 0) is not costly
+        plain = sum(own[metric] / scale for metric, scale in SCALES.items())
+        if costly:
+            assert cost > 10 * plain
+        else:
+            assert cost == pytest.approx(plain, rel=1e-9)
+
+
 def disk(scenario):
     plant, settings = scenario.plant(), {"duration": 0.1, "control_period": 2e-3, "points": 4}
     return margins(plant, scenario.control(), scenario.reference(), scenario.initial(plant), **settings).disk.min()
@@ -194,7 +216,8 @@ def test_where_no_gains_have_the_margin_the_best_are_returned_with_what_limits_t
     assert tuned.values[name] < 6.5 * bar  # the largest margin
     assert tuned.least_disk == pytest.approx(extremes_of(tuned.scenarios[0]), rel=0.1) and tuned.least_disk < 0.5
     assert all(word in tuned.limit for word in (" s in the loop of the angle at ", "Hz", "joint.muscle1.strength"))
-    assert tuned.cost < UNSTABLE_COST
+    assert tuned.cost < UNSTABLE_COST and not tuned.keeps_margin
+    assert any(name in tuned.change for name in extremes(uncertainty(LIGHT)))
 
 
 @pytest.mark.slow

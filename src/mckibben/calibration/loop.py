@@ -78,7 +78,7 @@ def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64] | None
     run = plant, scenario.control(), scenario.reference(), scenario.starts()
     times = {"duration": scenario.duration, "control_period": scenario.control_period}
     try:
-        return np.nan_to_num(disk_margins(*run, **times, substeps=scenario.substeps or _SUBSTEPS))
+        return np.nan_to_num(disk_margins(*run, **times, substeps=scenario.substeps or _SUBSTEPS)).clip(0.0)
     except McKibbenError as error:
         warnings.warn(f"the loop of the file has no margins: {error}", McKibbenWarning, stacklevel=2)
         return None

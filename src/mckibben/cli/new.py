@@ -9,7 +9,10 @@ from mckibben.cli.options import echo
 from mckibben.errors import ParameterError, quoted, suggest
 
 _KINDS = ("joint", "bench", "robot")
-_MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
+_MUSCLE = (
+    "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n, friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}"
+)
+_FRICTION = 0.012  # typical half width of a muscle without friction, relative to its largest tension
 
 
 @plain_command
@@ -52,7 +55,12 @@ def _values_for(path: Path | None, file: Path) -> dict[str, object]:
     if path is None:
         muscle, text = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")), _MUSCLE
     else:
-        muscle, text = read_component(Muscle, path), f"{{from: {relative_path(path, file.parent)}}}"
+        muscle, text = read_component(Muscle, path), f"from: {relative_path(path, file.parent)}"
+        if not muscle.has_friction:
+            highest_tension = float(muscle.tension(0.0, muscle.domain.pressure_max))
+            half_width = f"{_FRICTION * highest_tension:.2g} N"
+            text += f", friction: {{half_width: {half_width}, presliding_length: 0.5 mm}}"
+        text = f"{{{text}}}"
     highest = int(float(muscle.domain.pressure_max) / bar)
     return {
         "muscle": text,
@@ -66,7 +74,7 @@ def _values_for(path: Path | None, file: Path) -> dict[str, object]:
 
 def _joint_text(values: dict[str, object], file: Path) -> str:
     """Return the text of a joint, with stiffnesses that it has."""
-    from mckibben.scenario import UNKNOWN, Scenario, starting_stiffness, starting_text
+    from mckibben.scenario import UNKNOWN, Scenario, laboratory, starting_stiffness, starting_text
 
     read = Scenario.parse(starting_text(values | UNKNOWN), folder=file.parent)
-    return starting_text(values | starting_stiffness(read.joint, read.load))
+    return starting_text(values | laboratory(read.joint) | starting_stiffness(read.joint, read.load))

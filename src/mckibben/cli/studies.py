@@ -127,10 +127,11 @@ def tune(
     method : cma|local
         Search by CMA-ES (default), or local refinement of the given values.
     margin : FACTOR
-        Gain margin (default: 1.5): the cost covers gains larger by this factor.
+        Gain margin (default: 1, none): the cost covers gains larger by this factor.
     disk_margin : ALPHA
         Least disk margin (default: 0.2) of the linearised loop in all scenarios and conditions (without any: for the
-        uncertainty of the plant), such as 0.4; 0 for none. If no gains have it, the exit code is 1.
+        uncertainty of the plant, which the cost covers, too), such as 0.4; 0 for none, and the nominal plant alone. If
+        no gains have it, the exit code is 1, and the file is NAME-without-margin.yaml.
     conditions : 'NAME=RANGE'
         Parameter, such as 'load.mass2=+-50 %'; 16 draws are simulated for each point; repeatable.
     percentile : PERCENT
@@ -163,8 +164,8 @@ def tune(
         if values.min() == values.max():
             raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
     out = required_folder(out, "search")  # after the mistakes of other options
-    names = _tuned_names(scenarios)
-    check_results(out, (*TuneResult.file_names(), *names), resume=resume, force=force)
+    names, refused = _tuned_names(scenarios, "tuned"), _tuned_names(scenarios, "without-margin")
+    check_results(out, (*TuneResult.file_names(), *names, *refused), resume=resume, force=force)
     tuned = run(
         read,
         ranges,
@@ -179,6 +180,7 @@ def tune(
         progress=progress,
     )
     written = zip(tuned.scenarios, texts, scenarios, strict=True)
+    names = names if tuned.keeps_margin else refused
     return tuned.with_files({name: partial(_write_tuned, tuned, *of) for name, of in zip(names, written, strict=True)})
 
 
@@ -233,10 +235,10 @@ def _followed(names: list[str] | None) -> list[str] | str:
     return "all" if names == ["all"] else names or []
 
 
-def _tuned_names(paths: list[Path]) -> list[str]:
-    """Unique file names of the tuned scenarios."""
+def _tuned_names(paths: list[Path], kind: str) -> list[str]:
+    """Unique file names of the tuned scenarios, which are to be used or not."""
     stems = [path.stem for path in paths]
-    return [f"{stem}-tuned{f'-{i}' if stem in stems[: i - 1] else ''}.yaml" for i, stem in enumerate(stems, start=1)]
+    return [f"{stem}-{kind}{f'-{i}' if stem in stems[: i - 1] else ''}.yaml" for i, stem in enumerate(stems, start=1)]
 
 
 def _write_tuned(tuned: TuneResult, scenario: StudiedScenario, before: str, source: Path, target: Path) -> None:

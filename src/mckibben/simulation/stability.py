@@ -238,7 +238,8 @@ def disk_margins(
 ) -> NDArray[np.float64]:
     """Return the least disk margin along each of many runs.
 
-    0 if a point is unstable or the run ends in a limit cycle, NaN if it cannot start.
+    1 minus the spectral radius, at least -1, if a point is unstable; at most 0 if the run ends in a limit cycle; NaN if
+    it cannot start.
 
     As `margins`, at fewer points and frequencies, for a batch: arguments as for `simulate_many`, with arrays in place
     of numbers. Shape (runs,).
@@ -259,7 +260,8 @@ def disk_margins(
         asked = slice(piece.stop - piece.start)
         flat = LinearLoop(*(leaf[asked].reshape(-1, *leaf.shape[2:]) for leaf in loops))
         margins = _disk_margins(flat, control_period).reshape(-1, chosen.size).min(axis=1)
-        return np.where(np.asarray(exists)[asked], np.where(oscillation[asked] > 0, 0.0, margins), np.nan)
+        margins = np.where(oscillation[asked] > 0, np.minimum(margins, 0.0), margins)
+        return np.where(np.asarray(exists)[asked], margins, np.nan)
 
     return np.concatenate([margins_of_chunk for _, margins_of_chunk in map_chunks(of_chunk, count, _LANES)])
 
@@ -475,12 +477,14 @@ def _largest_singular(matrices: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
-    """Disk margins of loops, leaves (loops, ...); 0 of those that are unstable or not finite."""
-    margins = np.zeros(len(loops.a))
+    """Disk margins of loops, leaves (loops, ...); 1 minus the spectral radius of unstable ones, -1 if not finite."""
+    margins = np.full(len(loops.a), -1.0)
     finite = np.logical_and.reduce([np.isfinite(leaf).all(axis=(1, 2)) for leaf in loops])
     if finite.any():
         triangular = _Triangular.of(LinearLoop(*(leaf[finite] for leaf in loops)))
-        if (stable := _radii(triangular.poles) < 1).any():
+        radii = _radii(triangular.poles)
+        stable, margins[finite] = radii < 1, np.maximum(1 - radii, -1.0)
+        if stable.any():
             some = _Triangular(*(leaf[stable] for leaf in triangular))
             margins[np.flatnonzero(finite)[stable]] = some.peaks(period)[0]
     return margins

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
-from mckibben.scenario import UNKNOWN, Scenario, StudiedScenario, starting_stiffness, starting_text
+from mckibben.scenario import UNKNOWN, Scenario, StudiedScenario, laboratory, starting_stiffness, starting_text
 from mckibben.simulation import SimulationResult
 from mckibben.web import resource
 from mckibben.web.results import Presented, Repetition
@@ -182,13 +182,12 @@ def with_joint(joint: str, folder: Path) -> StudiedScenario:
 
     Raises `RangeError` if the muscles cannot hold the load.
     """
-    values = dict.fromkeys(("file", "muscle", "rest_length"), "") | UNKNOWN
-    data = plain(read_document(starting_text(values | {"name": "my joint"})).data)
-    data["joint"] = plain(read_document(joint).data)["joint"]
-    scenario = parse(to_text(data), folder)
-    plant: Any = scenario.plant()
-    stiffness = starting_stiffness(plant.supplied_joint, plant.load)
-    before, after, at = stiffness["low"], stiffness["high"], f"{scenario.timing['duration'] / 2:g} s"
-    data["reference"]["stiffness"] = {"class": "step", "before": before, "after": after, "at": at}
-    data["start"] = {"angle": "0 deg", "stiffness": before}
-    return parse(to_text(data), folder)
+    values = dict.fromkeys(("file", "muscle", "rest_length"), "") | UNKNOWN | {"name": "my joint"}
+    section = {"joint": plain(read_document(joint).data)["joint"]}
+
+    def text() -> str:
+        return to_text(plain(read_document(starting_text(values)).data) | section)
+
+    scenario: Any = parse(text(), folder)
+    values |= laboratory(scenario.joint) | starting_stiffness(scenario.plant().supplied_joint, scenario.load)
+    return parse(text(), folder)

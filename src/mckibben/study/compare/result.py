@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mckibben.dataset.schema import write_netcdf
 from mckibben.result import Column, Listing, Remark, Result, Severity, TableColumns, table
 from mckibben.scenario import StudiedScenario, find_parameters
-from mckibben.simulation import Batch, Margins, margin_remarks
+from mckibben.simulation import LEAST_DISK_MARGIN, Batch, Margins, margin_remarks
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.checks import filename
 from mckibben.study.compare.runs import Runs, started
@@ -55,8 +55,13 @@ class CompareResult(Result):
 
     @functools.cached_property
     def order(self) -> list[str]:
-        """Controllers by their median cost, the best first."""
-        return sorted(self.batches, key=lambda name: float(np.median(self.cost(name))))
+        """Controllers by their median cost, the best first; those that must not be used are last."""
+        return sorted(self.batches, key=lambda name: (not self.usable(name), float(np.median(self.cost(name)))))
+
+    def usable(self, controller: str) -> bool:
+        """Whether the loop as tuned has the disk margin of tuned gains, on the plant of the models."""
+        margins = self.margins.get(controller)
+        return margins is not None and float(margins.disk.min()) >= LEAST_DISK_MARGIN
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -97,6 +102,8 @@ class CompareResult(Result):
         best, first = self.order[0], next(iter(self.batches))
         ratio = ratio_of_errors([self], best, [self]).ratio
         runs = f"{len(self.batches)} controllers on {self.runs.count} runs"
+        if not self.usable(best):
+            return f"{runs}: none has a disk margin of {LEAST_DISK_MARGIN:g}, so that none is to be used"
         return f"{runs}: {best} is best, with {ratio:.3g} x the angle RMSE of {first}"
 
     def remarks(self) -> Iterator[Remark]:

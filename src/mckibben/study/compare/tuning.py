@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.scenario import StudiedScenario, valid_rows
-from mckibben.simulation import Batch
+from mckibben.scenario import ModelFollows, StudiedScenario, batched, valid_rows
+from mckibben.simulation import LEAST_DISK_MARGIN, Batch
 from mckibben.simulation.software import software
 from mckibben.storage.store import Store
 from mckibben.study.compare.runs import Runs, draw, evaluate, started
@@ -29,7 +29,7 @@ from mckibben.study.compare.statistics import (
 from mckibben.study.compare.suite import ControllerSuite
 from mckibben.study.study import Table, digest
 from mckibben.study.tune.cost import mean_of_joints
-from mckibben.study.tune.objective import FAILED_COST, with_valid
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, with_valid
 from mckibben.study.tune.search import Costs, Vector, by_cma
 from mckibben.study.tune.space import SearchSpace
 from mckibben.study.tune.trials import Evaluated, Trial, Trials, first_runs
@@ -96,8 +96,26 @@ class ControllerTuning:
         usable = np.isfinite(costs) & batch.usable
         costs = np.where(begun, np.where(usable, np.minimum(costs, FAILED_COST), FAILED_COST), 0.0)
         means = np.sum(costs.reshape(len(values), -1), axis=1) / begun.reshape(len(values), -1).sum(axis=1)
-        rows = zip(self._medians(batch, begun, len(values)), good, strict=True)
-        return Evaluated(np.where(good, means, FAILED_COST), [medians if valid else None for medians, valid in rows])
+        least = self._least_margins(valid, len(values))
+        kept = good & (least >= LEAST_DISK_MARGIN)
+        costs = np.where(kept, means, UNSTABLE_COST * (2 - least / LEAST_DISK_MARGIN))
+        rows = zip(self._medians(batch, begun, len(values)), kept, strict=True)
+        medians = [numbers if usable else None for numbers, usable in rows]
+        return Evaluated(np.where(good, costs, FAILED_COST), medians)
+
+    def _least_margins(self, table: Table, count: int, most: int = 8) -> NDArray[np.float64]:
+        """Least disk margins of rows of values [SI] on the first plants of the training runs, those of all controllers.
+
+        Plants that no gains hold are left out.
+        """
+        conditions = {n: c[:most] for n, c in self.runs.groups[0].conditions.items() if not n.startswith("sensors.")}
+        plants = max(map(len, conditions.values()), default=1)
+        columns = {name: np.repeat(column, plants) for name, column in table.items()}
+        columns |= {name: np.tile(column, count) for name, column in conditions.items()}
+        scenario = self.suite.scenario(self.controller, joint=self.runs.groups[0].joint)
+        follows: ModelFollows = "all" if self.controller in self.suite.true_model else ()
+        margins = batched(scenario, columns, model_follows=follows).disk_margins(4).reshape(count, plants)
+        return np.nan_to_num(np.fmin.reduce(margins, axis=1), nan=-1.0)
 
     def _medians(self, batch: Batch, begun: NDArray[np.bool_], rows: int) -> Iterator[dict[str, float] | None]:
         """Medians in which errors of failed runs are infinite, the air over the others, and the failed runs."""
@@ -180,7 +198,7 @@ class ControllerTuning:
             message = f"{self.controller}: all {len(trials.all)} trials failed"
             raise ParameterError(message, remedy="search other ranges, or start from other gains")
         finalists = self.finalists(searched)
-        best = min(finalists or searched, key=lambda trial: trial.order)
+        best = min(finalists or searched, key=lambda trial: (trial.metrics is None, trial.order))
         values = self.values(best)
         cost, before = trials.costs(np.stack([space.point(np.array(list(values.values()))), first])).tolist()
         return TunedController(values, (cost, before), space.at_bound(best.point), tuple(trials.all), finalists)

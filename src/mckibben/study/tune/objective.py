@@ -20,31 +20,39 @@ from mckibben.scenario import (
     batched,
     find_parameters,
     followed_names,
+    list_parameters,
     valid_rows,
     with_values,
 )
 from mckibben.simulation import Batch
+from mckibben.simulation.outcome import OUTCOMES, Outcome
 from mckibben.simulation.problem import check_frequencies
 from mckibben.storage.store import Store
 from mckibben.study.parameters import Table, sweep_parameters
 from mckibben.study.parameters.uncertainty import extremes, uncertainty
-from mckibben.study.tune.cost import Cost, parse_cost
+from mckibben.study.tune.cost import Cost, mean_of_joints, parse_cost
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.space import SearchSpace, is_gain, parse_ranges
 from mckibben.study.tune.trials import Evaluated, first_runs
+from mckibben.units import bar, litre
 
 FAILED_COST = 1e6
 """Cost of parameters that are invalid or whose runs fail."""
 UNSTABLE_COST = 1e5
-"""Least cost of parameters without the disk margin: at most twice this, as the margin goes to 0."""
+"""Least cost of parameters without the disk margin: twice this where it is 0, and more of unstable loops."""
+USE = {"command_travel": 10.0, "air": 1.5}
+"""Largest use of valves and air with noisy sensors, relative to that of the same loop with ideal ones."""
+_LEAST_USE = {"command_travel": 0.2 * bar, "air": 0.01 * litre}  # per second, and in a run, of a joint at rest
+_PENALTY = 10.0  # share of the cost by which it rises per share of use beyond the largest
 
 
 @dataclass(frozen=True)
 class TuningProblem:
     """Parameters of scenarios to tune, and the cost of their values.
 
-    Each set of values is simulated in all scenarios, under all rows of the conditions, and again with larger gains if
-    the cost has a gain margin.
+    Each set of values is simulated in all scenarios, under all rows of the draws, and again with larger gains if the
+    cost has a gain margin. Where sensors have noise, once more without it: beyond 10 times the travel of the commands
+    and 1.5 times the air of that run, which are those of the reference, the cost rises.
 
     Attributes
     ----------
@@ -53,12 +61,12 @@ class TuningProblem:
     space
         Parameters and their ranges; nominal values are those of the first scenario.
     cost
-        Cost of the runs. Gains keep its disk margin under the conditions or, without any, the extremes of the
-        uncertainty of the plant; it is not asked for if no gain is tuned.
+        Cost of the runs. Gains keep its disk margin under all draws; it is not asked for if no gain is tuned.
     model_follows
         Plant parameters that the controllers' models follow, or "all".
     conditions
-        Values [SI] of other parameters by name, shape (draws,).
+        Values [SI] of other parameters by name, shape (draws,). Without any, the draws are the extremes of the
+        uncertainty of each plant, or the nominal one if no disk margin is asked for.
     engine
         As for `simulate_many`.
     """
@@ -116,7 +124,8 @@ class TuningProblem:
         Raises `ParameterError` if a metric of the cost is not defined at the nominal values of a scenario.
         """
         nominal = self._with_margin(self.space.nominal[None])
-        batches = [self._batch(scenario, nominal, self.conditions) for scenario in self.scenarios]
+        draws = zip(self.scenarios, self._draws, strict=True)
+        batches = [self._batch(scenario, nominal, table) for scenario, table in draws]
         valid = [place for place, (good, _) in enumerate(batches) if good.any()]
 
         def simulate(engine: str) -> list[Batch]:
@@ -142,19 +151,24 @@ class TuningProblem:
     def costs(self, values: Vector) -> Vector:
         """Cost of each row of values [SI] of shape (n, parameters), shape (n,).
 
-        1e6 for values that are invalid or whose runs fail; 1e5 to 2e5 for those without the disk margin.
+        1e6 for values that are invalid or whose runs fail; 1e5 to 2e5 for those without the disk margin, and more for
+        those whose loop is unstable, by its spectral radius.
         """
-        rows = self._with_margin(values)
-        workers = max(cores() // len(self.scenarios), 1)
-        with ThreadPoolExecutor(cores()) as pool:
-            by_scenario = list(pool.map(lambda scenario: self._costs_of_runs(scenario, rows, workers), self.scenarios))
-        costs = self._combine(np.concatenate(by_scenario)).reshape(-1, len(values)).max(axis=0)
-        required = self.disk_margin
+        costs, required = self.run_costs(values), self.disk_margin
         if not required:
             return costs
         least = np.min([self._disk_margins(place, values) for place in range(len(self.scenarios))], axis=(0, 1))
         # Feasible points first, then by their violation: K. Deb, Comput. Methods Appl. Mech. Eng. 186, 2000.
-        return np.where((least < required) & (costs < FAILED_COST), UNSTABLE_COST * (2 - least / required), costs)
+        return np.where(least < required, np.minimum(UNSTABLE_COST * (2 - least / required), FAILED_COST), costs)
+
+    def run_costs(self, values: Vector) -> Vector:
+        """Cost of the runs of each row of values [SI], whatever the margins of its loop; shapes as of `costs`."""
+        rows = self._with_margin(values)
+        workers = max(cores() // len(self.scenarios), 1)
+        with ThreadPoolExecutor(cores()) as pool:
+            by_scenario = pool.map(lambda place: self._costs_of_runs(place, rows, workers), range(len(self.scenarios)))
+            costs_of_runs = np.concatenate(list(by_scenario))
+        return self._combine(costs_of_runs).reshape(-1, len(values)).max(axis=0)
 
     @property
     def disk_margin(self) -> float:
@@ -162,10 +176,24 @@ class TuningProblem:
         return self.cost.disk_margin if any(map(is_gain, self.space.names)) else 0.0
 
     @functools.cached_property
-    def _margin_draws(self) -> tuple[Table, ...]:
-        """Values [SI] of other parameters under which the gains of each scenario keep the disk margin."""
-        names = self.space.names
-        return tuple(self.conditions or extremes(uncertainty(scenario), without=names) for scenario in self.scenarios)
+    def _draws(self) -> tuple[Table, ...]:
+        """Values [SI] of other parameters of each scenario under which gains are judged; the first ones are nominal."""
+        if self.conditions or not self.disk_margin:
+            return (self.conditions,) * len(self.scenarios)
+        return tuple(extremes(uncertainty(scenario), without=self.space.names) for scenario in self.scenarios)
+
+    @functools.cached_property
+    def _quiet(self) -> tuple[Table, ...]:
+        """Draws of each scenario, and the first again without noise of its sensors; the draws if it has none."""
+        tables: list[Table] = []
+        for scenario, draws in zip(self.scenarios, self._draws, strict=True):
+            noise = [p for p in list_parameters(scenario) if p.part == "sensors" and not p.is_integer and p.nominal]
+            names = {p.name: p.nominal for p in noise if p.lower == 0 and p.name not in self.space.names}
+            count = len(next(iter(draws.values()), "1"))
+            given = {**{name: np.full(count, nominal) for name, nominal in names.items()}, **draws}
+            last = {name: 0.0 if name in names else column[0] for name, column in given.items()}
+            tables.append({name: np.append(column, last[name]) for name, column in given.items()} if names else draws)
+        return tuple(tables)
 
     def margin_limit(self, values: Vector, points: int = 20) -> tuple[float, str]:
         """Return the least disk margin of values [SI] of shape (parameters,) at points of the runs, and what limits it.
@@ -175,13 +203,29 @@ class TuningProblem:
         margins = [self._disk_margins(i, values[None], points)[:, 0] for i in range(len(self.scenarios))]
         place = int(np.argmin([column.min() for column in margins]))
         draw = int(np.argmin(margins[place]))
-        scenario, table = self.scenarios[place], self._margin_draws[place]
+        scenario, table = self.scenarios[place], self._draws[place]
         drawn = {name: column[draw].item() for name, column in table.items()}
         values_of = dict(zip(self.space.names, values.tolist(), strict=True)) | drawn
         worst = with_values(scenario, values_of, model_follows=followed_names(scenario, self.model_follows, values_of))
         varied = [p for p in find_parameters(scenario, drawn) if drawn[p.name] != (p.nominal or 0.0)]
         plant = ", ".join(f"{p.name} {p.show(drawn[p.name])}" for p in varied) or "the nominal plant"
         return float(margins[place][draw]), f"{worst.margins(points).limit()} of {scenario.name}, with {plant}"
+
+    def change_needed(self, values: Vector) -> str:
+        """Return which of the drawn parameters has to be nominal, at values [SI], for the largest disk margin."""
+        margins = [self._disk_margins(i, values[None])[:, 0] for i in range(len(self.scenarios))]
+        place = int(np.argmin([column.min() for column in margins]))
+        scenario, draw = self.scenarios[place], int(np.argmin(margins[place]))
+        draws = {name: column[draw] for name, column in self._draws[place].items()}
+        parameters = find_parameters(scenario, draws)
+        worst = {name: np.full(len(draws), value) for name, value in draws.items()}
+        for number, parameter in enumerate(parameters):
+            worst[parameter.name][number] = parameter.nominal or 0.0
+        good, many = self._batch(scenario, values[None], worst)
+        after = np.where(good, np.nan_to_num(many.disk_margins(4), nan=-np.inf), -np.inf)
+        best = parameters[int(np.argmax(after))]
+        shown = best.show(best.nominal or 0.0)
+        return f"with {best.name} {shown} in this plant, it would be {max(float(after.max()), 0.0):.2g}"
 
     def _with_margin(self, values: Vector) -> Vector:
         """Rows of values, then the rows with gains larger by the gain margin, inside the ranges of their fields."""
@@ -203,16 +247,28 @@ class TuningProblem:
             return good, scenario
         return good, batched(scenario, with_valid(table, good), model_follows=follows, known_valid=True)
 
-    def _costs_of_runs(self, scenario: StudiedScenario, rows: Vector, workers: int) -> Vector:
+    def _costs_of_runs(self, place: int, rows: Vector, workers: int) -> Vector:
         """Cost of each run, shape (draws, rows)."""
-        good, many = self._batch(scenario, rows, self.conditions)
+        scenario, draws, table = self.scenarios[place], self._draws[place], self._quiet[place]
+        good, many = self._batch(scenario, rows, table)
         costs = np.full(good.size, FAILED_COST)
-        if good.any():
-            batch = many.run_many(metrics=self.cost.metrics, workers=workers, engine=self.engine)
-            values = self.cost(batch.metrics)
-            good &= batch.usable & np.isfinite(values)
-            costs[good] = np.minimum(values[good], FAILED_COST)
-        return costs.reshape(-1, len(rows))
+        if not good.any():
+            return costs.reshape(-1, len(rows))
+        used = [name for name in USE if table is not draws]
+        metrics = tuple(dict.fromkeys((*self.cost.metrics, *used)))
+        batch = many.run_many(metrics=metrics, workers=workers, engine=self.engine)
+        values = self.cost(batch.metrics)
+        usable = good & batch.usable & np.isfinite(values)
+        costs[usable] = np.minimum(values[usable], FAILED_COST)
+        costs = costs.reshape(-1, len(rows))
+        if self.disk_margin and not self.conditions:  # no gains can mend a draw that cannot start
+            started = (batch["outcome"] != OUTCOMES.index(Outcome.NO_START)).reshape(costs.shape)
+            costs = np.where(started, costs, costs[0])
+        for name in used:
+            *noisy, ideal = mean_of_joints(batch.metrics[name]).reshape(costs.shape)
+            excess = np.nan_to_num(np.array(noisy) / (USE[name] * np.maximum(ideal, _LEAST_USE[name])) - 1)
+            costs[:-1] = np.minimum(costs[:-1] * (1 + _PENALTY * np.maximum(excess, 0)), FAILED_COST)
+        return costs[:-1] if table is not draws else costs
 
     def _combine(self, costs: Vector) -> Vector:
         """Mean or percentile of costs over the runs, shape (runs, rows); a mean of failed ones is a failure."""
@@ -222,14 +278,14 @@ class TuningProblem:
         return np.where((costs >= FAILED_COST).any(axis=0), FAILED_COST, np.sum(costs * (1.0 / count), axis=0))
 
     def _disk_margins(self, place: int, values: Vector, points: int = 4) -> NDArray[np.float64]:
-        """Disk margin of each row of values [SI] under each draw, shape (draws, rows); 0 for invalid rows.
+        """Disk margin of each row of values [SI] under each draw, shape (draws, rows); -inf for invalid rows.
 
         Draws that cannot start count as the best of the others, since no gains can mend them.
         """
-        good, many = self._batch(self.scenarios[place], values, self._margin_draws[place])
+        good, many = self._batch(self.scenarios[place], values, self._draws[place])
         if not good.any():
-            return np.zeros((1, len(values)))
-        margins = np.where(good, many.disk_margins(points), 0.0).reshape(-1, len(values))
+            return np.full((1, len(values)), -np.inf)
+        margins = np.where(good, many.disk_margins(points), -np.inf).reshape(-1, len(values))
         started = np.fmax.reduce(margins, axis=0)
         return np.where(np.isnan(margins), np.nan_to_num(started), margins)
 

@@ -44,6 +44,8 @@ class TuneResult(Result):
     for. That of the nominal plant is larger, and among the `effects`."""
     limit: str = ""
     """Operating point, loop and draw of the least disk margin."""
+    change: str = ""
+    """What would raise the least disk margin most, where it is below that asked for."""
     at_bound: tuple[str, ...] = ()
     """Parameters within 1 % of an end of their range: a wider one may have better values."""
     trials: tuple[Trial, ...] = ()
@@ -55,8 +57,15 @@ class TuneResult(Result):
         """The tuned scenario, the first of several."""
         return self.scenarios[0]
 
+    @property
+    def keeps_margin(self) -> bool:
+        """Whether the values have the disk margin that was asked for."""
+        return not self.least_disk < self.disk_margin
+
     def verdict(self) -> str:
         """Return the costs before and after, and what limits the disk margin."""
+        if not self.keeps_margin:
+            return f"not to be used: no gains with a disk margin of {self.disk_margin:g}, of {self.evaluated} points"
         before = "" if np.isnan(self.cost_before) else f"{self.cost_before:.4g} -> "
         count = f"{len(self.values)} parameter{'s' if len(self.values) != 1 else ''}"
         limit = f"; disk margin {self.least_disk:.3g} {self.limit}" if self.limit else ""
@@ -70,10 +79,12 @@ class TuneResult(Result):
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on the margins, the ranges, and what to try next."""
-        if self.least_disk < self.disk_margin:
-            text = f"no gains with a disk margin of {self.disk_margin:g} were found; these have {self.least_disk:.2g}"
-            remedy = "--over wider ranges or other parameters, more --iterations, or less uncertainty by calibration"
-            yield Remark.severe("disk_margin", f"{text}, {self.limit}", remedy)
+        if not self.keeps_margin:
+            stable, radius = self.least_disk > 0, 1 - self.least_disk
+            has = f"have {self.least_disk:.2g}" if stable else f"are unstable, with a spectral radius of {radius:.4g}"
+            text = f"the gains of the largest disk margin {has}, {self.limit}; {self.change}"
+            remedy = "a faster valve, less delay, a slower reference, less uncertainty by calibration, or --over others"
+            yield Remark.severe("disk_margin", text, remedy)
         elif self.disk_margin:
             yield from margin_remarks(self.least_disk, f", {self.limit}")
         else:

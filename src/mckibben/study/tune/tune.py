@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from mckibben.study.tune.trials import Trial, Trials
 FORMAT = "mckibben tuning"
 COST: Mapping[str, Any] = {
     "cost": "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
-    "gain_margin": 1.5,
+    "gain_margin": 1.0,
     "disk_margin": LEAST_DISK_MARGIN,
     "percentile": None,
 }
@@ -75,9 +74,9 @@ def tune(
         Parameters and their ranges, `Uniform` or `LogUniform`, or texts (or one) as for `mckibben tune`. Default: all
         gains.
     cost
-        Cost of the runs, or its text. Default: that of `mckibben tune`, with its gain margin. Gains keep the disk
-        margin of the cost at four points of each run and, in the result, at twenty; where none do, the result has those
-        of the largest margin, and is not `ok`.
+        Cost of the runs, or its text. Default: that of `mckibben tune`. Gains keep the disk margin of the cost at four
+        points of each run and, in the result, at twenty; where none do, the result has those of the largest margin or,
+        where all are unstable, of the least spectral radius, and is not `ok`.
     method
         "cma" (CMA-ES, the default), "local" (refinement of the given values), or a `Search` of yours.
     iterations
@@ -93,9 +92,9 @@ def tune(
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     conditions
         Values [SI] of other parameters by name, such as a `sample` of them: every trial is simulated under all rows,
-        the cost combines them like scenarios, and the disk margin holds for all of them. Default: the nominal plant,
-        and for the disk margin the uncertainty of the scenario or, without one, 10 % of strength, 20 % of mass and 2 ms
-        of delay.
+        the cost combines them like scenarios, and the disk margin holds for all of them. Default: extremes of the
+        uncertainty of the scenario or, without one, of 10 % of strength, 20 % of mass and 2 ms of delay; for a cost
+        without a disk margin the nominal plant.
     engine
         As for `simulate_many`; one engine computes all trials. Default: that of the continued search, or "auto".
     progress
@@ -167,10 +166,11 @@ def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[s
 
 def _result(asked: TuningProblem, problem: TuningProblem, trials: Trials, batch: int) -> TuneResult:
     """Return the best trial, with values of six digits unless that raises the cost by 0.1 %, or above the first one."""
-    space, free = problem.space, replace(problem, cost=replace(problem.cost, disk_margin=0.0))
+    space = problem.space
 
     def cost_of(values: Vector) -> float:
-        return float(free.costs(np.repeat(values[None], batch, axis=0))[0])  # as many as in the search: one program
+        same = np.repeat(values[None], batch, axis=0)  # as many as in the search: one program
+        return float(problem.run_costs(same)[0])
 
     if trials.best.cost >= FAILED_COST:
         raise ParameterError(
@@ -190,11 +190,12 @@ def _result(asked: TuningProblem, problem: TuningProblem, trials: Trials, batch:
         values=named,
         before=asked.scenarios,
         scenarios=tuple(with_values(scenario, named, model_follows=follows) for scenario in asked.scenarios),
-        cost=cost,
+        cost=cost if cost < FAILED_COST else float("nan"),
         cost_before=before if before < FAILED_COST else float("nan"),
         evaluated=len(trials.all),
         least_disk=margin,
         limit=limit,
+        change=problem.change_needed(values) if margin < problem.disk_margin else "",
         disk_margin=problem.disk_margin,
         at_bound=space.at_bound(best.point),
         trials=tuple(trials.all),
