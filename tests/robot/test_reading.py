@@ -7,15 +7,17 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import mckibben as mk
+from mckibben.cli import app
 from mckibben.component.schema import read_component
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.export.mjcf import assembled
 from mckibben.mechanism.dynamics import acceleration, at_rest, posture_of
 from mckibben.muscle import Muscle
 from mckibben.robot import RobotPlant, RobotScenario, read_robot
-from mckibben.scenario.reading import read_mjcf
+from mckibben.scenario.reading import read_mjcf, read_tendon_muscles
 
 mujoco = pytest.importorskip("mujoco")
 FOLDER = Path("examples/robot")
@@ -50,7 +52,7 @@ def check(robot, model, offsets):
             mujoco.mj_forward(model, data)
             arms[:, k] = data.ten_velocity
         own = [[float(unit.slopes.get(k, 0.0)) for k in range(angles.size)] for unit in routed]
-        np.testing.assert_allclose(own, arms, atol=1e-9)
+        np.testing.assert_allclose(np.reshape(own, arms.shape), arms, atol=1e-9)
         np.testing.assert_allclose([float(u.path) for u in routed], data.ten_length + offsets, atol=1e-9)
         data.qvel[order], data.qfrc_applied[order] = rates, torques
         mujoco.mj_forward(model, data)
@@ -112,18 +114,19 @@ def test_what_is_not_carried_over_is_named_with_its_line(tmp_path):
     path.write_text(BAD)
     read = read_mjcf(path)
     assert read.robot.base == "floating"
-    lines = {"stiffness of joint j": 2, "rope": 4, "belt": 5, "equality weld": 6, "actuator drive": 6}
-    for part, line in (lines | {"contact of 3 geoms": 1}).items():
+    lines = {"rope": 4, "belt": 5, "equality weld": 6, "actuator drive": 6}
+    for part, line in lines.items():
         (found,) = (text for text in read.left_out if part in text)
         assert f"line {line}" in found
+    assert sum("contact of 3 geoms" in text for text in read.left_out) == 1
+    assert float(read.robot.joints[0].spring) == 2
 
 
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
-        ('<joint name="j" range="-10 10" stiffness="2"/>', '<joint name="j"/>', "range"),
         ('<joint name="j" range="-10 10" stiffness="2"/>', '<joint name="j" type="slide" range="0 1"/>', "hinge"),
-        ("<freejoint/>", '<joint type="ball"/>', "joint0"),
+        ("<freejoint/>", '<joint type="slide" axis="1 1 0"/>', "joint0"),
         ("<mujoco>", "<mojoco>", "mujoco"),
     ],
 )
@@ -199,3 +202,217 @@ def test_a_named_pipe_is_refused_without_waiting(tmp_path, confined, element):
     (tmp_path / "robot.xml").write_text(f"<mujoco>{element.format('pipe.xml')}</mujoco>")
     with pytest.raises(ScenarioError, match="pipe"):
         read_mjcf(tmp_path / "robot.xml", confined=confined)
+
+
+def written(folder, body, rest="", options="", name="robot.xml"):
+    """A file of MJCF with bodies in the world."""
+    path = folder / name
+    path.write_text(f"<mujoco>{options}\n<worldbody>\n{body}\n</worldbody>\n{rest}</mujoco>")
+    return path
+
+
+INERTIAL = '<inertial mass="1" pos="0.1 0.02 -0.3" fullinertia="0.02 0.03 0.025 0.001 0.002 -0.001"/>'
+LINK = f'<body name="link" pos="0.1 0 1">{{}}{INERTIAL}</body>'
+
+
+def test_meshes_and_textures_are_not_needed_where_inertias_are_given(tmp_path):
+    assets = """<asset><texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>
+<mesh name="shell" file="none.stl"/></asset>"""
+    shape = '<joint name="j" range="-10 10"/><geom type="mesh" mesh="shell" material="m"/>'
+    table = '<body name="table"><geom type="mesh" mesh="shell"/></body>'
+    (joint,) = read_mjcf(written(tmp_path, LINK.format(shape) + table, options=assets)).robot.joints
+    assert joint.name == "j"
+    bare = f'<body name="bare">{shape}</body>'
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(written(tmp_path, "\n" + bare, options=assets))
+    (problem,) = caught.value.problems
+    assert "shell" in problem.message and problem.line == 5 and "inertial" in problem.remedy
+
+
+MOVED = """<body name="box" pos="0 0 3"><freejoint name="f"/>{0}</body>
+<body name="trunk" pos="0 0 2"><freejoint/>{0}
+<body name="thigh"><joint name="hip" range="-30 30" axis="0 1 0"/>{0}</body></body>"""
+
+
+def test_tables_and_objects_beside_a_robot_are_left_out_by_name(tmp_path):
+    read = read_mjcf(written(tmp_path, MOVED.format(INERTIAL)))
+    assert (read.robot.base, read.robot.joint_names, read.robot.bodies[0].name) == ("floating", ("hip",), "trunk")
+    assert [part.split()[:2] for part in read.left_out] == [["body", "box"]]
+
+
+def test_the_root_of_several_robots_is_asked_for(tmp_path):
+    path = written(tmp_path, MOVED.format(INERTIAL) + LINK.format('<joint name="door" range="0 90"/>'))
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(path)
+    (problem,) = caught.value.problems
+    assert problem.line == 4 and "--root" in problem.remedy and "link" in problem.remedy
+    for root, base, joints in (
+        ("trunk", "floating", ("hip",)),
+        ("link", "fixed", ("door",)),
+        ("thigh", "fixed", ("hip",)),
+    ):
+        read = read_mjcf(path, root=root)
+        assert (read.robot.base, read.robot.joint_names) == (base, joints)
+        assert not [part for part in read.left_out if "different" in part]
+    with pytest.raises(ParameterError) as unknown:
+        read_mjcf(path, root="trnk")
+    assert unknown.value.field == "root" and "trunk" in unknown.value.remedy
+
+
+BALL = """<body name="arm" pos="0.1 0 1" euler="20 30 40"><joint name="shoulder" type="ball"/>{0}
+<body name="fore" pos="0 0.1 -0.4"><joint name="elbow" axis="1 2 0"/>{0}</body></body>"""
+
+
+def test_balls_become_three_hinges_and_hinges_without_a_range_get_one(tmp_path):
+    read = read_mjcf(written(tmp_path, BALL.format(INERTIAL)), angles=(-2.0, 1.0))
+    assert read.robot.joint_names == ("shoulder x", "shoulder y", "shoulder z", "elbow")
+    assert not read.left_out
+    assert (read.robot.joints[3].lower, read.robot.joints[3].upper) == (-2.0, 1.0)
+    assert any("elbow" in part and "--range" in part for part in read.assumed)
+    assert sum("shoulder" in part for part in read.assumed) >= 3
+    damped = BALL.format(INERTIAL).replace('type="ball"', 'type="ball" damping="1" stiffness="2"')
+    kinds = [part for part in read_mjcf(written(tmp_path, damped)).left_out if "shoulder" in part]
+    assert ["springs" in part or "dampers" in part for part in kinds] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("options", "gravity"),
+    [
+        ('<option gravity="-9.81 0 0"/>', (-1.0, 0.0, 0.0)),
+        ('<option gravity="1 2 -1.62"/>', (1 / 9.81, 2 / 9.81, -1.62 / 9.81)),
+        ('<option><flag gravity="disable"/></option>', (0.0, 0.0, 0.0)),
+    ],
+)
+def test_direction_and_size_of_gravity_are_carried(tmp_path, options, gravity):
+    path = written(tmp_path, LINK.format('<joint name="j" range="-90 90" axis="0 1 0.5"/>'), options=options)
+    read = read_mjcf(path)
+    np.testing.assert_allclose(read.robot.gravity, gravity, rtol=1e-11)
+    assert not read.left_out
+    again = RobotScenario.parse(read.scenario().dumps()).robot
+    assert again.gravity == read.robot.gravity
+    exported = mujoco.MjModel.from_xml_string(assembled(RobotPlant(again, mk.FirstOrderValve(0.02))).mjcf("r", 1e-3))
+    np.testing.assert_allclose(exported.opt.gravity, 9.81 * np.array(gravity), atol=1e-12)
+
+
+def test_a_spring_of_a_joint_is_a_load_of_the_file_and_of_the_export(tmp_path):
+    spring = '<joint name="j" range="-90 90" axis="0 1 0.5" stiffness="3" springref="20" damping="0.1"/>'
+    read = read_mjcf(written(tmp_path, LINK.format(spring)))
+    assert not read.left_out
+    assert read.robot.joints[0].spring_angle == pytest.approx(np.deg2rad(20))
+    check(read.robot, *model_of(read.robot))
+
+
+@pytest.mark.parametrize(
+    ("joint", "body", "options", "words"),
+    [
+        ('damping="0.1 0.5"', "", "", "dampers of j"),
+        ('stiffness="1 2"', "", "", "springs of j"),
+        ("", 'gravcomp="1"', "", "compensation of gravity of j"),
+        ("", "", '<option density="1000" viscosity="1"/>', "fluid of j"),
+        ('stiffness="3" damping="1"', "", '<option><flag spring="disable" damper="disable"/></option>', ""),
+    ],
+)
+def test_forces_that_are_not_carried_are_found_by_comparison(tmp_path, joint, body, options, words):
+    link = LINK.format(f'<joint name="j" range="-90 90" axis="0 1 0.5" {joint}/>')
+    left_out = read_mjcf(written(tmp_path, link.replace("<body", f"<body {body}"), options=options)).left_out
+    assert [words in part for part in left_out] == ([True] if words else [])
+
+
+CHAIN = 16
+
+
+@pytest.fixture
+def chain(tmp_path):
+    """Tendons over many hinges."""
+    body = '<site name="a" pos="0.02 0 0.05"/>' + "".join(
+        f'<body name="b{i}" pos="0 0 -0.05"><joint name="j{i}" axis="0 1 0" range="-10 10"/>{INERTIAL}'
+        f'<site name="s{i}" pos="{0.02 * (-1) ** i} 0 -0.02"/>'
+        for i in range(CHAIN)
+    )
+    sites = '<site site="a"/>' + "".join(f'<site site="s{i}"/>' for i in range(CHAIN))
+    tendons = f"""<tendon>
+<spatial name="long">{sites}</spatial>
+<spatial name="biceps"><site site="a"/><site site="s0"/></spatial>
+<spatial name="spring" stiffness="500" springlength="0 0.05"><site site="a"/><site site="s0"/></spatial></tendon>"""
+    return written(tmp_path, body + "</body>" * CHAIN, tendons)
+
+
+def test_a_tendon_over_many_hinges_has_the_range_of_their_corners(chain):
+    read = read_mjcf(chain)
+    shortest, longest = read.paths["long"]
+    sampled = []
+    for _ in range(200):
+        angles = np.random.default_rng(len(sampled)).uniform(-1, 1, CHAIN) * np.deg2rad(10)
+        sampled.append(float(read.robot.path_through(read.tendons["long"], tuple(np.sign(angles) * np.deg2rad(10)))[0]))
+    assert shortest <= min(sampled) + 1e-9 < max(sampled) - 1e-9 <= longest
+
+
+def test_muscles_by_tendon_and_springs_that_stay(chain, tmp_path):
+    muscle = (Path.cwd() / MUSCLE).read_text()
+    short = muscle.replace("300 mm", "90 mm")
+    (tmp_path / "short.yaml").write_text(short)
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(chain, {"bi*": read_component(Muscle, tmp_path / "short.yaml")})
+    (problem,) = caught.value.problems
+    assert "long" in problem.message and problem.line and "muscles" in problem.remedy
+    with pytest.raises(ScenarioError) as long:
+        read_mjcf(chain, {"*": arm().robot.all_muscles[0]})
+    assert any("biceps" in str(one) and "initial_length" in one.remedy for one in long.value.problems)
+
+
+def test_a_file_of_muscles_by_pattern(tmp_path):
+    section = (Path.cwd() / MUSCLE).read_text().split("\n", 1)[1].replace("\n", "\n    ")
+    (tmp_path / "map.yaml").write_text(f"muscles:\n  '*iceps':\n    {section}\n  '*':\n    {section}\n")
+    read = read_mjcf(ARM, read_tendon_muscles(tmp_path / "map.yaml"))
+    assert read.robot == arm().robot
+    assert isinstance(read_tendon_muscles(MUSCLE), Muscle)
+
+
+def test_a_passive_tendon_is_a_spring(tmp_path):
+    body = '<site name="a" pos="0.05 0 1.2"/>' + LINK.format(
+        '<joint name="j" range="-20 20" axis="0 1 0"/><site name="b" pos="0.05 0 -0.2"/>'
+    )
+    spring = '<tendon><spatial name="spring" {}><site site="a"/><site site="b"/></spatial></tendon>'
+    pulls = read_mjcf(written(tmp_path, body, spring.format('stiffness="500" springlength="0 0.3"')))
+    assert pulls.robot.muscle_names == ("spring",) and not pulls.left_out
+    assert RobotScenario.parse(pulls.scenario().dumps()).robot == pulls.robot
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(written(tmp_path, body, spring.format('stiffness="1e10"')))
+    assert [(problem.line, problem.value) for problem in caught.value.problems] == [(5, 1e10)]
+    pushes = read_mjcf(written(tmp_path, body, spring.format('stiffness="500" springlength="0.9"')))
+    assert ["springs of j" in part for part in pushes.left_out] == [True]
+
+
+def test_an_inertia_of_no_body_becomes_the_nearest_and_is_named(tmp_path):
+    link = LINK.format('<joint name="j" range="-20 20"/>').replace(
+        'fullinertia="0.02 0.03 0.025 0.001 0.002 -0.001"', 'diaginertia="0.01 0.01 0.03"'
+    )
+    read = read_mjcf(written(tmp_path, link))
+    (part,) = (part for part in read.assumed if "inertia" in part)
+    assert "link" in part and "line 3" in part
+    xx, _, _, yy, _, zz = map(float, read.robot.bodies[1].tensor)
+    assert xx == yy and zz <= xx + yy and zz == pytest.approx(0.0267, abs=0.004)
+
+
+def test_slides_are_refused_together_and_held_if_asked(tmp_path):
+    finger = f'<body name="f{{0}}"><joint name="s{{0}}" type="slide" axis="0 1 0"/>{INERTIAL}</body>'
+    link = LINK.format('<joint name="j" range="-20 20"/>' + "\n".join(finger.format(i) for i in range(2)))
+    rest = '<equality><joint joint1="s0" joint2="s1"/></equality><actuator><motor name="m" joint="s0"/></actuator>'
+    path = written(tmp_path, link, rest)
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(path)
+    assert [problem.line for problem in caught.value.problems] == [3, 4]
+    assert all("--hold-slides" in problem.remedy for problem in caught.value.problems)
+    read = read_mjcf(path, hold_slides=True)
+    assert float(read.robot.bodies[1].mass) == pytest.approx(3)
+    assert {part.split()[0] for part in read.left_out} == {"held", "equality", "actuator"}
+
+
+def test_the_command_reads_with_root_range_and_slides_held(tmp_path):
+    link = LINK.format('<joint name="j"/>' + f'<body name="f"><joint type="slide"/>{INERTIAL}</body>')
+    path = written(tmp_path, MOVED.format(INERTIAL) + link)
+    arguments = ["robot", "read", str(path), "--root", "link", "--range", "-20..30 deg", "--hold-slides"]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    (joint,) = RobotScenario.read(tmp_path / "out" / "robot.yaml").robot.joints
+    assert np.rad2deg([joint.lower, joint.upper]) == pytest.approx([-20, 30])

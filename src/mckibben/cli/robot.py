@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Argument
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, check_results, check_unused, required_folder
+from mckibben.cli.options import Progress, check_results, check_unused, parse_limits, required_folder
 from mckibben.errors import ParameterError
 from mckibben.result import Listing, Remark, Result, TableColumns, table
 
@@ -18,13 +18,18 @@ if TYPE_CHECKING:
     from mckibben.statics.attainable import JointRange
     from mckibben.statics.pressures import StaticPressures
 
+_MUSCLE = "Muscle of all tendons that are read; or `muscles`, by patterns of their names."
+
 
 @command
 def robot(
     study: Literal["land", "jump", "pressures", "stiffness", "read"],
     file: Path,
-    muscle: Annotated[Path | None, Argument(metavar="MUSCLE.yaml", help="Muscle of all tendons that are read.")] = None,
+    muscle: Annotated[Path | None, Argument(metavar="MUSCLE.yaml", help=_MUSCLE)] = None,
     *,
+    root: str | None = None,
+    range_: str | None = None,
+    hold_slides: bool = False,
     out: Path | None,
     resume: bool,
     force: bool,
@@ -40,6 +45,12 @@ def robot(
         Study, of which the file has the settings; or read.
     file : ROBOT.yaml
         Robot, see examples/robot/; or a file of MJCF or URDF to read.
+    root : BODY
+        Base, or first body, of the robot that is read, where others move beside it.
+    range_ : RANGE
+        Range of hinges that are read and have none [default: -180..180 deg].
+    hold_slides
+        Hold the slides that are read where they are.
     """
     if study == "stiffness":
         remedy = f"mckibben robot pressures {file}; `mckibben stiffness` measures what a push feels"
@@ -49,8 +60,8 @@ def robot(
     elif resume:
         required_folder(out, "study to be continued")
     if study == "read":
-        return _read(file, muscle, out)
-    check_unused(f"robot {study}", muscle=muscle)
+        return _read(file, muscle, root, range_, out, hold_slides=hold_slides)
+    check_unused(f"robot {study}", muscle=muscle, root=root, range=range_, hold_slides=hold_slides)
     from mckibben.scenario.robot import RobotScenario
     from mckibben.study.jumping import JumpStudy, study_jump
     from mckibben.study.landing import LandingStudy, study_landing
@@ -65,12 +76,14 @@ def robot(
     return run(scenario, source=str(file), out=out, resume=resume, progress=progress)
 
 
-def _read(file: Path, muscle: Path | None, out: Path | None) -> Result:
-    from mckibben.component.schema import read_component
-    from mckibben.muscle import Muscle
-    from mckibben.scenario.reading import read_mjcf
+def _read(
+    file: Path, muscle: Path | None, root: str | None, limits: str | None, out: Path | None, *, hold_slides: bool
+) -> Result:
+    from mckibben.scenario.reading import read_mjcf, read_tendon_muscles
 
-    read = read_mjcf(file, None if muscle is None else read_component(Muscle, muscle))
+    angles = parse_limits("--range", limits or "-180..180 deg", "rad")
+    muscles = None if muscle is None else read_tendon_muscles(muscle)
+    read = read_mjcf(file, muscles, root=root, angles=angles, hold_slides=hold_slides)
     if out:
         read.scenario()  # fails before anything is written
     return read

@@ -119,7 +119,7 @@ class Assembly:
         self.bodies, self.joints, self.parents = bodies, joints, parents
         self.drives: list[Drive] = []
         self.left_out: list[str] = []
-        self.gravity = GRAVITY
+        self.gravity = -Z.scaled(GRAVITY)
         self.position: list[ArrayLike] = []
         self.velocity: list[ArrayLike] = []
         self.contacts: list[Attributes] = []
@@ -223,7 +223,7 @@ class Assembly:
             {
                 "name": name,
                 "timestep": repr(timestep),
-                "gravity": repr(-self.gravity),
+                "gravity": numbers_text(self.gravity),
                 "friction_ratio": repr(FRICTION_RATIO),
                 "base": self.bodies[0],
                 "floor": self.floor,
@@ -283,6 +283,8 @@ def _hung(name: str, inertial: Attributes, joint: Joint, limit: Compliance | Non
     if joint.locked is None:
         hinge = {"name": joint.name, "type": "hinge", "axis": axis, "damping": repr(float(joint.damping))}
         hinge["armature"] = repr(float(joint.rotor_inertia or 0.0))
+        if joint.spring is not None:
+            hinge |= {"stiffness": repr(float(joint.spring)), "springref": repr(float(joint.spring_angle))}
         if joint.friction is not None:
             hinge["frictionloss"] = repr(float(joint.friction.torque))
         if limit is not None:
@@ -322,7 +324,7 @@ def _joint(plant: JointPlant, start: PyTree) -> Assembly:
     made = Assembly(plant, start, [base, limb], [hinge], [0])
     made.add_pair(lambda plant: plant.joint, ("muscle1", "muscle2"), 0, 0)
     made.left_out += [*_presliding([hinge]), *point.assumed]
-    made.gravity, made.position, made.velocity = gravity_of(plant.load), [start.angle], [start.velocity]
+    made.gravity, made.position, made.velocity = -Z.scaled(gravity_of(plant.load)), [start.angle], [start.velocity]
     return made
 
 
@@ -363,7 +365,7 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
     top = max([0.1, *(float(place.z) for place in base.sites.values())])
     base.bone(Vector(0.0, 0.0, top))
     base.shapes.append({"class": "trunk", "pos": numbers_text((0, 0, top + 0.03))})
-    made.gravity = float(plant.gravity)
+    made.gravity = Vector(*robot.gravity).scaled(float(plant.gravity))
     made.position, made.velocity = (coordinates(plant, of) for of in (start.position, start.velocity))
     return made
 

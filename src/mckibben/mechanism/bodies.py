@@ -14,7 +14,7 @@ from mckibben.config.model import fail_validation
 from mckibben.errors import RangeError
 from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
 from mckibben.mechanism.joint_friction import JointFriction
-from mckibben.numerics.spatial import Tensor, Vector, product, total, unit_vector
+from mckibben.numerics.spatial import Tensor, Vector, difference, product, total, unit_vector
 from mckibben.units import Angle, Coordinate, Damping, Distance, Inertia, Mass, Quantity, StiffnessScale, deg
 
 Freedom = Literal["fixed", "vertical", "planar", "free", "spatial", "floating"]
@@ -32,6 +32,7 @@ MOTIONS = {
 """Coordinates of the base for each freedom: translations, then rotations, each in the axes after those before it."""
 
 Direction = Annotated[float, Quantity("1", "1", -1, 1)]
+GravityRatio = Annotated[float, Quantity("1", "1", -100, 100)]
 Product = Annotated[float, Quantity("kg*m^2", "kg*m^2", -1e4, 1e4)]
 StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
 
@@ -157,6 +158,9 @@ class Joint(Component):
         Inertia that turns with the joint alone [kg*m^2]. Default: none.
     friction
         Friction of the joint itself. Default: none.
+    spring, spring_angle
+        Spring in parallel with the joint [N*m/rad], and the angle [rad] at which it is unloaded. It is a load, as
+        gravity is: not in the stiffness of the muscles. Default: none.
     disturbance
         External torque on the joint over time.
     """
@@ -175,6 +179,8 @@ class Joint(Component):
     locked: Angle | None = None
     rotor_inertia: Inertia | None = None
     friction: JointFriction | None = None
+    spring: StiffnessScale | None = None
+    spring_angle: Angle = 0.0
     disturbance: Disturbance = NoDisturbance()
 
     def __check_init__(self) -> None:
@@ -196,6 +202,10 @@ class Joint(Component):
     def direction(self) -> Vector:
         """The axis as a unit vector."""
         return unit_vector(self.axis)
+
+    def spring_torque(self, angle: Any) -> Any:
+        """Return the torque [N*m] that holds the spring at an angle [rad]."""
+        return 0.0 if self.spring is None else product(self.spring, difference(angle, self.spring_angle))
 
 
 class BodyPoint(Component):

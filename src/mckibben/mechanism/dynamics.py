@@ -145,7 +145,10 @@ def motion(robot: Robot, posture: Posture, velocity: Velocity, gravity: ArrayLik
         spin = spin + own + place.cross(speed).scaled(body.mass)
     each = 1 / robot.total_mass
     centre, speed = moment.scaled(each), momentum.scaled(each)
-    potential, spin = product(moment.z, gravity), spin - centre.cross(momentum)
+    potential, spin = product(moment.dot(-Vector(*robot.gravity)), gravity), spin - centre.cross(momentum)
+    for joint, angle in zip(robot.joints, posture.angles, strict=True):
+        if joint.spring is not None:
+            potential = total(potential, joint.spring_torque(angle) * (angle - joint.spring_angle) / 2)
     found = BodyMotion(kinetic, potential, centre.z, speed.x, speed.z, speed.y, spin)
     return jax.tree.map(jnp.asarray, found)
 
@@ -165,7 +168,7 @@ def _velocities(robot: Robot, tree: _Tree, found: Sequence[Frame], body: int, pl
     return moved
 
 
-def _equations(
+def motion_equations(
     robot: Robot,
     posture: Posture,
     velocity: Velocity,
@@ -173,11 +176,18 @@ def _equations(
     forces: Sequence[Vector] = (),
     normal: Vector = Z,
 ) -> Equations:
+    """Return the equations of motion of base and joints under forces [N] at the points of contact.
+
+    `bias` are the forces of velocities, gravity, springs and contact; damping and stops are not among them.
+    """
     tree = _tree(robot, posture, velocity)
     found, slides = tree.frames(), _slides(robot)
     points = contacts(robot, found[tree.base :], normal) if forces else []
     acting = [(tree.base + at.body, force, at.arm) for at, force in zip(points, forces, strict=True)]
-    return equations(slides, tree.hinges, tree.bodies, found, gravity, acting)
+    made = equations(slides, tree.hinges, tree.bodies, found, (-Vector(*robot.gravity)).scaled(gravity), acting)
+    free = [(joint, angle) for joint, angle in zip(robot.joints, posture.angles, strict=True) if joint.locked is None]
+    springs = [0.0] * len(robot.motions) + [joint.spring_torque(angle) for joint, angle in free]
+    return Equations(made.matrix, list(map(total, made.bias, springs)))
 
 
 def acceleration(
@@ -194,7 +204,7 @@ def acceleration(
     There is a force for each sphere of the robot, or none. Locked joints, and motions that the base lacks, have an
     acceleration of 0.
     """
-    made = _equations(robot, posture, velocity, gravity, forces, normal)
+    made = motion_equations(robot, posture, velocity, gravity, forces, normal)
     driven = [torque for joint, torque in zip(robot.joints, torques, strict=True) if joint.locked is None]
     rates = iter(made.accelerations([*[0.0] * len(robot.motions), *driven]))
     of_base = {name: next(rates) for name in robot.motions}
@@ -214,7 +224,7 @@ def joint_equations(
     held = robot if robot.base == "fixed" else dataclasses.replace(robot, base="fixed")  # which checks all of it
     posture = posture_of(held, angles)
     velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
-    made = _equations(held, posture, velocity, gravity)
+    made = motion_equations(held, posture, velocity, gravity)
     order = range(len(made.bias))
     return Equations([[made.matrix[max(i, j)][min(i, j)] for j in order] for i in order], made.bias)
 
@@ -244,7 +254,7 @@ def mobilities(
     still = at_rest(posture)
     tree = _tree(robot, posture, still)
     found = tree.frames()
-    rows = [list(map(float, row)) for row in _equations(robot, posture, still, 0.0).matrix]
+    rows = [list(map(float, row)) for row in motion_equations(robot, posture, still, 0.0).matrix]
     size = len(rows)
     lower = np.array([row + [0.0] * (size - len(row)) for row in rows]).reshape(size, size)
     matrix = lower + np.tril(lower, -1).T

@@ -20,7 +20,7 @@ from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
 from mckibben.joint.route import Route
-from mckibben.mechanism.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, Joint, check_base
+from mckibben.mechanism.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, GravityRatio, Joint, check_base
 from mckibben.mechanism.muscles import MuscleUnit, Skeleton, check_contractions
 from mckibben.mechanism.tree import Frame, TreeHinge, frames_of
 from mckibben.muscle import Muscle
@@ -51,6 +51,9 @@ class Robot(Component):
         Sphere that touches the ground. Default: none.
     contacts
         Further spheres that touch it.
+    gravity
+        Gravity in the axes of the base, as multiples of g: [-1, 0, 0] for a base whose x axis points up, [0, 0, 0] for
+        none. Default: along -z.
 
     Examples
     --------
@@ -68,6 +71,7 @@ class Robot(Component):
     base: Freedom = eqx.field(static=True, default="fixed")
     foot: Foot | None = None
     contacts: tuple[Foot, ...] = ()
+    gravity: tuple[GravityRatio, ...] = eqx.field(static=True, default=(0.0, 0.0, -1.0))
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -91,6 +95,9 @@ class Robot(Component):
         for field, noun in (("bodies", "bodies"), ("joints", "joints")):
             if not getattr(self, field):
                 raise RangeError(f"a robot of no {noun}", field=field, remedy="give the base, and a joint")
+        if len(self.gravity) != 3:
+            message, remedy = f"gravity has {len(self.gravity)} components", "give three, such as [0, 0, -1]"
+            raise RangeError(message, field="gravity", value=self.gravity, remedy=remedy)
         errors = (*self._name_errors(), *self._tree_errors(), *self._muscle_errors())
         for message, field, value, remedy in errors[:1]:
             raise RangeError(message, field=field, value=value, remedy=remedy)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from mckibben.joint.route import Bends
 from mckibben.numerics.elementary import Number
-from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, Z, difference, product, total
+from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, difference, product, total
 
 
 class TreeHinge(NamedTuple):
@@ -203,7 +203,7 @@ def equations(
     hinges: Sequence[TreeHinge],
     bodies: Sequence[BodyInertia],  # of the base and on each hinge
     frames: Sequence[Frame],  # their frames
-    gravity: Any,  # downwards [m/s^2]
+    support: Vector,  # acceleration against gravity [m/s^2]
     forces: Sequence[tuple[int, Vector, Vector]] = (),  # body, force [N], and its arm from the hinge [m]
 ) -> Equations:
     r"""Return the equations of motion of a tree.
@@ -214,7 +214,7 @@ def equations(
     (ch. 5). A column of M is the momentum that a unit rate of one motion gives all bodies beyond it, taken about each
     hinge and along each slide above (ch. 6).
     """
-    moving = _velocity_accelerations(hinges, frames, gravity)
+    moving = _velocity_accelerations(hinges, frames, support)
     beyond = [_Composite() for _ in frames]
     for index, force, arm in forces:
         beyond[index] += _Composite(-force, -arm.cross(force))
@@ -241,10 +241,10 @@ def equations(
 
 
 def _velocity_accelerations(
-    hinges: Sequence[TreeHinge], frames: Sequence[Frame], gravity: Any
+    hinges: Sequence[TreeHinge], frames: Sequence[Frame], support: Vector
 ) -> list[tuple[Vector, Vector]]:
-    """Angular and linear acceleration of each frame without those of the motions, and with gravity as one upwards."""
-    moving = [(ZERO, Z.scaled(gravity))]
+    """Angular and linear acceleration of each frame without those of the motions; gravity is one against it."""
+    moving = [(ZERO, support)]
     for hinge, frame in zip(hinges, frames[1:], strict=True):
         above, (spin, linear) = frames[hinge.parent], moving[hinge.parent]
         linear = linear + spin.cross(frame.arm) + above.rate.cross(above.rate.cross(frame.arm))

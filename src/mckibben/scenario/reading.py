@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import itertools
+import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from jaxtyping import ArrayLike
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
-from mckibben.config.document import LONGEST_TEXT
-from mckibben.errors import ParameterError, Problem, ScenarioError, quoted
+from mckibben.component.schema import ComponentField, parse_component
+from mckibben.config.document import LONGEST_TEXT, read_document
+from mckibben.config.model import read_text, validated
+from mckibben.errors import ParameterError, Problem, RangeError, ScenarioError, quoted, suggest
 from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Freedom, Joint, Place
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.mechanism.muscles import PathMuscle
 from mckibben.mechanism.robot import Robot
-from mckibben.muscle import Muscle
+from mckibben.muscle import Muscle, return_spring
 from mckibben.result import Column, Listing, Remark, Result, table
+from mckibben.scenario.model_comparison import differences, is_spring, path_ranges
+from mckibben.scenario.model_file import Coordinate, ModelFile
 from mckibben.scenario.robot import RobotScenario
-from mckibben.units import GRAVITY
+from mckibben.units import GRAVITY, deg, mm
 
 Floats = NDArray[np.float64]
 
@@ -42,13 +49,15 @@ class ReadRobot(Result):
     name
         Name of the model.
     robot
-        Bodies and joints; and muscles, if one was given for all tendons.
+        Bodies, joints, springs, and the muscles of tendons if they were given.
     tendons
         Points of each spatial tendon by its name.
     paths
         Shortest and longest path [m] of each, within the ranges of the joints.
     left_out
-        What is not carried over, with the line of the file.
+        What is not carried over, with the line of the file, and what differs from the model of the file.
+    assumed
+        Ranges that the file does not give.
     """
 
     files = ("robot.yaml",)
@@ -58,10 +67,11 @@ class ReadRobot(Result):
     tendons: dict[str, tuple[BodyPoint, ...]]
     paths: dict[str, tuple[float, float]]
     left_out: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     def scenario(self) -> RobotScenario:
         """Return the robot as a file; `ParameterError` if the muscles of its tendons were not given."""
-        if self.tendons and not self.robot.muscles:
+        if set(self.tendons).difference(self.robot.muscle_names):
             message = "a tendon has points but no muscle"
             remedy = "give the muscle of all tendons: mckibben robot read ROBOT.xml MUSCLE.yaml --out DIR"
             raise ParameterError(message, field="muscle", remedy=remedy)
@@ -75,6 +85,8 @@ class ReadRobot(Result):
         """Yield a warning for each part that is not carried over."""
         for part in self.left_out:
             yield Remark.warning("left_out", f"not carried over: {part}")
+        for part in self.assumed:
+            yield Remark.warning("assumed", f"assumed: {part}")
 
     @table()
     def joints_and_tendons(self) -> Iterator[Listing]:
@@ -104,42 +116,115 @@ class ReadRobot(Result):
         self.scenario().to_yaml(folder / "robot.yaml")
 
 
-def read_mjcf(path: Path, muscle: Muscle | None = None, *, confined: bool = False) -> ReadRobot:
+def read_mjcf(
+    path: Path,
+    muscle: Muscle | Mapping[str, Muscle] | None = None,
+    *,
+    root: str | None = None,
+    angles: tuple[float, float] = (-math.pi, math.pi),
+    hold_slides: bool = False,
+    confined: bool = False,
+) -> ReadRobot:
     """Return the robot of a file of MJCF or URDF.
 
-    Carried over are bodies with their inertias, hinges with range, damping, armature and friction, spatial tendons
-    through sites, a base that is fixed, free, or on slides (`_BASES`), and spheres (geoms) whose names
-    begin with ``foot``. Axes are those of the world at the pose of the file.
+    Carried over are bodies with their inertias, hinges with range, spring, damping, armature and friction, balls as
+    three hinges, gravity, spatial tendons through sites, a base that is fixed, free, or on slides (`_BASES`), and
+    spheres (geoms) whose names begin with ``foot``. Axes are those of the world at the pose of the file. Masses,
+    forces and lengths of the robot are compared with those of the file at random states: `left_out` names what differs.
 
     Parameters
     ----------
     muscle
-        Muscle of all tendons. Its connectors have the length with which it has its initial length where its path is
-        longest within the ranges of the joints.
+        Muscle of all tendons, or muscles by patterns of their names such as ``biceps*``, of which the first counts. Its
+        connectors have the length with which it has its initial length where its path is longest within the ranges of
+        the joints. A tendon with a stiffness that no actuator drives is a spring.
+    root
+        Name of the base, or of the first body of the robot. Default: the only one that carries hinges.
+    angles
+        Range [rad] of hinges without one.
+    hold_slides
+        Whether slides are held where they are in the file.
     confined
         Whether the file may name only files of its folder.
 
     Raises
     ------
     ScenarioError
-        If MuJoCo cannot load the file, it names files that it must not, or for joints that we do not have; with the
-        line.
+        If MuJoCo cannot load the file, it names files that it must not, for joints that we do not have, and for muscles
+        that do not fit; with the line.
     RangeError
         If the muscle does not permit the paths.
     """
     _check_named_files(path, confined=confined)
-    reader = _Reader(path)
+    file = ModelFile(path, hold_slides=hold_slides)
+    reader = _Reader(file, root, angles)
     robot = reader.robot()
     tendons = dict(reader.tendons())
-    paths = {name: _range_of(robot, points) for name, points in tendons.items()}
-    if muscle is not None and tendons:
+    names = {number: file.name("tendon", number) for number in tendons}
+    paths = path_ranges(file, reader.coordinates, robot, tendons)
+    units = list[PathMuscle]()
+    for number, points in tendons.items():
+        if is_spring(file, number):
+            try:
+                units.append(_spring(names[number], points, file.model, number, paths[number][1]))
+            except RangeError as error:
+                raise file.refusal(Problem.of(error, file.line_of("tendon", number), error.field)) from error
+    springs = {unit.name for unit in units}
+    if muscle is not None:
+        muscles = muscle if isinstance(muscle, Mapping) else {"*": muscle}
+        driven = {number: points for number, points in tendons.items() if names[number] not in springs}
+        units += _fitted(file, driven, muscles, paths)
+    robot = dataclasses.replace(robot, muscles=tuple(units))
+    left_out = *reader.left_out, *differences(file, robot, reader.base, reader.coordinates, tendons)
+    lines = {names[number]: points for number, points in tendons.items()}
+    lengths = {names[number]: paths[number] for number in tendons}
+    return ReadRobot(file.spec.modelname or path.stem, robot, lines, lengths, left_out, tuple(reader.assumed))
+
+
+def read_tendon_muscles(path: Path) -> Muscle | dict[str, Muscle]:
+    """Return the muscle of a file, or muscles by patterns of names of tendons such as ``{biceps*: biceps.yaml}``."""
+    text = read_text(path, "a muscle", "docs/robot-files.md")
+    document = read_document(text)
+    if not isinstance(document.data, dict) or "muscles" not in document.data:
+        return parse_component(Muscle, text, source=str(path), folder=path.parent)
+    muscles = TypeAdapter(dict[str, Annotated[Muscle, ComponentField(Muscle)]]).validate_python
+    context, document = {"folder": path.parent}, document.below("muscles")
+    return validated(muscles, document, str(path), context, (), "patterns with muscles")
+
+
+def _fitted(
+    file: ModelFile,
+    tendons: Mapping[int, tuple[BodyPoint, ...]],
+    muscles: Mapping[str, Muscle],
+    paths: Mapping[int, tuple[float, float]],
+) -> list[PathMuscle]:
+    """Return the muscles of tendons; `ScenarioError` for those without one, and for muscles longer than their paths."""
+    units, problems = list[PathMuscle](), list[Problem]()
+    for number, points in tendons.items():
+        name, longest = file.name("tendon", number), paths[number][1]
+        muscle = next((one for pattern, one in muscles.items() if fnmatch.fnmatchcase(name, pattern)), None)
+        if muscle is None:
+            remedy = f"add {quoted(name)} or a pattern to `muscles`, which has {', '.join(map(quoted, muscles))}"
+            problems.append(file.problem("tendon", number, "it has no muscle", remedy))
+            continue
         length = float(muscle.specimen.initial_length)
-        units = (
-            PathMuscle(name, muscle, through=points, connector_length=_rounded(paths[name][1] - length))
-            for name, points in tendons.items()
-        )
-        robot = dataclasses.replace(robot, muscles=tuple(units))
-    return ReadRobot(reader.name, robot, tendons, paths, tuple(reader.left_out))
+        if length > longest + 1e-9:
+            message = f"its muscle of {length / mm:.4g} mm is longer than its longest path, {longest / mm:.4g} mm"
+            fits = math.floor(longest / mm * 10) / 10
+            remedy = f"give it one with `initial_length: {fits:g} mm` or less, by its name in a file of `muscles`"
+            problems.append(file.problem("tendon", number, message, remedy))
+            continue
+        units.append(PathMuscle(name, muscle, through=points, connector_length=_rounded(max(longest - length, 0.0))))
+    if problems:
+        raise file.refusal(*problems)
+    return units
+
+
+def _spring(name: str, points: tuple[BodyPoint, ...], model, number: int, longest: float) -> PathMuscle:
+    """Tension spring in place of a tendon; it begins to pull where the tendon does."""
+    unloaded, rate = float(model.tendon_lengthspring[number, 1]), float(np.ravel(model.tendon_stiffness[number])[0])
+    free = 4 * max(longest, unloaded)  # the reference of its contraction, which stays small
+    return PathMuscle(name, return_spring(rate, free), through=points, connector_length=_rounded(unloaded - free))
 
 
 _NAMED_FILE = re.compile(rb"""\b(?:file\w*|(?:mesh|texture|asset)dir)\s*=\s*(["'])([^\0]*?)\1""")
@@ -171,18 +256,6 @@ def _check_named_files(path: Path, *, confined: bool) -> None:
         raise ScenarioError(path.name, problems)
 
 
-def _range_of(robot: Robot, points: tuple[BodyPoint, ...]) -> tuple[float, float]:
-    """Shortest and longest path [m] at the ends and in the middle of the ranges of its joints."""
-    middle = [(float(joint.lower) + float(joint.upper)) / 2 for joint in robot.joints]
-    turned = sorted(robot.path_through(points, middle)[1])
-    levels = ((float(robot.joints[i].lower), middle[i], float(robot.joints[i].upper)) for i in turned)
-    angles: list[ArrayLike] = list(middle)
-    for index, column in zip(turned, np.array(list(itertools.product(*levels))).T, strict=True):
-        angles[index] = column
-    lengths = np.asarray(robot.path_through(points, angles)[0])
-    return float(lengths.min()), float(lengths.max())
-
-
 def _rounded(number: float) -> float:
     return float(f"{number:.12g}") if abs(number) > 1e-12 else 0.0
 
@@ -194,127 +267,212 @@ def _place(point: Floats) -> Place:
 class _Reader:
     """A model of MuJoCo at the pose of its file. Bodies that are welded together are one."""
 
-    def __init__(self, path: Path) -> None:
-        try:
-            import mujoco
-        except ImportError as error:
-            raise ParameterError("MuJoCo is not installed", remedy="pip install 'mckibben[mujoco]'") from error
-        self._path, self._mujoco = path, mujoco
-        try:
-            self._spec = mujoco.MjSpec.from_file(str(path))
-            self._spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # of muscles that ours replace
-            self._model = self._spec.compile()
-        except (ValueError, OSError, mujoco.FatalError) as error:
-            text = "; ".join(" ".join(line.split()) for line in str(error).splitlines())
-            line = re.search(r"\bline (\d+)", text)
-            problem = Problem(text, int(line[1]) if line else None, remedy="correct the file, which MuJoCo reads")
-            raise ScenarioError(str(path), [problem]) from error
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_kinematics(self._model, self._data)
-        self.name = self._spec.modelname or path.stem
+    def __init__(self, file: ModelFile, root: str | None, angles: tuple[float, float]) -> None:
+        self._file, self._model, self._data = file, file.model, file.data
+        self._angles = angles
         self.left_out: list[str] = []
+        self.assumed = list(file.corrected)
+        self.coordinates: list[Coordinate] = []
         self._origins: dict[int, tuple[str, Floats]] = {}  # of a body: its name, and the hinge that carries it
+        self._bodies = {file.name("body", body) for body in range(file.model.nbody)}
         self._before = ""  # name of what the joint before carries
+        self.base, self.freedom, self._carried = self._choose(root)
 
-    def _named(self, kind: str, number: int) -> str:
-        return getattr(self._model, kind)(number).name or f"{kind}{number}"
+    def _choose(self, root: str | None) -> tuple[int, Freedom, list[int]]:
+        """Return the base, how it moves, and the bodies on joints; note the bodies beside them."""
+        model, weld = self._model, self._model.body_weldid
+        moving = [body for body in range(1, model.nbody) if weld[body] == body]
+        body, others = self._beside(root, moving)
+        self.left_out += [self._file.named("body", top) for top in others]
+        freedom = self._freedom(body) if body else "fixed"
+        on_joint = freedom == "fixed" and weld[body] == body and body > 0
+        base = int(weld[model.body_parentid[body]] if on_joint else weld[body])
+        carried = [one for one in moving if one != base and self._is_on(one, body)]
+        carried = [one for one in carried if not any(self._is_on(one, top) for top in others)]
+        if not self._hinges(carried, base):
+            message = "the model has no hinge that is not of a base that slides"
+            raise self._file.refusal(Problem(message, remedy="give it one, or another --root"))
+        return base, freedom, carried
 
-    def _line(self, elements: Iterable, number: int) -> str:
-        """Line of an element of the file."""
-        return next((f" ({one.info})" for one in elements if one.id == number and one.info), "")
+    def _beside(self, root: str | None, moving: Sequence[int]) -> tuple[int, list[int]]:
+        """Return the first body of the robot, and those on the world that are left out with all that they carry."""
+        tops = [body for body in moving if self._model.body_weldid[self._model.body_parentid[body]] == 0]
+        if root is not None:
+            body = self._root(root)
+            return body, [top for top in tops if not self._is_on(body, top) and not self._is_on(top, body)]
+        carried: dict[int, list[int]] = {top: [] for top in tops}
+        for body in moving:
+            carried[self._top(body)].append(body)
+        robots = [top for top in tops if self._hinges(carried[top], top)]
+        return self._base_of(robots), [top for top in tops if top not in robots]
 
-    def _refuse(self, what: str, remedy: str) -> ScenarioError:
-        return ScenarioError(str(self._path), [Problem(what, remedy=remedy)])
+    def _top(self, body: int) -> int:
+        """The body on the world that carries a body."""
+        above = body
+        while above:
+            body, above = above, int(self._model.body_weldid[self._model.body_parentid[above]])
+        return body
+
+    def _base_of(self, robots: Sequence[int]) -> int:
+        """Return the only body that moves of those that carry hinges, or the world if all are on hinges."""
+        free = [top for top in robots if {"free", "slide"} & set(self._file.kinds_of(top))]
+        if free and len(robots) > 1:
+            names = ", ".join(quoted(self._file.name("body", top)) for top in robots)
+            remedy = (
+                f"name the body that is the base, or the first of the robot: --root, one of {names}; or --hold-slides"
+            )
+            raise self._file.refusal(self._file.problem("body", free[0], "it moves, beside others with hinges", remedy))
+        return free[0] if free else 0
+
+    def _root(self, name: str) -> int:
+        names = [self._file.name("body", body) for body in range(self._model.nbody)]
+        if name not in names:
+            raise ParameterError(f"there is no body {quoted(name)}", field="root", remedy=suggest(name, names))
+        return names.index(name)
+
+    def _is_on(self, body: int, top: int) -> bool:
+        """Whether a body is another, or carried by it."""
+        while body and body != top:
+            body = int(self._model.body_parentid[body])
+        return body == top
+
+    def _hinges(self, bodies: Sequence[int], base: int) -> bool:
+        """Whether there is a joint that is not of a base that moves."""
+        moves = {"free", "slide"} & set(self._file.kinds_of(base)) if base else set()
+        kinds = [kind for body in bodies if not (moves and body == base) for kind in self._file.kinds_of(body)]
+        return bool({"hinge", "ball"} & set(kinds))
 
     def robot(self) -> Robot:
         """Return bodies and joints, and note what is not carried over."""
-        model = self._model
-        moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
-        first = [body for body in moving if model.body_weldid[model.body_parentid[body]] == 0]
-        base, freedom = 0, self._freedom(first[0]) if first else "fixed"
-        if freedom != "fixed":
-            base = first[0]
-            if len(first) > 1:
-                remedy = "give one file for each robot"
-                raise self._refuse("several bodies move in the world, beside one that moves freely", remedy)
-        still = [body for body in range(1, model.nbody) if model.body_weldid[body] == 0]
-        name = self._named("body", base or still[0]) if base or still else "base"
-        origin = np.zeros(3) if base == 0 else self._data.xpos[base].copy()
-        bodies, joints = [self._body(name, base, origin)], list[Joint]()
+        model, base = self._model, self.base
+        still = [body for body in range(1, model.nbody) if model.body_weldid[body] == base]
+        name = self._file.name("body", base or still[0]) if base or still else "base"
+        origin = self._data.xpos[base].copy()
         self._origins[base], self._before = (name, origin), name
-        for body in moving:
-            if body != base:
-                joints += self._joints(body, bodies)
-        if not joints:
-            raise self._refuse("the model has no hinge", "give it one or more")
+        bodies, joints, problems = list[Body](), list[Joint](), list[Problem]()
+        for body in [base, *self._carried]:
+            try:
+                if body == base:
+                    bodies.append(self._body(name, base, origin))
+                else:
+                    joints += self._joints(body, bodies)
+            except RangeError as error:
+                problem = Problem.of(error, self._file.line_of("body", body), error.field)
+                problems.append(
+                    dataclasses.replace(problem, message=f"{self._file.name('body', body)}: {error.message}")
+                )
+            except ScenarioError as error:
+                problems += error.problems
+        if problems:
+            raise self._file.refusal(*problems)
         self._note_rest()
         spheres = tuple(self._spheres())
-        return Robot(tuple(bodies), tuple(joints), (), freedom, spheres[0] if spheres else None, spheres[1:])
+        feet = spheres[0] if spheres else None, spheres[1:]
+        off = self._file.disabled("gravity")
+        gravity = tuple(0.0 if off else _rounded(one / GRAVITY) for one in model.opt.gravity.tolist())
+        try:
+            return Robot(tuple(bodies), tuple(joints), (), self.freedom, *feet, gravity)
+        except RangeError as error:
+            raise self._file.refusal(self._where(error, joints)) from error
+
+    def _where(self, error: RangeError, joints: Sequence[Joint]) -> Problem:
+        """Problem of a robot, at the line of the joint that it names."""
+        kind, _, rest = error.field.partition(".")
+        number = rest.split(".")[0]
+        line = None
+        if kind == "joints" and number.isdigit() and int(number) < len(joints):
+            line = self._file.line_of("joint", self.coordinates[int(number)].joint)
+        return Problem.of(error, line, error.field)
 
     def _freedom(self, body: int) -> Freedom:
-        """Kind of base, from the joints of the first body that moves in the world."""
-        model, kinds = self._model, self._mujoco.mjtJoint
-        numbers = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-        types = [model.jnt_type[number] for number in numbers]
-        if types == [kinds.mjJNT_FREE]:
-            return "floating"
-        if kinds.mjJNT_SLIDE not in types:
+        """Kind of base, from the joints of a body."""
+        model, types, numbers = self._model, self._file.kinds_of(body), self._file.joints_of(body)
+        if "slide" not in types and types != ["free"]:
             return "fixed"
         for number in numbers:
-            parts = {"range": model.jnt_limited, "stiffness": model.jnt_stiffness}
-            of_dof = {"damping": model.dof_damping, "friction": model.dof_frictionloss, "armature": model.dof_armature}
-            given = [what for what, values in parts.items() if np.any(values[number])]
-            given += [what for what, values in of_dof.items() if np.any(values[model.jnt_dofadr[number]])]
-            self.left_out += [f"{what} of the base's {self._joint(number)}" for what in given]
+            given = ["range"] if model.jnt_limited[number] else []
+            given += ["friction"] if np.any(model.dof_frictionloss[model.jnt_dofadr[number]]) else []
+            self.left_out += [f"{what} of the base's {self._file.named('joint', number)}" for what in given]
+        if types == ["free"]:
+            return "floating"
         axes = [np.abs(self._data.xaxis[number]) for number in numbers]
-        turns = ["turn about " if kind == kinds.mjJNT_HINGE else "" for kind in types]
-        along = tuple(
-            turn + "xyz"[int(axis.argmax())] for turn, axis in zip(turns, axes, strict=True) if axis.max() > 1 - 1e-9
-        )
+        turns = ["turn about " if kind == "hinge" else "" for kind in types]
+        order = sorted(zip(turns, axes, strict=True), key=lambda pair: (pair[0], int(pair[1].argmax())))
+        along = tuple(turn + "xyz"[int(axis.argmax())] for turn, axis in order if axis.max() > 1 - 1e-9)
         if len(along) == len(types) and along in _BASES:
             return _BASES[along]
-        found = ", ".join(map(self._joint, numbers))
+        moved = ", ".join(self._file.name("joint", number) for number in numbers)
         known = "; ".join(", ".join(names) for names in _BASES)
-        raise self._refuse(f"{found}: no base of ours moves so", f"give a freejoint, or slides along: {known}")
-
-    def _joint(self, number: int) -> str:
-        """Name of a joint, and its line."""
-        return f"joint {self._named('joint', number)}{self._line(self._spec.joints, number)}"
+        message, remedy = f"no base of ours moves so ({moved})", f"give a freejoint, or slides along: {known}"
+        raise self._file.refusal(self._file.problem("joint", numbers[0], message, remedy))
 
     def _joints(self, body: int, bodies: list[Body]) -> Iterator[Joint]:
         """Yield the hinges of a body, the last of which carries it, and add the body."""
-        model, data = self._model, self._data
-        name = self._named("body", body)
+        model, name = self._model, self._file.name("body", body)
         above, at = self._origins[int(model.body_weldid[model.body_parentid[body]])]
-        numbers = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-        for number in numbers:
-            joint, named = self._named("joint", number), self._joint(number)
-            if model.jnt_type[number] != self._mujoco.mjtJoint.mjJNT_HINGE:
-                remedy = "we have hinges: give it successive ones, or leave it out"
-                raise self._refuse(f"{named} is not a hinge", remedy)
-            if not model.jnt_limited[number]:
-                raise self._refuse(f"{named} has no range", "give it a `range`, within which muscles act")
-            if np.any(model.jnt_stiffness[number]):
-                self.left_out.append(f"stiffness of {named}")
-            dof, anchor = model.jnt_dofadr[number], data.xanchor[number]
-            loss, rotor = float(model.dof_frictionloss[dof]), float(model.dof_armature[dof])
-            low, high = model.jnt_range[number].tolist()
-            yield Joint(
+        numbers, kinds = self._file.joints_of(body), self._file.kinds_of(body)
+        self._origins[body] = name, self._data.xanchor[numbers[-1]].copy()
+        bodies.append(self._body(name, body, self._origins[body][1]))
+        coordinates = [
+            Coordinate(number, axis)
+            for number, kind in zip(numbers, kinds, strict=True)
+            for axis in (range(3) if kind == "ball" else (None,))
+        ]
+        for number, kind in zip(numbers, kinds, strict=True):
+            if kind in ("slide", "free"):
+                remedy = "hold it where it is, by --hold-slides; or name another robot by --root"
+                raise self._file.refusal(self._file.problem("joint", number, f"it is a {kind}, not a hinge", remedy))
+        for coordinate in coordinates:
+            joint = self._hinge(body, coordinate)
+            anchor, carries = self._data.xanchor[coordinate.joint], coordinate == coordinates[-1]
+            yield dataclasses.replace(
                 joint,
-                tuple(map(_rounded, data.xaxis[number].tolist())),
-                *(low, high),
-                body=name if number == numbers[-1] else None,
+                body=name if carries else None,
                 parent=None if above == self._before else above,
                 place=_place(anchor - at),
-                offset=_rounded(-float(model.qpos0[model.jnt_qposadr[number]])),
-                damping=float(np.ravel(model.dof_damping[dof])[0]),
-                rotor_inertia=rotor or None,
-                friction=JointFriction(loss) if loss else None,
             )
-            above, at = joint, anchor.copy()
-            self._before = name if number == numbers[-1] else joint
-        bodies.append(self._body(name, body, at))
-        self._origins[body] = name, at
+            self.coordinates.append(coordinate)
+            above, at = joint.name, anchor.copy()
+            self._before = name if carries else joint.name
+
+    def _hinge(self, body: int, coordinate: Coordinate) -> Joint:
+        """Return a hinge, or that of a ball about one of its axes, without what carries it."""
+        model, (number, axis) = self._model, coordinate
+        dof, at = model.jnt_dofadr[number] + (axis or 0), model.jnt_qposadr[number]
+        name, low, high = self._file.name("joint", number), *model.jnt_range[number].tolist()
+        if number != self._file.joints_of(body)[-1] and name in self._bodies:  # what it carries has its name
+            name = f"{name} joint"
+        if not model.jnt_limited[number]:
+            low, high = self._angles
+            self.assumed.append(f"joint {name} has no range: {low / deg:.4g}..{high / deg:.4g} deg; see --range")
+        if axis is not None:
+            high = min(high, 85 * deg if axis == 1 else 2 * np.pi)
+            low, direction = -high, self._data.xmat[body].reshape(3, 3)[:, axis]
+            name = f"{name} {'xyz'[axis]}"
+            self.assumed.append(f"the ball is the hinge {name}: {low / deg:.4g}..{high / deg:.4g} deg")
+        else:
+            direction = self._data.xaxis[number]
+        if low < -2 * np.pi or high > 2 * np.pi:
+            low, high = max(low, -2 * np.pi), min(high, 2 * np.pi)
+            self.assumed.append(f"joint {name} turns by {low / deg:g}..{high / deg:g} deg alone")
+        spring = (
+            0.0
+            if axis is not None or self._file.disabled("spring")
+            else float(np.ravel(model.jnt_stiffness[number])[0])
+        )
+        damping = 0.0 if self._file.disabled("damper") else float(np.ravel(model.dof_damping[dof])[0])
+        loss = 0.0 if self._file.disabled("frictionloss") else float(model.dof_frictionloss[dof])
+        return Joint(
+            name,
+            tuple(map(_rounded, direction.tolist())),
+            *(low, high),
+            offset=_rounded(-float(model.qpos0[at])) if axis is None else 0.0,
+            damping=damping,
+            rotor_inertia=float(model.dof_armature[dof]) or None,
+            friction=JointFriction(loss) if loss else None,
+            spring=spring or None,
+            spring_angle=_rounded(float(model.qpos_spring[at])) if spring else 0.0,
+        )
 
     def _body(self, name: str, number: int, origin: Floats) -> Body:
         """Bodies that are welded to one, as one."""
@@ -340,52 +498,49 @@ class _Reader:
     def _spheres(self) -> Iterator[Foot]:
         """Yield the spheres whose names begin with foot, the first of which is the foot."""
         for number in range(self._model.ngeom):
-            sphere = self._model.geom_type[number] == self._mujoco.mjtGeom.mjGEOM_SPHERE
+            sphere = self._model.geom_type[number] == self._file.mujoco.mjtGeom.mjGEOM_SPHERE
             if self._model.geom(number).name.startswith("foot") and sphere:
-                name, origin = self._origins[int(self._model.body_weldid[self._model.geom_bodyid[number]])]
+                carrier = int(self._model.body_weldid[self._model.geom_bodyid[number]])
+                if carrier not in self._origins:
+                    continue
+                name, origin = self._origins[carrier]
                 radius = float(self._model.geom_size[number, 0])
                 yield Foot(name, _place(self._data.geom_xpos[number] - origin), _rounded(radius))
 
-    def tendons(self) -> Iterator[tuple[str, tuple[BodyPoint, ...]]]:
-        """Yield name and points of each tendon that is a line through sites; note the others."""
-        model, wraps = self._model, self._mujoco.mjtWrap
+    def tendons(self) -> Iterator[tuple[int, tuple[BodyPoint, ...]]]:
+        """Yield number and points of each tendon that is a line through sites; note the others."""
+        model, wraps = self._model, self._file.mujoco.mjtWrap
         for number in range(model.ntendon):
             parts = range(model.tendon_adr[number], model.tendon_adr[number] + model.tendon_num[number])
-            name, line = self._named("tendon", number), self._line(self._spec.tendons, number)
+            named = self._file.named("tendon", number)
             others = {int(model.wrap_type[part]) for part in parts} - {int(wraps.mjWRAP_SITE)}
             if others:
                 what = ", ".join(sorted(wraps(kind).name.removeprefix("mjWRAP_").lower() for kind in others))
-                self.left_out.append(f"tendon {name}{line}: it has a {what}")
+                self.left_out.append(f"{named}: it has a {what}")
                 continue
-            points = []
-            for site in (int(model.wrap_objid[part]) for part in parts):
-                body, origin = self._origins[int(model.body_weldid[model.site_bodyid[site]])]
-                points.append(BodyPoint(body, _place(self._data.site_xpos[site] - origin)))
-            if len({point.body for point in points}) < 2:
-                self.left_out.append(f"tendon {name}{line}: all its points are on one body")
+            sites = [int(model.wrap_objid[part]) for part in parts]
+            carriers = [int(model.body_weldid[model.site_bodyid[site]]) for site in sites]
+            if not self._origins.keys() >= set(carriers):
+                self.left_out.append(f"{named}: it is tied to a body that is left out")
                 continue
-            yield name, tuple(points)
+            if len(set(carriers)) < 2:
+                self.left_out.append(f"{named}: all its points are on one body")
+                continue
+            carriers = [self._origins[carrier] for carrier in carriers]
+            places = [_place(self._data.site_xpos[s] - at) for s, (_, at) in zip(sites, carriers, strict=True)]
+            yield number, tuple(BodyPoint(body, place) for (body, _), place in zip(carriers, places, strict=True))
 
     def _note_rest(self) -> None:
-        """Note constraints and springs that are not carried over."""
-        model, spec = self._model, self._spec
-        for number in range(model.neq):
-            kind = self._mujoco.mjtEq(int(model.eq_type[number])).name.removeprefix("mjEQ_").lower()
-            name = model.equality(number).name
-            self.left_out.append(f"equality {kind} {name}".rstrip() + self._line(spec.equalities, number))
-        moving = model.body_weldid[model.geom_bodyid] > 0
-        touching = np.flatnonzero(moving & ((model.geom_contype > 0) | (model.geom_conaffinity > 0)))
-        others = [number for number in touching.tolist() if not model.geom(number).name.startswith("foot")]
-        if others:
-            first = self._named("geom", others[0]) + self._line(spec.geoms, others[0])
-            self.left_out.append(f"contact of {len(others)} geoms, but for spheres named foot...; the first is {first}")
-        for number in range(model.nu):
-            self.left_out.append(f"actuator {self._named('actuator', number)}{self._line(spec.actuators, number)}")
-        parts = {"stiffness": "stiffness", "damping": "damping", "frictionloss": "friction", "limited": "range"}
-        for number, (part, what) in itertools.product(range(model.ntendon), parts.items()):
-            if np.any(getattr(model, f"tendon_{part}")[number]):
-                named = self._named("tendon", number) + self._line(spec.tendons, number)
-                self.left_out.append(f"{what} of tendon {named}")
-        x, y, z = model.opt.gravity.tolist()
-        if abs(x) + abs(y) > 1e-9 or abs(z + GRAVITY) > 1e-3:
-            self.left_out.append(f"gravity {x:g} {y:g} {z:g}: ours is {GRAVITY} m/s^2 downwards")
+        """Note elements that act on neither the masses nor the passive forces."""
+        model = self._model
+        self.left_out += self._file.dropped
+        touching = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+        others = [n for n in np.flatnonzero(touching).tolist() if not model.geom(n).name.startswith("foot")]
+        others = [n for n in others if int(model.body_weldid[model.geom_bodyid[n]]) in self._origins]
+        if others and any(model.body_weldid[model.geom_bodyid[n]] for n in others):
+            self.left_out.append(f"contact of {len(others)} geoms, but for spheres named foot...")
+        for number, (field, what) in itertools.product(
+            range(model.ntendon), {"frictionloss": "friction", "limited": "range"}.items()
+        ):
+            if np.any(getattr(model, f"tendon_{field}")[number]):
+                self.left_out.append(f"{what} of {self._file.named('tendon', number)}")
