@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import approx_fprime, fsolve
 
 import mckibben as mk
-from mckibben.mechanism.dynamics import Posture, Velocity, acceleration, motion
+from mckibben.mechanism.dynamics import Posture, Velocity, acceleration, at_rest, joint_equations, motion, posture_of
 from mckibben.mechanism.ground import compliant_force
 from mckibben.robot import Ground, RobotPlant, attainable_point_stiffness, point_stiffness
 from mckibben.study.jumping import standing_torques
@@ -125,3 +125,17 @@ def test_foot_stiffness_is_that_of_small_displacements(plant):
     assert len(attainable) == 9 and float(low) < float(high)
     softest = min(one.principal[0] for one in attainable)
     assert softest < max(one.principal[0] for one in attainable)
+
+
+def test_gravity_of_any_direction_and_springs_are_the_slope_of_the_potential_energy(pair):
+    robot = robot_of(pair, "fixed")
+    joints = (dataclasses.replace(robot.joints[0], spring=3.0, spring_angle=0.2), *robot.joints[1:])
+    robot = dataclasses.replace(robot, joints=joints, gravity=(0.3, -0.2, -0.9))
+
+    def energy(angles):
+        posture = posture_of(robot, tuple(angles))
+        return motion(robot, posture, at_rest(posture), 9.81).potential
+
+    angles = jnp.array([0.05, -0.03, 0.02])
+    bias = joint_equations(robot, tuple(angles), (0.0,) * 3, 9.81).bias
+    np.testing.assert_allclose(bias, jax.grad(energy)(angles), rtol=1e-9)
