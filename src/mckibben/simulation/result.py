@@ -69,12 +69,15 @@ declare(
 
 
 class Columns(UserDict[str, Any]):
-    """Arrays by name; a function in place of one is called when the array is first asked for."""
+    """Arrays by name; a function in place of one is called with its name when the array is first asked for.
+
+    A tuple has a value for each joint or muscle.
+    """
 
     def __getitem__(self, key: str) -> np.ndarray:
-        value = super().__getitem__(key)
+        value = self.data[key]
         if not isinstance(value, np.ndarray):
-            value = self[key] = np.asarray(value() if callable(value) else value)
+            value = self.data[key] = np.asarray(value(key) if callable(value) else value)
         return value
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, np.ndarray]]]:
@@ -113,8 +116,8 @@ class SimulationResult(Result):
         Arrays by name.
     control_period
         Time between two values [s].
-    scenario
-        Text of the scenario, or empty.
+    source
+        The scenario, its text, or empty.
     engine
         Engine that computed the run, "native" or "xla", or empty.
     resolution
@@ -131,8 +134,6 @@ class SimulationResult(Result):
         Function of the remarks on the plant, which take longer than a run.
     joints, muscles
         Names of the joints and muscles of a robot.
-    document
-        The scenario that `write` writes, None for none.
     landing
         Function of the metrics of a run that follows no references; None for others.
     """
@@ -142,7 +143,7 @@ class SimulationResult(Result):
 
     columns: Mapping[str, Any]
     control_period: float
-    scenario: str = ""
+    source: str | DocumentModel = ""
     engine: str = ""
     resolution: Resolution | None = None
     angle_resolution: float = 0.0
@@ -152,7 +153,6 @@ class SimulationResult(Result):
     notes: Callable[[], list[Remark]] = list
     joints: tuple[str, ...] = ()
     muscles: tuple[str, ...] = ()
-    document: DocumentModel | None = None
     landing: Callable[[], RobotMetrics] | None = None
 
     @classmethod
@@ -181,6 +181,11 @@ class SimulationResult(Result):
         """The numbers of the class `kind` by name, in SI; an array where there is one for each joint."""
         values = self._measure()._asdict().items()
         return Measured({name: np.array(value) if isinstance(value, tuple) else float(value) for name, value in values})
+
+    @functools.cached_property
+    def scenario(self) -> str:
+        """Text of the scenario, or empty."""
+        return self.source if isinstance(self.source, str) else self.source.dumps()
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -408,10 +413,10 @@ class SimulationResult(Result):
                 if dims == ("time",)
             }
             write_samples(folder / "result.mcap", columns, {"scenario.yaml": self.scenario.encode()})
-        if self.document is not None:
-            self.document.to_yaml(folder / "scenario.yaml")
-        elif self.scenario:
-            (folder / "scenario.yaml").write_text(self.scenario, encoding="utf-8")
+        if not isinstance(self.source, str):
+            self.source.to_yaml(folder / "scenario.yaml")
+        elif self.source:
+            (folder / "scenario.yaml").write_text(self.source, encoding="utf-8")
 
     def _attributes(self) -> dict[str, Any]:
         """Attributes of the dataset."""
@@ -505,17 +510,20 @@ def _path_columns(joint: AntagonisticJoint, lane: tuple[Array, Array, Pressures,
 
 def path_columns(
     joint: AntagonisticJoint, state: PlantState, stiffness_amplitude: ArrayLike | None
-) -> dict[str, Callable[[], Array]]:
-    """Functions that compute the columns of the muscles' friction and creep, by name; empty without them.
+) -> dict[str, Callable[[str], Array]]:
+    """Function that computes each column of the muscles' friction and creep, by name; empty without them.
 
     The stiffness of small motion is one of them unless the controller has a `stiffness_amplitude`.
     """
-    parts = state.position, state.velocity, state.pressures, state.muscles
-    lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), parts)
-    computed = functools.cache(lambda: _path_columns(joint, lanes))
     names = ["friction_torque"] * joint.has_friction + ["creep_torque"] * joint.has_creep
     names += ["small_motion_stiffness"] * (joint.has_friction and stiffness_amplitude is None)
-    return {name: functools.partial(lambda name: computed()[name], name) for name in names}
+
+    @functools.cache
+    def computed() -> dict[str, Array]:
+        parts = state.position, state.velocity, state.pressures, state.muscles
+        return _path_columns(joint, jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), parts))
+
+    return dict.fromkeys(names, lambda name: computed()[name])
 
 
 def columns_of_run(
@@ -539,31 +547,21 @@ def columns_of_run(
     def bodies() -> dict[str, PyTree]:
         return body_columns(plant, state)
 
-    def stacked(value: PyTree) -> PyTree:
-        return np.stack(value) if isinstance(value, tuple) else value
-
-    def column(name: str) -> Callable[[], PyTree]:
-        return functools.partial(lambda name: stacked(column_of(derived(), name)), name)
-
-    known: dict[str, PyTree] = {"angle": state.angle, "velocity": angles_of(state.velocity)}
+    columns: dict[str, PyTree] = dict.fromkeys(column_names(joints), lambda name: column_of(derived(), name))
+    columns |= dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
+    columns |= {name: value for name, value in record.telemetry.items() if name != "saturated"}
+    columns |= {"angle": state.angle, "velocity": angles_of(state.velocity)}
     recorded = {"pressure": state.pressures, "command": record.commands}
     if joints:
-        known |= recorded
-    else:
-        known |= {f"{name}{number}": value for name, pair in recorded.items() for number, value in enumerate(pair, 1)}
-    columns: dict[str, PyTree] = {name: column(name) for name in column_names(joints)}
-    columns |= dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
-    columns |= {name: stacked(value) for name, value in record.telemetry.items() if name != "saturated"}
-    if joints:
-        columns |= {name: functools.partial(lambda name: stacked(bodies()[name]), name) for name in BODY}
+        columns |= recorded | dict.fromkeys(BODY, lambda name: bodies()[name])
     else:
         columns |= path_columns(plant.joint, state, stiffness_amplitude)
-    columns |= {name: stacked(value) for name, value in known.items()}
+        columns |= {f"{name}{number}": value for name, pair in recorded.items() for number, value in enumerate(pair, 1)}
     if follows:
         columns |= {
-            "desired_angle": stacked(over_joints(lambda own: own.angle, setpoints)),
-            "desired_stiffness": stacked(over_joints(lambda own: own.stiffness, setpoints)),
-            "angle_without_step": lambda: stacked(without_step()),
+            "desired_angle": over_joints(lambda own: own.angle, setpoints),
+            "desired_stiffness": over_joints(lambda own: own.stiffness, setpoints),
+            "angle_without_step": lambda _: without_step(),
         }
     else:
         columns = {name: value for name, value in columns.items() if name not in REFERENCES}

@@ -131,7 +131,7 @@ def simulate(
     check_engine(engine)
     problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
     setpoints = in_order(plant, sampled_reference(problem.reference, times))
-    plant.check_start(initial)
+    type(plant).check_start(plant, initial)  # unbound, as by `split_problem`
     for own in setpoints if isinstance(setpoints, tuple) and plant.mechanism.joint_names else ():
         check_positive("reference", "N*m/rad", stiffness=own.stiffness)
     start, exists = starts_of(None, problem, setpoints, engine=engine)
@@ -330,11 +330,10 @@ def _result(
 
     free = not run.controller.follows_reference
     amplitude = getattr(run.controller, "stiffness_amplitude", None)
-    document = None if isinstance(scenario, str) else scenario
     return SimulationResult(
         columns_of_run(plant, setpoints, record, without_step, amplitude, reach, run.engine),
         run.control_period,
-        scenario if isinstance(scenario, str) else scenario.dumps(),
+        scenario,
         used,
         resolution,
         angle_resolution=float(plant.sensors.angle_resolution),
@@ -343,7 +342,6 @@ def _result(
         notes=notes,
         joints=plant.mechanism.joint_names,
         muscles=plant.mechanism.muscle_names,
-        document=document,
         landing=functools.partial(measure_landing, plant, record.state, final, run.control_period) if free else None,
     )
 

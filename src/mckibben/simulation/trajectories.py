@@ -77,6 +77,7 @@ REFERENCES = ("desired_angle", "desired_stiffness", "angle_without_step")
 """Columns of runs that follow references."""
 
 
+@functools.cache
 def column_names(joints: tuple[str, ...]) -> tuple[str, ...]:
     """Return the columns of a trajectory in results: those of an unnamed joint have one for each of its two muscles."""
     each = {name: [f"{name}1", f"{name}2"] if label.along == "muscle" else [name] for name, label in LABELS.items()}
