@@ -226,8 +226,3 @@ def _sum(forces: Sequence[Vector], state: PlantState) -> Vector:
     """Sum of forces [N], of arrays."""
     zero = jnp.zeros_like(state.position.x)
     return functools.reduce(operator.add, forces) if forces else Vector(zero, zero, zero)
-
-
-def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
-    """Power [W] of forces at the rates of their coordinates."""
-    return jnp.asarray(sum(force * rate for force, rate in zip(forces, rates, strict=True)))
