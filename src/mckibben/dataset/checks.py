@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 _UNIT = "check the unit: columns={'HEADER': 'force_UNIT'} (command line: --column 'HEADER=force_UNIT')"
 _TURNED = "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')"
 SLACK, _TAUT = 0.05, 0.15  # of the largest force: up to which a muscle may be slack, and from which it is not
-_CREEP = 0.1  # of the largest force: changes within a recording
 _RANK = 1e-9  # of the largest singular value: less is rounding
 _SHORTENS, _STRETCHED = ("unloading", "filling"), ("loading", "venting")  # or would, at a fixed length
 _REMEDIES = {
@@ -393,7 +392,7 @@ def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     means at rest also the scatter of their forces.
     """
     taut = np.flatnonzero(points.taut)
-    if len(taut) < fewest:
+    if len(taut) < fewest or (points.timed and not points.scatter):
         return
     side = np.zeros(len(points.force)) if points.side is None else points.side
     rows, side = points.table[taut], side[taut]
@@ -403,8 +402,7 @@ def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
     row, size, change, _, median = shifts[quantity]
     largest = points.force.max()
     least = (0.5, 0.5, SLACK * largest)[quantity]
-    scatter = points.scatter or (_CREEP if points.timed else 0.0)
-    if median <= 0.5 * usual and abs(size) >= least and change >= scatter * largest:
+    if median <= 0.5 * usual and abs(size) >= least and change >= points.scatter * largest:
         name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
         text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
         yield points.ask("order", text, int(taut[row]), name, "shift")

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
-from mckibben.dataset.checks import SLACK, residuals_of
-from mckibben.dataset.isobaric import format_list
+from mckibben.dataset.checks import SLACK, motion_side, residuals_of
+from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import with_notes
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.segmentation import alternation, going_on, runs, usual_interval
 from mckibben.dataset.table import Question, question
 from mckibben.errors import McKibbenWarning, RangeError
-from mckibben.units import kPa, percent, show
+from mckibben.units import bar, kPa, percent, show
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -34,6 +34,7 @@ _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
 _EVENTS = 16  # effective number of changes, twice the terms of a fit
+_FEWEST = 4  # points before and after an offset
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
 
@@ -60,6 +61,33 @@ def changes_at_once(force: Floats, size: int, most: float) -> bool:
     at = 1 + int(np.argmax(steps[1:]))
     apart = abs(means[: at + 1].mean() - means[at + 1 :].mean())
     return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
+
+
+def offset_from(dataset: IsobaricDataset, *, most: int = 200) -> Iterator[Question]:
+    """Question about points in the order of a test, from one of which on a sensor has another zero.
+
+    Least squares of the taut points, thinned to about `most`, with ``F = p (a + b eps + c eps^2) + d + e eps`` and
+    friction in either way, from one point on with another plane. It halves the residuals, by a tenth of the largest
+    force on average, and is no extrapolation: the residuals without it are a tenth of this step or more.
+    """
+    taut = np.flatnonzero(dataset.force > SLACK * dataset.force.max(initial=0.0))
+    points = dataset.select(np.isin(np.arange(len(dataset)), taut[:: max(1, len(taut) // most)]))
+    force, pressure, contraction = points.force, points.pressure / bar, points.contraction
+    side, ones = motion_side(points), np.ones_like(force)
+    side = 0 * force if side is None else side
+    plane = [ones, contraction, pressure]
+    basis = np.column_stack([*plane, pressure * contraction, pressure * contraction**2, side, side * pressure])
+    fits = [(float(np.sum(residuals_of(force, basis) ** 2)), 0, 0.0)]
+    for at in range(_FEWEST, len(force) - _FEWEST if len(force) > 2 * basis.shape[1] else 0):
+        after = (np.arange(len(force)) >= at)[:, None] * basis[:, :3]
+        solution = np.linalg.lstsq(np.column_stack([basis, after]), force, rcond=None)[0]
+        left = force - np.column_stack([basis, after]) @ solution
+        fits.append((float(left @ left), at, float(np.mean(after[at:] @ solution[-3:]))))
+    least, at, step = min(fits)
+    scatter = np.sqrt(fits[0][0] / max(len(force), 1))
+    if 4 * least < fits[0][0] and 0.1 * force.max() < abs(step) < min(force.max(), 10 * scatter):
+        text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
+        yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
 
 
 def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], list[Question]]:

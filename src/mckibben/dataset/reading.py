@@ -15,7 +15,7 @@ import numpy as np
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.clocks import PAIRED, join_clocks, join_pairs
-from mckibben.dataset.faults import without_faults
+from mckibben.dataset.faults import offset_from, without_faults
 from mckibben.dataset.file_names import SeveralPartsError, add_from_name, numbers_in
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -100,7 +100,7 @@ def read_dataset(
     files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
     samples, faults = dataset.table, []
     sound = np.arange(len(files))
-    if not own and sample_rate(samples):
+    if recorded := not own and bool(sample_rate(samples)):
         files += np.cumsum(restarts(samples))
         samples, sound, faults = without_faults(samples)
     if problems := open_problems(faults, recipe.accept):
@@ -109,6 +109,8 @@ def read_dataset(
     dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, sound[rows])))
     if not own:
         check_points(dataset, source, recipe.accept)
+    if recorded and (problems := open_problems([*offset_from(dataset)], recipe.accept)):
+        raise DatasetError(source, problems)
     return dataset
 
 
