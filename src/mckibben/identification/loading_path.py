@@ -326,8 +326,8 @@ def with_last_motion(means: IsobaricDataset) -> IsobaricDataset:
 def _half_gap(means: IsobaricDataset, rows: Bools | Ints, degree: int) -> tuple[float, float, int]:
     """Half the force of loading minus that of unloading [N], its standard error and degrees of freedom.
 
-    It is the coefficient of the direction of some rows beside polynomials of a degree in the contraction: one alone and,
-    if their pressures differ, one times the pressure.
+    It is the coefficient of the direction of some rows beside a polynomial of a degree in the contraction and, if their
+    pressures differ, another one times the pressure.
     """
     place, pressure = means.contraction[rows], means.pressure[rows] / bar
     side = np.where(means.table["direction"].to_numpy()[rows] == "loading", 1.0, -1.0)
@@ -383,8 +383,8 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> tuple[float, float]:
 
     if not abs(middle) > float(stdtrit(freedom, 0.975 if fixed else 0.99865)) * error:
         raise NoHysteresisError(
-            f"loading is {2 * middle:.2g} N above unloading, with a standard error of {2 * error:.2g} N ({freedom:.3g} degrees "
-            "of freedom): the data show no hysteresis",
+            f"loading is {2 * middle:.2g} N above unloading, with a standard error of {2 * error:.2g} N ({freedom} "
+            "degrees of freedom): the data show no hysteresis",
             value=2 * middle,
             unit="N",
             remedy=f"fit the law alone (`identify`), or measure {'at more lengths' if fixed else 'with less noise'}",
