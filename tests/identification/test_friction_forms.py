@@ -92,7 +92,7 @@ def test_drift_of_a_load_cell_that_is_never_negative_does_not_ruin_the_law(drift
     data = loops("coulomb", drift=drift)
     found = identify_hysteresis(ExponentialLaw, data)
     assert found.drift.rate * 3600 == pytest.approx(drift, rel=0.15)
-    corrected = found.corrected(data)
+    corrected = found.corrected_points
     assert corrected.slack[data.slack].all()
     assert law_error(fit_law(ExponentialLaw, corrected).law) < 0.4
 

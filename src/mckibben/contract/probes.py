@@ -54,7 +54,7 @@ _RANGES: Ranges = {
     "error": (-0.1, 0.1),
     "force": (0.0, 100.0),
     "jerk": (1500.0, 2500.0),
-    "known": (-20.0, 20.0),
+    "acceleration": (-20.0, 20.0),
     "length": (170 * mm, 190 * mm),
     "measured": (-0.1, 0.1),
     "move": (-3 * mm, 3 * mm),
