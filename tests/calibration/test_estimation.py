@@ -18,6 +18,7 @@ from mckibben.calibration import (
 )
 from mckibben.calibration.equations import linearised, problem_of, samples_of
 from mckibben.calibration.models import HingeModel, RobotModel, Weight
+from mckibben.calibration.recordings import check_recording
 from mckibben.dataset import Recipe
 from mckibben.errors import DatasetError, IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
@@ -226,6 +227,15 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
     assert caught.value.remedy
     if field is not None:
         assert caught.value.value == field
+
+
+def test_a_recording_lasts_to_the_end_of_its_last_sample():
+    """A part of 5 s at 250 Hz, the shortest of `mckibben calibrate`, ends at 4.996 s."""
+    time = np.arange(1250) / 250
+    check_recording(JointRecording(time, 0 * time, np.ones((time.size, 2))))
+    with pytest.raises(IdentificationError) as caught:
+        check_recording(JointRecording(time[1:], time[1:], np.ones((time.size - 1, 2))))
+    assert caught.value.value == 1249
 
 
 @pytest.mark.slow

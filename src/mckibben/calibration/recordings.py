@@ -142,8 +142,9 @@ def check_recording(recording: JointRecording, *, shortest: float = 5.0) -> None
     if not all(np.all(np.isfinite(column)) for column in columns):
         raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time
-    if time.size < 50 or time[-1] - time[0] < shortest:
-        message = f"a recording of {time.size} samples over {np.ptp(time) if time.size else 0:.3g} s is too short"
+    span = float(np.ptp(time)) * time.size / (time.size - 1) if time.size > 1 else 0.0  # the last sample lasts, too
+    if time.size < 50 or span < shortest - 1e-6:
+        message = f"a recording of {time.size} samples over {span:.3g} s is too short"
         raise IdentificationError(message, value=time.size, remedy=f"record at least {shortest:g} s")
 
 
