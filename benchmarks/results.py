@@ -24,7 +24,7 @@ def markdown(listing):
     """A table with its title."""
     header = [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in listing.header()]
     rows = [header, ["---"] * len(header), *listing.rows()]
-    return "\n".join([f"## {listing.title}\n", *(f"| {' | '.join(row)} |" for row in rows)])
+    return "\n".join([f"## {listing.title or 'Controllers'}\n", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def smaller(suite, runs, starts, **searches):

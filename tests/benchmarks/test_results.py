@@ -17,9 +17,9 @@ def test_a_page_of_results_has_its_command_and_tables(monkeypatch, tmp_path):
     arguments += ["--generations", "1", "--starts", "1"]
     importlib.import_module("results").main(arguments)
     text = page.read_text(encoding="utf-8")
-    assert text.startswith("# ") and f"--out {page}" in text and "x the angle RMSE of PID 3" in text
+    assert text.startswith("# ") and f"--out {page}" in text and "has a disk margin of 0.2" in text
     table = text[text.index("## ") :].splitlines()[2:]
-    assert table[0].startswith("| controller | angle rmse, deg |")
+    assert table[0].startswith("| controller | angle RMSE [deg] |")
     assert {row.split(" | ")[0].strip("| ") for row in table[2:5]} == {"PID 3", "decoupling", "as it is"}
     importlib.import_module("results").main(arguments)  # continued: the same
     assert page.read_text(encoding="utf-8") == text

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.schema import ENDINGS, origin_of
-from mckibben.identification import Fit
 from mckibben.mechanism.bodies import Body
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw
 from mckibben.plant.robot_plant import RobotPlant
@@ -38,6 +37,8 @@ def drawn_plant(scenario: RobotScenario, *, fresh: bool = False) -> RobotPlant:
 
     def drawn(muscle: Muscle) -> Muscle:
         """A muscle with arrays in its law; springs do not scatter."""
+        from mckibben.identification import Fit  # pandas: only where muscles are drawn
+
         if isinstance(muscle.law, SpringLaw):
             return muscle
         file = origin_of(muscle.law)
