@@ -20,5 +20,5 @@ figure = mk.report.loops(data, found)
 # Without friction the data determine the law alone. These data are simulated; the remaining residual is their rounding.
 
 before = mk.identify(data, friction=False)
-after = mk.identify(found.corrected(data))
+after = mk.identify(found.corrected_points)
 print(f"RMSE {before.rmse:.2f} N with the friction in the data, {after.rmse:.2f} N without")

@@ -64,7 +64,7 @@ def test_every_claim_dataset_source_and_decision_is_there(text, reproduction):
 
 
 def test_the_numbers_are_those_of_the_results(parsed, reproduction):
-    results, cells = reproduction.to_dict(), set(parsed.cells)
+    results, cells = reproduction.numbers(), set(parsed.cells)
     for fit in results["identification"].values():
         assert number(fit["rmse_N"]) in cells
         assert number(fit["decay_per_percent"], 4) in cells

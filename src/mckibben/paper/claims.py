@@ -25,7 +25,7 @@ from mckibben.paper.identification import (
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import BP, DOUBLED_PID, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Tracking
 from mckibben.reachability import StaticEnvelope
-from mckibben.result import column
+from mckibben.result import column, number
 from mckibben.simulation import SETTLING_PART
 from mckibben.units import bar, deg, quantity
 
@@ -73,6 +73,7 @@ class Claim:
     needs_muscle: bool = False
 
     @property
+    @number(title="verdict")
     def verdict(self) -> str:
         """The verdict in words; of a claim that needs the paper's muscle there is none."""
         if self.needs_muscle:

@@ -78,12 +78,12 @@ class Reproduction(Result):
     @table("The paper's claims")
     def paper_verdicts(self) -> TableColumns:
         """Verdicts on the paper's claims."""
-        return row_columns(Claim, self.paper_claims)
+        return _verdicts(self.paper_claims)
 
     @table("Our own questions")
     def own_verdicts(self) -> TableColumns:
         """Verdicts on our own questions."""
-        return row_columns(Claim, self.questions)
+        return _verdicts(self.questions)
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers as plain data for JSON, in the units of their keys; NaN as None."""
@@ -189,6 +189,12 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     report("claims", 0.95)
     claims = evaluate_claims(identification, joint, tracking)
     return Reproduction(identification, joint, tracking, robot, claims, quick, time.perf_counter() - start)
+
+
+def _verdicts(claims: Sequence[Claim]) -> TableColumns:
+    """Columns of claims, the verdict first."""
+    columns = row_columns(Claim, claims)
+    return {"verdict": columns.pop("verdict")} | columns
 
 
 def run_leg() -> SimulationResult:
