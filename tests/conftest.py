@@ -342,7 +342,7 @@ def cuda_device(request, monkeypatch):
     """The engine "cuda" on this processor, which compiles anew, and on a GPU where there is one; its compiler."""
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     for one in (batch._run, batch._positions):
-        monkeypatch.setattr(one._cuda, "_known", {})
+        monkeypatch.setattr(one._cuda, "_programs", {})
     if request.param == "processor":
         return request.getfixturevalue("cuda_here").compiler
     try:

@@ -80,7 +80,7 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     rubbing = scenario(friction=MaxwellSlip(12.0, 0.5e-3))
     found = envelope(rubbing)
     static, at = found.static, int(found.static.table_rows()[0])
-    columns = found.listings()[-1].columns
+    columns = [*found.listings()][-1].columns
     small = static.small_motion
     assert small is not None
     pressures = static.pressures_at_lowest[:, at]
@@ -102,5 +102,5 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     assert isobaric.get_ylim()[1] < small_motion.get_ylim()[0]
     plain = envelope(scenario())
     assert plain.static.small_motion is None
-    assert "lowest small-motion stiffness" not in plain.listings()[-1].columns
+    assert "lowest small-motion stiffness" not in [*plain.listings()][-1].columns
     assert "small_motion_stiffness" not in run_scenario(scenario()).columns

@@ -1,6 +1,7 @@
 """Sensors, delays, joint friction and disturbances of a robot."""
 
 import dataclasses
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,6 +22,8 @@ START = RobotStart((0.0, 0.0, 0.0), PRESSURES, clearance=1.0)
 
 class Recorder(RobotController):
     """Constant commands; telemetry has what was measured."""
+
+    follows_reference: ClassVar = False
 
     commands: tuple[float, ...]
 

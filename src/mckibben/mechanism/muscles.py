@@ -144,7 +144,7 @@ class MusclePair(MuscleUnit):
     muscle2: Muscle
     tendon: Tendon = RigidTendon()
 
-    @functools.cached_property  # of the same leaves, which its checks take 0.5 ms for
+    @property
     def pair(self) -> AntagonisticJoint:
         return AntagonisticJoint(self.geometry, self.muscle1, self.muscle2, self.tendon)
 
