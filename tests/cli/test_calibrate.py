@@ -16,6 +16,8 @@ pytestmark = pytest.mark.usefixtures("optimized")
 EXAMPLE = Path("examples/calibration/knee.yaml").resolve()
 WEIGHT = ("--weight", "0.5 kg, 200 mm", "--limb", "estimated")
 
+ROOT = Path(__file__).parents[2]
+
 
 def estimates(numbers):
     """Rows of the table of estimates by quantity, in the unit of their row."""
@@ -88,6 +90,12 @@ def test_parts_are_slow_and_fast_within_the_angles(calibrated):
             assert recording.time[-1] == pytest.approx(15.0, abs=0.01)
             crossings = np.count_nonzero(np.diff(np.sign(recording.angle - recording.angle.mean())))
             assert (crossings > 30) == (pace == "fast")
+
+
+def test_a_robot_is_refused_with_what_takes_it(cli):
+    robot = str(ROOT / "examples/robot/lei-leg-control.yaml")
+    found = cli("calibrate", robot, "--limb", "weighed", "--out", "kept")
+    assert found.code == 2 and "calibrate_robot" in found.err
 
 
 def test_it_is_asked_whether_the_limb_was_weighed(cli):

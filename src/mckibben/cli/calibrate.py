@@ -102,6 +102,10 @@ def calibrate(
     low, high = parse_limits("--angles", angles, "rad")
     deviations = _prior(limb, prior, valves=valves)
     read, measure = Scenario.read(scenario), partial(calibration.read_joint_recording, recipe=reading.recipe)
+    if read.joint_names:
+        message = f"{scenario} is a robot, and the experiment is that of a joint"
+        remedy = "give recordings of all joints to `mckibben.calibration.calibrate_robot` in Python"
+        raise ParameterError(message, field="scenario", value=str(scenario), remedy=remedy)
     lag: Any = {} if valves else {"tube": _tube(read, tube, simulated=not (rig or recording or weighted))}
     recordings = [
         *(measure(path, **lag) for path in recording or ()),
