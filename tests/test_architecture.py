@@ -95,13 +95,13 @@ BUDGET = {
     "actuator": 1000,
     "calibration": 1780,
     "catalog": 230,
-    "cli": 1530,
+    "cli": 1540,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
     "contract": 660,
     "control": 2650,
-    "dataset": 4030,
+    "dataset": 4050,
     "experiment_design": 720,
     "export": 2560,
     "identification": 3730,
@@ -121,7 +121,7 @@ BUDGET = {
     "statics": 570,
     "storage": 600,
     "study": 3810,
-    "web": 3130,
+    "web": 3110,
 }
 
 MOST_ANY = 700  # uses of `Any`
