@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.batching import cores
 from mckibben.scenario import (
     ModelFollows,
@@ -209,7 +209,11 @@ class TuningProblem:
         worst = with_values(scenario, values_of, model_follows=followed_names(scenario, self.model_follows, values_of))
         varied = [p for p in find_parameters(scenario, drawn) if drawn[p.name] != (p.nominal or 0.0)]
         plant = ", ".join(f"{p.name} {p.show(drawn[p.name])}" for p in varied) or "the nominal plant"
-        return float(margins[place][draw]), f"{worst.margins(points).limit()} of {scenario.name}, with {plant}"
+        try:
+            limit = worst.margins(points).limit()
+        except SimulationError:  # it has none: no point along the run to linearise at
+            limit = "where the run diverges"
+        return float(margins[place][draw]), f"{limit} of {scenario.name}, with {plant}"
 
     def change_needed(self, values: Vector) -> str:
         """Return which of the drawn parameters has to be nominal, at values [SI], for the largest disk margin."""
