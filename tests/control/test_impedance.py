@@ -14,7 +14,7 @@ STIFFNESS = 15.0
 FREQUENCIES = (0.1, 0.5, 1.0, 2.0, 2.65)  # Hz: the last is a third of the bandwidth of a valve of 20 ms
 
 
-class Push(Disturbance):
+class _Push(Disturbance):
     """Sine of the torque [N*m]."""
 
     amplitude: float
@@ -28,7 +28,7 @@ def felt(control, amplitude):
     """|torque / angle| [N*m/rad] at each frequency, over the last two periods."""
     found = []
     for frequency in FREQUENCIES:
-        push = Push(amplitude, frequency)
+        push = _Push(amplitude, frequency)
         plant = mk.JointPlant(control.model, control.load, mk.FirstOrderValve(0.02), disturbance=push)
         duration = round(max(4 / frequency, 2.0), 3)
         reference = mk.Reference(angle=0.0, stiffness=STIFFNESS)
