@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
+from mckibben.control.base import Setpoint
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
-from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant
 from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.rig.backend import Backend, ChannelStatus
@@ -37,14 +37,13 @@ from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
+from mckibben.simulation.feasibility import unattainable
 from mckibben.simulation.problem import sampling_times
-from mckibben.statics.reference import check_postures
 from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg, ms
 
 _BEYOND = 10 * deg  # of the angle limits beyond the reference
-_POSTURES = 25  # of a robot's reference that are checked
 _ABOVE = 1.05  # pressure limit over the rated pressure
 
 
@@ -313,9 +312,8 @@ def _reachable(scenario: Scenario | RobotScenario, plant: Plant) -> Feasibility 
     """Feasibility of the reference of a joint, or what a robot does not attain."""
     if not isinstance(scenario, Scenario):
         times = sampling_times(scenario.run_duration, scenario.control_period)
-        some = evenly_spaced(times.size, _POSTURES)
-        angles, stiffness = np.split(_references(scenario)[some], 2, axis=1)
-        return tuple(check_postures(scenario.robot, times[some], angles, stiffness, supply=scenario.supply))
+        setpoints = [Setpoint(*columns) for columns in zip(*np.split(_references(scenario).T, 2), strict=True)]
+        return tuple(unattainable(plant, times, setpoints))
     return check_reference(
         plant,  # type: ignore[arg-type]
         scenario.reference(),

@@ -16,18 +16,17 @@ from numpy.typing import NDArray
 from mckibben.codegen.engine import BatchFunction, compiled
 from mckibben.component.calls import checked_call
 from mckibben.control.base import Reference, Setpoint
-from mckibben.errors import McKibbenError
 from mckibben.joint.attainable import leaves_domain, solve_static, stiffness_range
 from mckibben.mechanism.dynamics import joint_equations
 from mckibben.mechanism.robot import Robot
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.plant.joint_plant import rated_for
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.problem import sampled
-from mckibben.statics.attainable import attainable_statics
-from mckibben.statics.posture import EXACT, holding_torques, is_affine
-from mckibben.statics.pressures import pressures_for_joint_stiffness
+from mckibben.statics.posture import EXACT, is_affine
+from mckibben.statics.reference import POSTURES, check_postures
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
@@ -175,44 +174,20 @@ def held_by_pairs(
     return HeldByPairs(found, functools.reduce(operator.and_, attained))
 
 
-def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], count: int = 25) -> list[Remark]:
+def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], count: int = POSTURES) -> list[Remark]:
     """Return remarks on postures that the muscles of a robot cannot hold, and on stiffness not attained there, at rest.
 
     Checked at some of the times [s] of setpoints.
     """
     robot, supply = plant.robot, plant.supply
-    if not is_affine(robot):
-        text = "not checked: a law is not affine in pressure, or a tendon not rigid"
-        return [Remark.note("reference", text)]
-    chosen = np.unique(np.linspace(0, times.size - 1, count).astype(int))
+    chosen = evenly_spaced(times.size, count)
     angles, stiffness = (
         np.stack([np.asarray(values)[chosen] for values in rows]) for rows in zip(*setpoints, strict=True)
     )
-    worst: dict[str, tuple[float, Remark]] = {}
     missed = np.ones(chosen.size, bool)
-    if robot.has_disjoint_pairs:
+    if robot.has_disjoint_pairs and is_affine(robot):
         numbers, none = numeric(robot), (None,) * len(angles)
         unchanged, postures = (numbers, supply, plant.gravity, none, none), (tuple(angles), tuple(stiffness))
         missed = ~held_by_pairs(unchanged, (eqx.filter(numbers, False), None, None, *postures)).attained
-    for index in np.flatnonzero(missed):
-        time = times[chosen][index]
-        posture, wanted, at = angles[:, index].tolist(), stiffness[:, index].tolist(), f"at {time:.3g} s"
-        try:
-            torques = holding_torques(robot, posture)
-            found = pressures_for_joint_stiffness(robot, posture, wanted, torques=torques, supply=supply)
-            if found.exact:
-                continue
-            ranges = attainable_statics(robot, posture, torques=torques, supply=supply)
-        except McKibbenError as error:
-            return [Remark.warning("reference", f"{at}: {error.message}", error.remedy)]
-        own = {joint.name: value for joint, value in zip(robot.joints, wanted, strict=True) if joint.name in ranges}
-        for name, value in own.items():
-            (low, high), limits = ranges[name].stiffness, ranges[name].limits
-            if (excess := max(low - value, value - high)) > max(EXACT * value, worst.get(name, (0.0,))[0]):
-                text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"
-                by = limits[2 if value < low else 3]
-                worst[name] = excess, Remark.warning("reference", f"{text} ({by})", "choose a stiffness between")
-        if not worst:
-            text = f"{at} the joints do not attain their stiffness together: relative error {found.error:.2g}"
-            worst["all"] = found.error, Remark.warning("reference", text, "the nearest is given")
-    return [remark for _, remark in worst.values()]
+    rows = times[chosen][missed], angles[:, missed].T, stiffness[:, missed].T
+    return list(check_postures(robot, *rows, supply=supply)) if missed.any() else []
