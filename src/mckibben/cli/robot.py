@@ -112,7 +112,7 @@ class RobotPressures(Result):
 
     @table()
     def joints(self) -> list[Listing]:
-        """What is attainable at each joint."""
+        """Attainable torque and stiffness of each joint."""
         from mckibben.statics.attainable import attainable_listing
 
         return [attainable_listing(self.attainable)]

@@ -91,7 +91,7 @@ class Finding:
     @property
     @number(title="reason")
     def reason(self) -> str:
-        """What was found."""
+        """The message of the check."""
         return self.found
 
 

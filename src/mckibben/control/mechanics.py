@@ -1,4 +1,4 @@
-"""What a controller takes for the mechanics: a joint with its load in closed form, or a robot as a tree.
+"""A controller's model of the mechanics: a joint with its load in closed form, or a robot as a tree.
 
 Both have the same methods, whose sequences are over joints or over muscles.
 """

@@ -1,4 +1,4 @@
-"""What muscles move: the protocol of a mechanism, and robots of bodies on hinges, with ground and disturbances."""
+"""Mechanisms that muscles move: their protocol, and robots of bodies on hinges, with ground and disturbances."""
 
 from mckibben.mechanism.base import Mechanism, RobotMeasurement
 from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Joint, Place

@@ -72,7 +72,7 @@ class JointReach(NamedTuple):
         return "" if self.reference is None else self.reference.verdict()
 
     def nearest(self, amplitude: float) -> str:
-        """What would be feasible in place of the reference: a constant stiffness, or a factor on the amplitude."""
+        """Feasible changes of the reference: a constant stiffness, or a factor on the amplitude."""
         changes = ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness or (0.0, 0.0))]
         changes = changes * bool(self.stiffness)
         changes += [f"at {amplitude:.3g} of its amplitude"] * (amplitude > 0)
@@ -356,7 +356,7 @@ class _Joints(NamedTuple):
         return static, _limits_of_pair(pair, robot.pair(index).muscles, static)
 
     def band(self, angles: Values, stiffness: Values) -> _Band:
-        """What is attained along angles [rad], for a desired stiffness [N*m/rad], shape (joints, times)."""
+        """Attainable stiffness along angles [rad], for a desired one [N*m/rad], shape (joints, times)."""
         if self.pairs:
             return _band_of_pairs(self.scenario, self.pairs, angles)
         return _band_of_coupled(self.scenario, angles, stiffness)

@@ -72,7 +72,7 @@ class StaticEnvelope:
 
     @property
     def limit_texts(self) -> list[str]:
-        """What limits both ends of the stiffness, the most frequent first."""
+        """Limits of both ends of the stiffness, the most frequent first."""
         pairs = zip(("lowest", "highest"), self.limits, strict=True)
         counts = {end: Counter(filter(None, names)).most_common() for end, names in pairs}
         return [

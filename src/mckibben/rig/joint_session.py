@@ -142,7 +142,7 @@ class JointSession:
 
     @property
     def warnings(self) -> Iterator[str]:
-        """What of the reference is not attainable, and limits in time that allow too much."""
+        """Unattainable stretches of the reference, and limits in time that allow too much."""
         if isinstance(self.reach, tuple):
             yield from (remark.text for remark in self.reach)
         elif not self.reach.feasible:

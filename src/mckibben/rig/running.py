@@ -337,7 +337,7 @@ def _header(checked: CheckedTest, protocol: str) -> dict[str, object]:
 
 
 def _described(checked: CheckedTest) -> dict[str, object]:
-    """What a reader of the record needs besides it: the line from the position of the motor to the contraction."""
+    """Bench for readers of the record: the line from the position of the motor to the contraction."""
     bench, length = checked.bench, float(checked.bench.specimen.initial_length)
     origin = {
         "specimen": bench.specimen.name,

@@ -159,7 +159,7 @@ def simulate(
 
 
 class _Reached(NamedTuple):
-    """What a plant reaches of setpoints, statically."""
+    """Static feasibility of setpoints for a plant."""
 
     plant: Plant
     numbers: PyTree  # plant, `numeric`

@@ -139,7 +139,7 @@ class HeldPostures(NamedTuple):
         supply: float = np.inf,
         minimum_tension: float = 1.0,
     ) -> HeldPostures:
-        """Of angles [rad] and torques [N*m] of shape (postures, joints); no torques by default.
+        """Return the postures of angles [rad] and torques [N*m], shape (postures, joints); no torques by default.
 
         Raises `RangeError` for laws that are not affine in pressure.
         """

@@ -1,4 +1,4 @@
-"""What a push feels: torque over angle of a joint whose loop is closed, over the frequency of the push."""
+"""Dynamic stiffness that a push feels: torque over angle of a joint in closed loop, over the frequency."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Felt(NamedTuple):
     torque: float
     """Amplitude of the push [N*m]."""
     frequency: Values
-    """Of the pushes [Hz], shape (n,)."""
+    """Frequencies of the pushes [Hz], shape (n,)."""
     impedance: NDArray[np.complex128]
     """Torque over angle [N*m/rad] at these, shape (n,)."""
     pushed: Values
@@ -74,7 +74,7 @@ class Felt(NamedTuple):
         return self.torque / self.magnitude
 
     def columns(self) -> TableColumns:
-        """What is felt over the frequency."""
+        """Felt stiffness over the frequency."""
         stiffness = Column("N*m/rad", digits=3)
         return {
             "frequency": (Column("Hz", digits=2), self.frequency),

@@ -45,7 +45,7 @@ class TuneResult(Result):
     limit: str = ""
     """Operating point, loop and draw of the least disk margin."""
     change: str = ""
-    """What would raise the least disk margin most, where it is below that asked for."""
+    """Change that would raise the least disk margin most, where it is below that asked for."""
     at_bound: tuple[str, ...] = ()
     """Parameters within 1 % of an end of their range: a wider one may have better values."""
     trials: tuple[Trial, ...] = ()
