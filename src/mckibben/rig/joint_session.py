@@ -36,9 +36,9 @@ from mckibben.rig.record import Recorder, read_record, segments, software_versio
 from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
+from mckibben.simulation import Feasibility, SimulationResult, check_reference
 from mckibben.simulation.feasibility import unattainable
-from mckibben.simulation.problem import sampling_times
+from mckibben.simulation.problem import sampled_reference, sampling_times
 from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg, ms
@@ -269,7 +269,9 @@ def prepare(
             raise RangeError(message, field="controller.preview", remedy=remedy)
         program = ControlProgram(controller, channels)
     with _building(source, "start"):
-        reach, references = _reachable(scenario, plant), _references(scenario)
+        times, setpoints = _setpoints(scenario)
+        references = np.concatenate([np.stack(columns, axis=1) for columns in zip(*setpoints, strict=True)], axis=1)
+        reach = _reachable(scenario, plant, times, setpoints)
     approach, angles = rig.approach, references[:, : len(channels.joints)]
     extremes = np.vstack([angles.min(axis=0), angles.max(axis=0), angles_of(plant, start), angles_of(plant, vented)])
     limits, ranges = _limits(rig, plant, channels, extremes)
@@ -308,11 +310,11 @@ def prepare(
     return JointSession(scenario, plant, start, reach, backend, limits, plan, program, header)
 
 
-def _reachable(scenario: Scenario | RobotScenario, plant: Plant) -> Feasibility | tuple[Remark, ...]:
-    """Feasibility of the reference of a joint, or what a robot does not attain."""
+def _reachable(
+    scenario: Scenario | RobotScenario, plant: Plant, times: NDArray[np.float64], setpoints: Sequence[Setpoint]
+) -> Feasibility | tuple[Remark, ...]:
+    """Feasibility of the reference of a joint, or remarks on the setpoints that a robot does not attain."""
     if not isinstance(scenario, Scenario):
-        times = sampling_times(scenario.run_duration, scenario.control_period)
-        setpoints = [Setpoint(*columns) for columns in zip(*np.split(_references(scenario).T, 2), strict=True)]
         return tuple(unattainable(plant, times, setpoints))
     return check_reference(
         plant,  # type: ignore[arg-type]
@@ -323,15 +325,14 @@ def _reachable(scenario: Scenario | RobotScenario, plant: Plant) -> Feasibility 
     )
 
 
-def _references(scenario: Scenario | RobotScenario) -> NDArray[np.float64]:
-    """Angles [rad] and stiffnesses [N*m/rad] of the joints in each period, shape (periods, 2 * joints)."""
+def _setpoints(scenario: Scenario | RobotScenario) -> tuple[NDArray[np.float64], list[Setpoint]]:
+    """Start times [s] of the control periods, and the setpoints of each joint in them."""
     if isinstance(scenario, Scenario):
         references, duration = [scenario.reference()], scenario.duration
     else:
         references, duration = [scenario.references()[name] for name in scenario.joint_names], scenario.run_duration
-    setpoints = [sampled(reference, duration, scenario.control_period)[1] for reference in references]
-    angles, stiffness = zip(*setpoints, strict=True)
-    return np.stack([np.asarray(column) for column in (*angles, *stiffness)], axis=1)
+    times = sampling_times(duration, scenario.control_period)
+    return times, [sampled_reference(reference, times) for reference in references]
 
 
 def _limits(

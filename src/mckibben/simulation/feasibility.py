@@ -174,13 +174,13 @@ def held_by_pairs(
     return HeldByPairs(found, functools.reduce(operator.and_, attained))
 
 
-def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint], count: int = POSTURES) -> list[Remark]:
+def unattainable(plant: PyTree, times: NDArray, setpoints: Sequence[Setpoint]) -> list[Remark]:
     """Return remarks on postures that the muscles of a robot cannot hold, and on stiffness not attained there, at rest.
 
     Checked at some of the times [s] of setpoints.
     """
     robot, supply = plant.robot, plant.supply
-    chosen = evenly_spaced(times.size, count)
+    chosen = evenly_spaced(times.size, POSTURES)
     angles, stiffness = (
         np.stack([np.asarray(values)[chosen] for values in rows]) for rows in zip(*setpoints, strict=True)
     )
