@@ -343,7 +343,7 @@ def test_a_tendon_over_many_hinges_has_the_range_of_their_corners(chain):
     sampled = []
     for _ in range(200):
         angles = np.random.default_rng(len(sampled)).uniform(-1, 1, CHAIN) * np.deg2rad(10)
-        sampled.append(float(read.robot.path_through(read.tendons["long"], tuple(np.sign(angles) * np.deg2rad(10)))[0]))
+        sampled.append(float(read.robot.path_along(read.tendons["long"], tuple(np.sign(angles) * np.deg2rad(10)))[0]))
     assert shortest <= min(sampled) + 1e-9 < max(sampled) - 1e-9 <= longest
 
 

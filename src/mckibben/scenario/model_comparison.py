@@ -110,7 +110,7 @@ def differences(
             shown = ", ".join(where[:3]) + (f" and {len(where) - 3} more" if len(where) > 3 else "")
             yield f"{kind} of {shown}: different by {error.max() / scale:.2g} of the largest, {scale:.3g}"
     for number, points in tendons.items():
-        lengths = np.asarray(robot.path_through(points, list(map(jnp.asarray, angles.T)))[0])
+        lengths = np.asarray(robot.path_along(points, list(map(jnp.asarray, angles.T)))[0])
         error = np.abs(lengths - [state["lengths"][number] for state in theirs]).max()
         if error > 1e-9:
             yield f"length of {file.named('tendon', number)}: different by {error:.2g} m"
