@@ -104,7 +104,7 @@ def test_what_we_write_reads_back(base, tmp_path):
 BAD = """<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1"/>
 <body name="b"><joint name="j" range="-10 10" stiffness="2"/><geom size="0.1"/><site name="s"/>
 <geom name="wrap" type="sphere" size="0.1"/></body><site name="t"/></body></worldbody>
-<tendon><spatial name="rope"><site site="s"/><geom geom="wrap"/><site site="t"/></spatial>
+<tendon><spatial name="rope"><site site="s"/><geom geom="wrap" sidesite="s"/><site site="t"/></spatial>
 <fixed name="belt"><joint joint="j" coef="1"/></fixed></tendon>
 <equality><weld body1="a" body2="b"/></equality><actuator><muscle name="drive" tendon="rope"/></actuator></mujoco>"""
 

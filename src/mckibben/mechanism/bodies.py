@@ -211,6 +211,16 @@ class Joint(Component):
 class PathElement(Component):
     """Part of the path of a muscle: a point, a surface that it may touch, or a pulley."""
 
+    @property
+    def carrier(self) -> str | None:
+        """Name of the body that it is on; None for a pulley of a tackle."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """What it is, in tables."""
+        return self.carrier or ""
+
     @classmethod
     def from_file(cls, value: object) -> object:
         """Return a section with its class: a cylinder has an axis, a sphere a radius, a pulley a divisor."""
@@ -240,6 +250,10 @@ class BodyPoint(PathElement):
 
     body: str = eqx.field(static=True)
     place: Place = Place()
+
+    @property
+    def carrier(self) -> str:
+        return self.body
 
 
 class Foot(Component):

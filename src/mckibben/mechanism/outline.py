@@ -129,8 +129,8 @@ def _path(elements: Sequence[PathElement], robot: Robot, placed: Sequence[Frame]
         for number, (element, at) in enumerate(zip(branch, places, strict=True)):
             if isinstance(element, WrapSphere):
                 frame = placed[robot.frame_names.index(element.body)]
-                ends = (Vector(*(places[number + step] - at)) for step in (-1, 1))
-                path = element.wrap(*ends, frame.axes)
+                before, after = (Vector(*(places[number + step] - at)) for step in (-1, 1))
+                path = element.wrap(before, after, frame.axes)
                 if float(path.turn):
                     lines += [at + _numbers(point) for point in element.arc(path, frame.axes)]
             else:

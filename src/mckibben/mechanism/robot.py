@@ -150,8 +150,7 @@ class Robot(Component):
                     message = f"{unit.names[0]}: it passes over {quoted(name)}"
                     yield message, field, name, f"name different joints of {', '.join(joints)}"
             for place, element in enumerate(unit.elements):
-                body = getattr(element, "body", frames[0])
-                if body not in frames:
+                if (body := element.carrier) is not None and body not in frames:
                     field = f"muscles.{number}.through.{place}.body"
                     message = f"{unit.names[0]}: the robot has no body {quoted(body)}"
                     yield message, field, body, f"name one of {', '.join(frames)}"

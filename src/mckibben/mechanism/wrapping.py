@@ -30,7 +30,6 @@ from mckibben.units import Distance, Quantity
 Flat = tuple[Any, Any]
 """A point in the plane in which a path turns."""
 
-_ROUNDING = 1e-12  # rad
 _LEAST = 1e-30  # m^2, below the square of any length
 
 
@@ -73,13 +72,13 @@ class WrapSphere(PathElement):
 
     Examples
     --------
-    A quarter of a circle of radius 30 mm, and 40 mm before and after it:
+    A quarter of a circle of radius 30 mm, and 20 mm before and after it:
 
     >>> from mckibben.numerics.elementary import floating
-    from mckibben.numerics.spatial import IDENTITY
+    >>> from mckibben.numerics.spatial import IDENTITY
     >>> sphere = WrapSphere("shank", radius=0.03)
-    >>> path = sphere.wrap(Vector(-0.04, 0.0, 0.03), Vector(0.03, 0.0, -0.04), IDENTITY)
-    >>> round(float(path.length) - 0.08, 6), round(float(path.turn), 6)
+    >>> path = sphere.wrap(Vector(-0.02, 0.0, 0.03), Vector(0.03, 0.0, -0.02), IDENTITY)
+    >>> round(float(path.length) - 0.04, 6), round(float(path.turn), 6)
     (0.047124, 1.570796)
     """
 
@@ -95,6 +94,14 @@ class WrapSphere(PathElement):
         check_positive(f"surface on {self.body}", "m", radius=self.radius)
         if self.side is not None:
             self._check_side(self._distance(self.side.vector - self.place.vector))
+
+    @property
+    def carrier(self) -> str:
+        return self.body
+
+    @property
+    def label(self) -> str:
+        return f"around {self.body}"
 
     def _check_side(self, distance: Any) -> None:
         if isinstance(distance, float) and isinstance(self.radius, float) and distance <= self.radius:
@@ -119,24 +126,27 @@ class WrapSphere(PathElement):
     def wrap(self, start: Vector, end: Vector, axes: Rotation) -> Wrapped:
         """Return the path between two points, given from the centre [m]; the body has axes."""
         x, y = self._plane(start, end, axes)
-        side = None if self.side is None else axes.apply(self.side.vector - self.place.vector)
-        flat = [None if point is None else (point.dot(x), point.dot(y)) for point in (start, end, side)]
-        bent, (near, arc, far), tangents, turn = _around_circle(*flat, self.radius)  # type: ignore[arg-type]
-        contacts = [x.scaled(u) + y.scaled(v) for u, v in tangents]
-        length = near + arc + far
+
+        def flat(point: Vector) -> Flat:
+            return point.dot(x), point.dot(y)
+
+        side = None if self.side is None else flat(axes.apply(self.side.vector - self.place.vector))
+        turn = _around_circle(flat(start), flat(end), side, self.radius)
+        contacts = [x.scaled(u) + y.scaled(v) for u, v in turn.contacts]
+        length = turn.near + turn.arc + turn.far
         rise, line = self._rise(axes), end - start
         if rise is not ZERO:
             low, high = start.dot(rise), end.dot(rise)
-            places = low + (high - low) * near / length, high - (high - low) * far / length
+            places = low + (high - low) * turn.near / length, high - (high - low) * turn.far / length
             contacts = [contact + rise.scaled(place) for contact, place in zip(contacts, places, strict=True)]
             length = jnp.sqrt(length**2 + (high - low) ** 2)
-        first, last = _where(bent, contacts[0], end), _where(bent, contacts[1], start)
+        first, last = _where(turn.bent, contacts[0], end), _where(turn.bent, contacts[1], start)
         return Wrapped(
-            jnp.where(bent, length, jnp.sqrt(line.dot(line))),
+            jnp.where(turn.bent, length, jnp.sqrt(line.dot(line))),
             _unit(start - first),
             _unit(end - last),
             (first, last),
-            jnp.where(bent, turn, 0.0),
+            jnp.where(turn.bent, turn.angle, 0.0),
         )
 
     def arc(self, path: Wrapped, axes: Rotation, count: int = 16) -> list[Vector]:
@@ -208,6 +218,21 @@ class TendonPulley(PathElement):
 
     divisor: Annotated[float, Quantity("1", "1", 0.1, 100)]
 
+    @property
+    def label(self) -> str:
+        return f"pulley of {float(self.divisor):g}"
+
+
+class _Turn(NamedTuple):
+    """Path about a circle: whether it touches it, its parts [m], its contacts, and the angle [rad] between these."""
+
+    bent: Array
+    near: Array
+    arc: Array
+    far: Array
+    contacts: tuple[Flat, Flat]
+    angle: Array
+
 
 def _where(condition: Array, yes: Vector, no: Vector) -> Vector:
     return Vector(*(jnp.where(condition, *pair) for pair in zip(yes, no, strict=True)))
@@ -229,58 +254,38 @@ def _minus(a: Flat, b: Flat) -> Flat:
     return a[0] - b[0], a[1] - b[1]
 
 
-def _around_circle(
-    start: Flat, end: Flat, side: Flat | None, radius: Any
-) -> tuple[Array, Flat, tuple[Flat, Flat], Array]:
-    """Return whether a path lies on a circle about 0, its three parts [m], where it touches, and the angle [rad]."""
+def _around_circle(start: Flat, end: Flat, side: Flat | None, radius: Any) -> _Turn:
+    """Return the path from start to end about a circle with its centre at 0."""
     line = _minus(end, start)
     square = radius * radius
-    part = jnp.clip(-_dot(start, line) / jnp.maximum(_dot(line, line), _LEAST), 0.0, 1.0)
-    nearest = start[0] + part * line[0], start[1] + part * line[1]
+    share = jnp.clip(-_dot(start, line) / jnp.maximum(_dot(line, line), _LEAST), 0.0, 1.0)
+    nearest = start[0] + share * line[0], start[1] + share * line[1]
     bent = _dot(nearest, nearest) <= square
-    straight = [jnp.sqrt(jnp.maximum(_dot(point, point) - square, _LEAST)) for point in (start, end)]
-    outside = (_dot(start, start) > square) & (_dot(end, end) > square)
-
-    def tangents(way: Any) -> tuple[Flat, Flat]:
-        """Points that lines from start and end touch on the way round: 1 clockwise, -1 against it."""
-        (a, b), (c, d) = start, end
-        near, far = way * radius * straight[0], -way * radius * straight[1]
-        first, last = _dot(start, start), _dot(end, end)
-        return (
-            ((square * a + near * b) / first, (square * b - near * a) / first),
-            ((square * c + far * d) / last, (square * d - far * c) / last),
-        )
-
-    def fits(way: float) -> Array:
-        """How far on the given side the path lies; -2 where its straight parts cross."""
-        first, last = tangents(way)
-        middle = first[0] + last[0], first[1] + last[1]
-        return jnp.where(
-            _crossing(start, first, end, last),
-            -2.0,
-            _dot(middle, side) / jnp.sqrt(jnp.maximum(_dot(middle, middle) * _dot(side, side), _LEAST)),
-        )
-
-    if side is None:
-        way = jnp.where(_cross(start, end) < 0, 1.0, -1.0)
-    else:
-        bent |= (_dot(side, nearest) < 0) & (part > 0) & (part < 1)
-        way = jnp.where(fits(1.0) > fits(-1.0), 1.0, -1.0)
-    first, last = tangents(way)
-    turn = -way * jnp.arctan2(_cross(first, last), _dot(first, last))
-    turn = jnp.where(turn < -_ROUNDING, turn + 2 * math.pi, turn)
-    bent &= outside & ~_crossing(start, first, end, last)
-    return bent, (straight[0], radius * turn, straight[1]), (first, last), turn
+    way = jnp.where(_cross(start, end) < 0, 1.0, -1.0)
+    behind = jnp.zeros_like(bent)  # whether the line passes the centre on the other side
+    if side is not None:
+        behind = (way * _cross(start, side) > 0) & (way * _cross(side, end) > 0)
+        bent, way = bent | behind, jnp.where(behind, -way, way)
+    first, last = _tangents(start, end, radius, way)
+    angle = -way * jnp.arctan2(_cross(first, last), _dot(first, last))
+    angle = jnp.where(behind & (angle < 0), angle + 2 * math.pi, angle)
+    bent &= (_dot(start, start) > square) & (_dot(end, end) > square)
+    return _Turn(bent, _straight(start, radius), radius * angle, _straight(end, radius), (first, last), angle)
 
 
-def _crossing(start: Flat, first: Flat, end: Flat, last: Flat) -> Array:
-    """Whether the line from the start to its contact meets that from the end."""
-    one, other, between = _minus(first, start), _minus(last, end), _minus(start, end)
-    area = _cross(one, other)
-    parallel = abs(area) < _LEAST
-    area = jnp.where(parallel, 1.0, area)
-    along, across = -_cross(between, other) / area, -_cross(between, one) / area
-    return ~parallel & (along >= 0) & (along <= 1) & (across >= 0) & (across <= 1)
+def _straight(point: Flat, radius: Any) -> Array:
+    """Length of the line from a point to where it touches a circle."""
+    return jnp.sqrt(jnp.maximum(_dot(point, point) - radius * radius, _LEAST))
+
+
+def _tangents(start: Flat, end: Flat, radius: Any, way: Any) -> tuple[Flat, Flat]:
+    """Points that lines from start and end touch on the way about a circle: 1 clockwise, -1 against it."""
+
+    def touched(point: Flat, way: Any) -> Flat:
+        (x, y), across, distance = point, way * radius * _straight(point, radius), _dot(point, point)
+        return (radius * radius * x + across * y) / distance, (radius * radius * y - across * x) / distance
+
+    return touched(start, way), touched(end, -way)
 
 
 def branches(elements: Sequence[PathElement]) -> Iterator[tuple[Any, tuple[PathElement, ...]]]:
@@ -308,7 +313,7 @@ def check_path(owner: str, elements: Sequence[PathElement]) -> None:
         if not all(first or second for first, second in pairwise(points)):
             message, remedy = f"{owner}: two surfaces follow each other", "give a point between them"
             raise RangeError(message, field=field, remedy=remedy)
-    bodies = [element.body for element in elements if isinstance(element, BodyPoint | WrapSphere)]
+    bodies = [element.carrier for element in elements if element.carrier is not None]
     if len(set(bodies)) == 1:
         message, remedy = f"{owner}: it passes through {', '.join(bodies)} alone", "give points on two bodies or more"
         raise RangeError(message, field=field, value=bodies, remedy=remedy)
