@@ -92,7 +92,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
     "top": 992,
-    "actuator": 1000,
+    "actuator": 1060,
     "calibration": 1780,
     "catalog": 230,
     "cli": 1540,
@@ -115,7 +115,7 @@ BUDGET = {
     "reachability": 1140,
     "report": 1990,
     "rig": 4980,
-    "scenario": 2180,
+    "scenario": 2200,
     "serial_protocol": 170,
     "simulation": 3420,
     "statics": 570,

@@ -294,10 +294,14 @@ class Robot(Component):
 
     def pair(self, index: int) -> AntagonisticJoint:
         """Return the pair of muscles of a joint; `RangeError` without one."""
+        return self.named_pair(index)[1]
+
+    def named_pair(self, index: int) -> tuple[tuple[str, ...], AntagonisticJoint]:
+        """Return the names of the pair of muscles of a joint, and the pair; `RangeError` without one."""
         name = self.joints[index].name
         for unit in self.muscles:
             if name in unit.joint_names and (pair := unit.pair) is not None:
-                return pair
+                return unit.names, pair
         remedy = "give it one (a muscle with `over` and `geometry`), or name a joint that has one"
         raise RangeError(f"{name}: it has no pair of muscles", field="muscles", remedy=remedy)
 
