@@ -104,7 +104,7 @@ BUDGET = {
     "dataset": 4050,
     "experiment_design": 720,
     "export": 2560,
-    "identification": 3730,
+    "identification": 3760,
     "joint": 1260,
     "robot": 80,
     "mechanism": 1700,
