@@ -104,7 +104,7 @@ BUDGET = {
     "dataset": 4050,
     "experiment_design": 720,
     "export": 2580,
-    "identification": 3730,
+    "identification": 3760,
     "joint": 1260,
     "robot": 80,
     "mechanism": 2010,
@@ -117,11 +117,11 @@ BUDGET = {
     "rig": 4980,
     "scenario": 2200,
     "serial_protocol": 170,
-    "simulation": 3420,
+    "simulation": 3390,
     "statics": 570,
     "storage": 600,
     "study": 3820,
-    "web": 3130,
+    "web": 3110,
 }
 
 MOST_ANY = 700  # uses of `Any`
