@@ -399,6 +399,8 @@ def _tension_ranges(
         pressures = jnp.stack(jnp.broadcast_arrays(floating(low), floating(high)))
         tensions = jax.vmap(lambda pressure: joint.tendon.tension(muscle, path, pressure))(pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
+        if not muscle.law.pulls:
+            return tensions[0], tensions[0]
         # A muscle that is slack at the highest pressure leaves the feasible set empty.
         tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.force_limit), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)

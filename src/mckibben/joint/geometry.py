@@ -14,7 +14,7 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit_inline
 from mckibben.numerics.elementary import sincos
-from mckibben.units import Angle, Distance, Length, MomentArm, Strength
+from mckibben.units import HINGE, Angle, Distance, JointType, Length, MomentArm, Strength
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
@@ -30,6 +30,11 @@ class Geometry(Component):
     """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
 
     default_class = "knee"
+
+    @property
+    def joint_type(self) -> JointType:
+        """How the joint moves."""
+        return HINGE
 
     @property
     def angle_range(self) -> tuple[float, float]:
@@ -141,6 +146,10 @@ class ScaledArms(Geometry):
     geometry: Geometry
     scale: Strength
     angle: Angle = 0.0
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.geometry.joint_type
 
     def remedy(self, number: int, *, longer: bool) -> str:
         return self.geometry.remedy(number, longer=longer)

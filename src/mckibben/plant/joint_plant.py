@@ -79,6 +79,7 @@ class JointPlant(Plant):
 
     def __check_init__(self) -> None:
         super().__check_init__()
+        self.joint.check_load(self.load)
         if self.valve.holds_air:
             for muscle in self.joint.muscles:
                 muscle.specimen.check_volume(f"a {type(self.valve).__name__} that fills the volume")

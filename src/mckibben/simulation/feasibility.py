@@ -89,7 +89,8 @@ class Feasibility(Result):
 
 
 def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:
-    """Distance of a stiffness from a range, 0 inside to rounding; NaN where nothing is attainable."""
+    """Distance of a stiffness from a range, 0 inside to rounding, or for no stiffness; NaN where none is attainable."""
+    stiffness = np.where(np.isnan(stiffness), low, stiffness)
     out = np.maximum(low - stiffness, stiffness - high)
     return np.where(out > _ROUNDING, out, np.where(np.isnan(out), np.nan, 0.0))
 
