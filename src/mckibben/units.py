@@ -240,9 +240,30 @@ class JointType:
         """Return a text without numbers, from that on a hinge."""
         return functools.reduce(lambda text, pair: re.sub(rf"\b{pair[0]}", pair[1], text), self.nouns, text)
 
+    def size(self, unit: str) -> float:
+        """Return the size in SI of the unit of files, tables and figures, from that of a hinge."""
+        return factor(self.shown(unit))
+
+    def label(self, text: str, unit: str) -> str:
+        """Return the label of an axis, from that of a hinge.
+
+        >>> SLIDE.label("stiffness", "N*m/rad"), HINGE.label("torque", "N*m")
+        ('stiffness [N/mm]', 'torque [N·m]')
+        """
+        return f"{self.words(text)} [{self.shown(unit)}]".replace("*", "·")
+
     def show(self, value: float, unit: str, digits: int = 6) -> str:
         """Return an SI value as text; `unit` is the one in which that of a hinge is shown."""
         return show(value, self.shown(unit), digits)
+
+    def span(self, ends: tuple[float, float], unit: str, digits: int = 4) -> str:
+        """Return two SI values as a range, as for `show`.
+
+        >>> SLIDE.span((-0.004, 0.01), "deg")
+        '-4..10 mm'
+        """
+        low, high = (f"{end / self.size(unit):.{digits}g}" for end in ends)
+        return f"{low}..{high} {self.shown(unit)}"
 
 
 HINGE = JointType("hinge")

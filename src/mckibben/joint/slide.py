@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
+import jax.numpy as jnp
 from jaxtyping import ArrayLike
 
 from mckibben.joint.geometry import Geometry, Pair
+from mckibben.muscle import Domain, Muscle
 from mckibben.numerics.elementary import floating
-from mckibben.units import SLIDE, JointType, Length
+from mckibben.units import SLIDE, JointType, Length, mm
+
+POSSIBLE = Domain(-0.5, 0.8)
+"""Contractions of any muscle."""
 
 
 class Slide(Geometry):
@@ -34,6 +41,16 @@ class Slide(Geometry):
     @property
     def joint_type(self) -> JointType:
         return SLIDE
+
+    def span(self, muscles: tuple[Muscle, Muscle]) -> tuple[float, float]:
+        """Return the positions [m] between which a muscle is within its domain, in whole millimetres."""
+        positions = []
+        for sign, rest, muscle in zip((1, -1), (self.rest_length1, self.rest_length2), muscles, strict=True):
+            if not muscle.law.is_passive:
+                domain = muscle.domain.intersection(POSSIBLE)
+                ends = muscle.specimen.length_at(jnp.stack([domain.contraction_min, domain.contraction_max]))
+                positions += [sign * (float(end) - float(rest)) for end in ends]
+        return math.floor(min(positions) / mm) * mm, math.ceil(max(positions) / mm) * mm
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         position = floating(angle)

@@ -23,7 +23,7 @@ from mckibben.component.columns import Label, declare
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.numerics.batching import map_chunks
 from mckibben.simulation.engine import VECTOR
-from mckibben.units import JointType
+from mckibben.units import HINGE, JointType
 
 ACCURACY = 1e-6
 """Default accuracy of the angle [rad]."""
@@ -87,7 +87,7 @@ class Resolution(NamedTuple):
         """
         return 2**_FALLBACK_DOUBLINGS * first if self.chaotic else self.substeps
 
-    def describe(self, joint_type: JointType) -> str:
+    def describe(self, joint_type: JointType = HINGE) -> str:
         """The estimated error of the angle of a joint in a sentence."""
         angle, unit = joint_type.words("angle"), joint_type.unit("rad")
         steps = f"{self.substeps} integration step{'s' if self.substeps > 1 else ''} per control period"

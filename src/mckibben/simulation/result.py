@@ -43,7 +43,7 @@ from mckibben.simulation.trajectories import (
 )
 from mckibben.storage.files import atomic_write
 from mckibben.storage.mcap import write_samples
-from mckibben.units import HINGE, JOINT_TYPES, JointType, bar, deg, factor, percent
+from mckibben.units import HINGE, JOINT_TYPES, JointType, bar, deg, percent
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -410,9 +410,8 @@ class SimulationResult(Result):
         if self.joints and (left := self.metrics["time_outside_domain"]):
             yield Remark.warning("domain", f"a muscle is outside its domain for {left:.4g} s")
         if "small_motion_stiffness" in self.columns and not self.outcome.failed:
-            unit = self.joint_type.shown("N*m/rad")
             small, isobaric = (
-                f"{self[name].min() / factor(unit):.3g}..{self[name].max() / factor(unit):.3g} {unit}"
+                self.joint_type.span((self[name].min(), self[name].max()), "N*m/rad", 3)
                 for name in ("small_motion_stiffness", "stiffness")
             )
             yield Remark.note("stiffness", f"small-motion stiffness {small}, isobaric stiffness {isobaric}")
