@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -25,7 +24,7 @@ from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
-from mckibben.result import Remark, Result, column
+from mckibben.result import Remark, Result, TableColumns, column
 from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
