@@ -1,5 +1,6 @@
 """One muscle against a return spring: torque, stiffness, attainable set; files."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -52,3 +53,10 @@ def test_what_is_no_joint_is_refused():
         assert old in text
         with pytest.raises(ScenarioError):
             Scenario.parse(text.replace(old, new))
+
+
+def test_a_spring_of_another_rate_has_no_pressure_either():
+    joint = dataclasses.replace(JOINTS[1], muscle1=dataclasses.replace(SPRING, strength=1.1))
+    pressures = joint.pressures_for(0.05, 1.0, None)
+    assert float(pressures[0]) == 0
+    assert float(joint.torque(0.05, pressures)) == pytest.approx(1.0, abs=1e-9)

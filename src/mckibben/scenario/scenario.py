@@ -62,7 +62,17 @@ from mckibben.simulation import (
     simulate,
     simulate_many,
 )
-from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
+from mckibben.units import (
+    HINGE,
+    Accuracy,
+    Angle,
+    BoundedInt,
+    CommandDelay,
+    Duration,
+    JointType,
+    PositiveTime,
+    Stiffness,
+)
 
 _MOST_PERIODS = 10_000_000
 _MEANT = {
@@ -174,6 +184,16 @@ class StudiedScenario(RunSettings):
     def muscle_names(self) -> tuple[str, ...]:
         """Names of the muscles of a robot, in the order of commands and pressures."""
         return ()
+
+    @property
+    def joint_type(self) -> JointType:
+        """How its joints move, on which its units depend."""
+        return HINGE
+
+    @property
+    def follows_stiffness(self) -> bool:
+        """Whether its stiffness has a setpoint: not that of one muscle alone."""
+        return True
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -456,6 +476,14 @@ class Scenario(StudiedScenario):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.joint.joint_type
+
+    @property
+    def follows_stiffness(self) -> bool:
+        return not any(self.joint.springs)
 
     @property
     def uncertain(self) -> tuple[str, ...]:
