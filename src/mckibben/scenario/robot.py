@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import (
     Field,
     PrivateAttr,
+    SerializationInfo,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -129,8 +130,8 @@ class RobotScenario(StudiedScenario):
     _computed: list[PyTree] = PrivateAttr(default_factory=list)
 
     @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        written, empty = super()._write(handler), {"angles": {}, "clearance": "0 mm"}
+    def _write(self, handler: Any, info: SerializationInfo) -> Any:
+        written, empty = super()._write(handler, info), {"angles": {}, "clearance": "0 mm"}
         return {key: value for key, value in written.items() if value not in (None, {}, empty)}
 
     @field_validator("reference", mode="wrap")
