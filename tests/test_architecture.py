@@ -116,7 +116,7 @@ BUDGET = {
     "report": 1990,
     "rig": 4980,
     "scenario": 2170,
-    "serial_protocol": 170,
+    "serial_protocol": 190,
     "simulation": 3420,
     "statics": 570,
     "storage": 600,
@@ -125,7 +125,7 @@ BUDGET = {
 }
 
 MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 457  # numbers at module level, to come to 500
+MOST_CONSTANTS = 458  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
