@@ -93,39 +93,39 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 BUDGET = {
     "top": 992,
     "actuator": 1060,
-    "calibration": 1780,
+    "calibration": 1770,
     "catalog": 230,
     "cli": 1540,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
     "contract": 660,
-    "control": 2650,
+    "control": 2660,
     "dataset": 4050,
     "experiment_design": 720,
-    "export": 2580,
+    "export": 2570,
     "identification": 3760,
-    "joint": 1260,
+    "joint": 1360,
     "robot": 80,
-    "mechanism": 2010,
-    "muscle": 1590,
+    "mechanism": 2020,
+    "muscle": 1610,
     "numerics": 810,
     "paper": 1180,
     "plant": 780,
-    "reachability": 1140,
-    "report": 1990,
+    "reachability": 1150,
+    "report": 2040,
     "rig": 4980,
-    "scenario": 2200,
-    "serial_protocol": 170,
-    "simulation": 3390,
+    "scenario": 2250,
+    "serial_protocol": 180,
+    "simulation": 3460,
     "statics": 570,
     "storage": 600,
-    "study": 3820,
+    "study": 3830,
     "web": 3110,
 }
 
 MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 457  # numbers at module level, to come to 500
+MOST_CONSTANTS = 458  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
