@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3420,
     "statics": 570,
     "storage": 600,
-    "study": 3820,
+    "study": 3930,
     "web": 3130,
 }
 
