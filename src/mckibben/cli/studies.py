@@ -282,7 +282,6 @@ def _quick(suite: ControllerSuite) -> ControllerSuite:
     fewer = {
         "generations": max(tuning.generations // 10, 1),
         "starts": 1,
-        "starts_of": {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()},
         "finalist_runs": min(tuning.finalist_runs, 100),
     }
     evaluation = suite.evaluation.model_copy(update={"runs": min(suite.evaluation.runs, 128)})

@@ -36,6 +36,17 @@ def usual_variation(scenario: StudiedScenario) -> tuple[tuple[str, ...], tuple[s
     return strengths, tuple(f"{mass.name}=+-20 %" for mass in masses)
 
 
+def sensor_noise(scenario: StudiedScenario) -> dict[str, float]:
+    """Return the sizes [SI] of the noise and the steps of a scenario's sensors by name; 0 is ideal.
+
+    >>> from mckibben.scenario import Scenario
+    >>> sensor_noise(Scenario.read("examples/own-joint.yaml"))["sensors.pressure_noise"]
+    4000.0
+    """
+    noise = [p for p in list_parameters(scenario) if p.part == "sensors" and not p.is_integer and p.nominal]
+    return {p.name: float(p.nominal or 0.0) for p in noise if p.lower == 0}
+
+
 def uncertainty(scenario: StudiedScenario) -> tuple[tuple[SweptParameter, ...], ...]:
     """Return the uncertain parameters of a scenario's plant, in groups that vary together.
 

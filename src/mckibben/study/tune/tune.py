@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Mapping, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -142,17 +144,22 @@ def tune(
         problem = asked.begin(store, engine)
         about = {"method": method if isinstance(method, str) else f"{search.__module__}.{search.__qualname__}"}
         job = store.job(_about(asked, problem, store.folder) | about | {"seed": seed, "population": population})
-        trials = Trials(job, problem.space, 1 if method == "local" else population, problem.evaluate)
+        batch = 1 if method == "local" else population
+        trials = Trials(job, problem.space, batch, problem.evaluate)
 
         def step(fraction: float) -> None:
             lowest = min((trial.cost for trial in trials.all), default=FAILED_COST)
             report(f"searching, lowest cost {lowest:.4g}" if lowest < FAILED_COST else "searching", fraction)
 
-        step(0.0)
         first = problem.space.point(problem.space.nominal)
+        trials.costs(first[None])  # compiles the programs
+        begun_at = time.monotonic()
+        problem.evaluate(np.repeat(problem.space.nominal[None], batch, axis=0))
+        seconds = timedelta(seconds=round(iterations * (time.monotonic() - begun_at)))
+        report(f"searching {iterations} x {batch} points, about {seconds}", 0.0)
         search(trials.costs, first, population=population, generations=iterations, seed=seed, progress=step)
         report("evaluating", 1.0)
-        return _result(asked, problem, trials, 1 if method == "local" else population)
+        return _result(asked, problem, trials, batch)
 
 
 def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, object]:
