@@ -91,7 +91,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 992,
+    "top": 983,
     "actuator": 1000,
     "calibration": 1780,
     "catalog": 230,
@@ -121,7 +121,7 @@ BUDGET = {
     "statics": 570,
     "storage": 600,
     "study": 3820,
-    "web": 3130,
+    "web": 3070,
 }
 
 MOST_ANY = 700  # uses of `Any`

@@ -34,7 +34,7 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, robot, run, session, start, tune, wording, workbench
+from mckibben.web import app, design, identify, layout, rig, robot, run, session, tune, wording, workbench
 from mckibben.web.reading import Read
 from mckibben.web.results import Presented, Repetition
 
@@ -671,15 +671,6 @@ def test_curves_of_a_fit_are_its_law_and_both_ways_with_its_friction(tmp_path):
     np.testing.assert_allclose(law[:60, 1], fit.law.force(law[:60, 0] / 100, 6 * bar), rtol=1e-4)
     np.testing.assert_allclose(loading[:60, 1] - law[:60, 1], float(fit.friction.half_width), atol=0.02)
     np.testing.assert_allclose(law[:60, 1] - unloading[:60, 1], float(fit.friction.half_width), atol=0.02)
-
-
-@pytest.mark.slow
-def test_the_picture_of_the_joint_moves_through_its_drawings_and_returns():
-    _, moving, _ = start.step_pictures()
-    values = [re.findall(r"\S+", part) for part in re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)]
-    assert values and all(len("".join(one).split(";")) == 17 for one in values)
-    first = re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)[0].split(";")
-    assert first[0] == first[-1] != first[4]
 
 
 def test_an_upload_has_one_scenario_and_names_stay_in_its_folder(tmp_path):
