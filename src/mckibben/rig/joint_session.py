@@ -30,7 +30,7 @@ from mckibben.rig.compiled import (
     vented_state,
 )
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
-from mckibben.rig.joint_record import Timing, columns, measured_result, measured_robot
+from mckibben.rig.joint_record import Timing, by_laws, columns, measured_run
 from mckibben.rig.joint_rig import JointRig, RunConditions
 from mckibben.rig.record import Recorder, read_record, segments, software_versions
 from mckibben.rig.safety import PROBED, stop_on_signals
@@ -216,12 +216,11 @@ class JointSession:
 
     def measured(self, table: Mapping[str, NDArray[np.float64]]) -> SimulationResult | None:
         """Result of the columns of a record; None if the run did not begin."""
-        text, period = self.scenario.dumps(), self.plan.period
-        if isinstance(self.reach, Feasibility):
-            amplitude = self.scenario.controller.stiffness_amplitude  # type: ignore[union-attr]
-            return measured_result(table, self.plant, self.reach, period, amplitude, scenario=text)  # type: ignore[arg-type]
-        named = {"scenario": text, "notes": self.reach}
-        return measured_robot(table, self.plant, self.start, self.plan.channels, period, **named)  # type: ignore[arg-type]
+        text, run = self.scenario.dumps(), (self.start, self.plan.channels, self.plan.period)
+        if not isinstance(self.reach, Feasibility):
+            return measured_run(table, self.plant, *run, scenario=text, notes=self.reach)
+        amplitude, plant = self.scenario.controller.stiffness_amplitude, by_laws(self.plant)  # type: ignore
+        return measured_run(table, plant, *run, reach=self.reach, stiffness_amplitude=amplitude, scenario=text)
 
 
 def prepare(
