@@ -114,7 +114,7 @@ BUDGET = {
     "plant": 780,
     "reachability": 1140,
     "report": 1990,
-    "rig": 4980,
+    "rig": 4940,
     "scenario": 2170,
     "serial_protocol": 170,
     "simulation": 3420,

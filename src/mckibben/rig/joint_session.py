@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
-from mckibben.control.base import Setpoint
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
+from mckibben.mechanism.base import joints_in
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import Plant
 from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.rig.backend import Backend, ChannelStatus
@@ -36,9 +37,9 @@ from mckibben.rig.record import Recorder, read_record, segments, software_versio
 from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.simulation import Feasibility, SimulationResult, check_reference
-from mckibben.simulation.feasibility import unattainable
-from mckibben.simulation.problem import sampled_reference, sampling_times
+from mckibben.simulation import Feasibility, SimulationResult
+from mckibben.simulation.problem import in_order, sampled_reference, sampling_times
+from mckibben.simulation.simulate import Reached
 from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg, ms
@@ -268,9 +269,12 @@ def prepare(
             raise RangeError(message, field="controller.preview", remedy=remedy)
         program = ControlProgram(controller, channels)
     with _building(source, "start"):
-        times, setpoints = _setpoints(scenario)
-        references = np.concatenate([np.stack(columns, axis=1) for columns in zip(*setpoints, strict=True)], axis=1)
-        reach = _reachable(scenario, plant, times, setpoints)
+        times = sampling_times(scenario.timing["duration"], period)
+        setpoints = in_order(plant, sampled_reference(scenario.references(), times))
+        by_joint = zip(*joints_in(setpoints), strict=True)
+        references = np.concatenate([np.stack(columns, axis=1) for columns in by_joint], axis=1)
+        reached = Reached(plant, numeric(plant), times, setpoints)
+        reach = reached.by(scenario.control()) or tuple(reached.notes())
     approach, angles = rig.approach, references[:, : len(channels.joints)]
     extremes = np.vstack([angles.min(axis=0), angles.max(axis=0), angles_of(plant, start), angles_of(plant, vented)])
     limits, ranges = _limits(rig, plant, channels, extremes)
@@ -307,31 +311,6 @@ def prepare(
         "versions": software_versions("jax", "numpy"),
     }
     return JointSession(scenario, plant, start, reach, backend, limits, plan, program, header)
-
-
-def _reachable(
-    scenario: Scenario | RobotScenario, plant: Plant, times: NDArray[np.float64], setpoints: Sequence[Setpoint]
-) -> Feasibility | tuple[Remark, ...]:
-    """Feasibility of the reference of a joint, or remarks on the setpoints that a robot does not attain."""
-    if not isinstance(scenario, Scenario):
-        return tuple(unattainable(plant, times, setpoints))
-    return check_reference(
-        plant,  # type: ignore[arg-type]
-        scenario.reference(),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        stiffness_amplitude=scenario.controller.stiffness_amplitude,
-    )
-
-
-def _setpoints(scenario: Scenario | RobotScenario) -> tuple[NDArray[np.float64], list[Setpoint]]:
-    """Start times [s] of the control periods, and the setpoints of each joint in them."""
-    if isinstance(scenario, Scenario):
-        references, duration = [scenario.reference()], scenario.duration
-    else:
-        references, duration = [scenario.references()[name] for name in scenario.joint_names], scenario.run_duration
-    times = sampling_times(duration, scenario.control_period)
-    return times, [sampled_reference(reference, times) for reference in references]
 
 
 def _limits(
