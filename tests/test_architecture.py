@@ -111,17 +111,17 @@ BUDGET = {
     "muscle": 1610,
     "numerics": 810,
     "paper": 1180,
-    "plant": 780,
+    "plant": 770,
     "reachability": 1150,
     "report": 2040,
-    "rig": 4980,
+    "rig": 4940,
     "scenario": 2250,
     "serial_protocol": 180,
     "simulation": 3460,
     "statics": 570,
     "storage": 600,
     "study": 3940,
-    "web": 3110,
+    "web": 3050,
 }
 
 MOST_ANY = 700  # uses of `Any`

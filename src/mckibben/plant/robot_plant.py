@@ -22,7 +22,6 @@ from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
 from mckibben.mechanism.dynamics import (
     at_rest,
     mobilities,
-    motion,
     posture_of,
 )
 from mckibben.mechanism.ground import Ground
@@ -215,11 +214,6 @@ class RobotPlant(Plant):
     def ground_force(self, state: PlantState) -> Vector:
         """Return the force [N] of the ground on all spheres: forwards, to the left, and up."""
         return _sum(self.mechanism.contact_forces(state.position, state.velocity), state)
-
-    def energy(self, state: PlantState) -> Float[Array, ""]:
-        """Return the mechanical energy of the bodies [J]."""
-        found = motion(self.robot, state.position, state.velocity, self.gravity)
-        return found.kinetic + found.potential
 
 
 def _sum(forces: Sequence[Vector], state: PlantState) -> Vector:

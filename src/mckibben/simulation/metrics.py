@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import functools
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, NamedTuple, TypeVar, cast
 
@@ -320,11 +320,6 @@ METRICS: dict[str, tuple[str, str, float]] = {
     for name, label in metrics_of(Metrics).items()
 }
 """Field of `Metrics`, shown unit and its factor to SI, by the name in results."""
-
-
-def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
-    """Metrics by their names and in their units in results."""
-    return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
 def measure(

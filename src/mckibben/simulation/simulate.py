@@ -135,7 +135,7 @@ def simulate(
     for own in setpoints if isinstance(setpoints, tuple) and plant.mechanism.joint_names else ():
         check_positive("reference", "N*m/rad", stiffness=own.stiffness)
     start, exists = starts_of(None, problem, setpoints, engine=engine)
-    reached = _Reached(plant, problem.plant, times, setpoints, engine)
+    reached = Reached(plant, problem.plant, times, setpoints, engine)
     reach = reached.by(problem.controller)
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
@@ -158,14 +158,14 @@ def simulate(
     return result
 
 
-class _Reached(NamedTuple):
+class Reached(NamedTuple):
     """Static feasibility of setpoints for a plant."""
 
     plant: Plant
     numbers: PyTree  # plant, `numeric`
     times: NDArray[np.float64]
     setpoints: PyTree
-    engine: str
+    engine: str = "auto"
 
     def by(self, controller: PyTree, tension: float = 0.0) -> Feasibility | None:
         """Return the feasibility of the reference of an unnamed joint under a controller with a least tension [N]."""
