@@ -538,4 +538,12 @@ def errors_of(scenario: StudiedScenario, source: str) -> Iterator[None]:
     except McKibbenError as error:
         own = getattr(error, "field", "") or ""
         field = own if own.partition(".")[0] in type(scenario).model_fields else "start"  # all else has been checked
-        raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
+        problem = Problem.of(error, _line_of(source, field), field)
+        raise ScenarioError(source or scenario.name, [problem]) from error
+
+
+def _line_of(source: str, field: str) -> int | None:
+    """Line of a field in a file; None without a file or the field."""
+    if not Path(source).is_file():
+        return None
+    return read_document(Path(source).read_text(encoding="utf-8")).line(tuple(field.split(".")))
