@@ -137,6 +137,7 @@ class AntagonisticJoint(Component):
         super().__check_init__()
         if all(self.springs):
             raise RangeError("AntagonisticJoint: two springs and no muscle", remedy="make one of them a muscle")
+        self.geometry.check_muscles(self.muscles)
         for muscle in self.muscles:
             muscle.check_pressure_limit()
         if not isinstance(self.tendon, RigidTendon):  # the rate of the length is not a function of the state

@@ -18,6 +18,7 @@ from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     Field,
     SerializationInfo,
     ValidationInfo,
@@ -339,7 +340,7 @@ class StudiedScenario(RunSettings):
 class Start(ConfigModel):
     """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (default: the middle of the attainable range)."""
 
-    angle: Angle = 0.0
+    angle: Angle = Field(default=0.0, validation_alias=AliasChoices("angle", "position"))
     stiffness: Stiffness | None = None
 
 
@@ -446,6 +447,8 @@ class Scenario(StudiedScenario):
         if info.context is not None:
             info.context["joint_type"] = self.joint.joint_type
         written = _with_steps_once(handler(self))
+        if isinstance(written.get("start"), dict):
+            written["start"] = {self.joint_type.words(key): value for key, value in written["start"].items()}
         usual = {"sensors": write(PerfectSensors(), ComponentField(Sensors)), "disturbance": "none"}
         return {key: value for key, value in written.items() if usual.get(key) != value}
 
