@@ -7,6 +7,7 @@ file are held at 0 deg by computed torque.
 """
 
 import argparse
+import re
 import subprocess
 import sys
 import tempfile
@@ -32,7 +33,7 @@ LONGEST = 400
 def held(text, folder, **stiffness):
     """The scenario of a robot that is held at 0 deg, each joint with its stiffness [N*m/rad]."""
     joints = ", ".join(f"{name}: {{angle: 0 deg, stiffness: {value} N*m/rad}}" for name, value in stiffness.items())
-    text = text.replace(VALVE, "") + VALVE + HOLDING + f"reference: {{{joints}}}\n"
+    text = re.sub("^valve:.*\n", "", text, flags=re.MULTILINE) + VALVE + HOLDING + f"reference: {{{joints}}}\n"
     return mk.Scenario.parse(text, folder=folder)
 
 
