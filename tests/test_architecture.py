@@ -117,7 +117,7 @@ BUDGET = {
     "rig": 4980,
     "scenario": 2170,
     "serial_protocol": 170,
-    "simulation": 3420,
+    "simulation": 3440,
     "statics": 570,
     "storage": 600,
     "study": 3820,
