@@ -43,7 +43,7 @@ class Outcome(enum.Enum):
     SATURATED = "completed, with a command at a pressure limit part of the time"
     LEFT_DOMAIN = "a muscle left its domain or its rating: the law is extrapolated there"
     NOT_FOLLOWED = "does not follow"
-    LATE = "too late: commands missed their deadlines"
+    LATE = "too late"
     CHATTER = "chatters: commands wear the valves"
     LIMIT_CYCLE = "in a limit cycle: the angle oscillates faster than its reference"
     LEFT_REFERENCE = (

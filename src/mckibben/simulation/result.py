@@ -368,8 +368,8 @@ class SimulationResult(Result):
                 f"{sentence}; one reverses {rate:.3g} times and travels {travel:.3g} bar per second, of which the "
                 f"reference needs at most {needed:.3g} bar"
             )
-        if self.outcome is Outcome.LATE:
-            sentence = f"{sentence}, {self.missed} of {self.deadlines}"
+        if self.missed:
+            sentence = f"{sentence}; {self.missed} of {self.deadlines} deadlines missed"
         if self.outcome is Outcome.NOT_FOLLOWED:
             sentence = f"{sentence}: {self._not_followed()}"
         peak = self["force"].max()
