@@ -82,6 +82,8 @@ class Column:
         Significant digits in tables.
     dims
         Names of the axes of an array of more than one dimension, for NetCDF; such an array is in no table.
+    detail
+        Whether it is shown with details only.
     """
 
     unit: str = ""
@@ -89,6 +91,7 @@ class Column:
     shown: str = ""
     digits: int = 4
     dims: tuple[str, ...] = ()
+    detail: bool = False
 
     @property
     def shown_unit(self) -> str:
@@ -487,15 +490,19 @@ class Result(Suggesting):
         return all(remark.severity is not Severity.SEVERE for remark in self.remarks())
 
     def listings(self) -> Iterable[Listing]:
-        """Return the tables: the declared scalars, the declared columns, then each `table`."""
+        """Return the tables: the declared scalars and columns, each with its details apart, then each `table`."""
         scalars, columns = {}, {}
         for name, (column, value) in self.declared().items():
             if _dimensions(value) == 0:
                 scalars[name] = column, [value]
             elif not column.dims:
                 columns[name] = column, value
-        yield from [Listing("", scalars, vertical=True)] if scalars else []
-        yield from [Listing(self.heading, columns)] if columns else []
+        for listing in (Listing("", scalars, vertical=True), Listing(self.heading, columns)):
+            for detail in (False, True):
+                chosen = {name: entry for name, entry in listing.columns.items() if entry[0].detail == detail}
+                if chosen and detail and not listing.vertical:
+                    chosen = dict(itertools.islice(columns.items(), 1)) | chosen
+                yield from [dataclasses.replace(listing, columns=chosen, detail=detail)] if chosen else []
         yield from self._tables()
 
     def _tables(self) -> Iterator[Listing]:

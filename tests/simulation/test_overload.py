@@ -27,7 +27,7 @@ def moved():
         jnp.zeros(4, bool),
         {"stiffness_estimate": zeros},
     )
-    return jax.jit(trajectory)(plant, Setpoint(angle, zeros), record, record.state.angle)
+    return jax.jit(trajectory)(plant, Setpoint(angle, zeros + 70), record, record.state.angle)
 
 
 def test_an_overload_is_where_the_tension_is_above_630_n(moved):

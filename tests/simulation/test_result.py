@@ -66,11 +66,31 @@ def said(text: str, what: str) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("frequency", "poor"), [(0.5, False), (8.0, True)])
-def test_a_reference_too_fast_for_the_joint_is_named(plant, knee, frequency, poor):
+def test_a_reference_too_fast_for_the_joint_is_not_followed(plant, knee, frequency, poor):
     reference = mk.Reference(angle=mk.Sine(10 * deg, frequency), stiffness=mk.Constant(15.0))
     result = mk.simulate(plant, mk.PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=1.0)
-    assert result.outcome.usable and bool(result.poor_tracking) == poor
-    assert ("mckibben envelope" in result.to_text(), "worse than a joint at rest" in result.to_text()) == (poor, poor)
+    assert result.outcome is (Outcome.NOT_FOLLOWED if poor else Outcome.COMPLETED) and result.ok != poor
+    assert ("mckibben envelope" in result.to_text(), "reference -10..10 deg" in result.verdict()) == (poor, poor)
+
+
+def test_five_numbers_are_shown_and_neither_zeros_nor_dashes(completed, saturated):
+    shown, details = completed.listings()
+    assert list(shown.columns) == ["angle_rmse", "angle_max", "stiffness_rmse", "air", "command_travel"]
+    assert details.detail and not shown.detail and not set(shown.columns) & set(details.columns)
+    assert set(shown.columns) | set(details.columns) == set(completed.metrics)
+    still = next(iter(saturated.listings())).columns
+    assert "angle_rmse" in still and all(np.nan_to_num(values[0]) != 0 for _, values in still.values())
+
+
+def test_a_run_whose_reference_is_not_attainable_is_not_ok(saturated):
+    assert not saturated.ok and saturated.verdict().startswith("the reference is not attainable")
+
+
+def test_missed_deadlines_are_kept_with_the_run(completed, tmp_path):
+    late = dataclasses.replace(completed, missed=3044, deadlines=6000)
+    assert late.outcome is Outcome.LATE and not late.ok and "3044 of 6000" in late.verdict()
+    late.to_netcdf(tmp_path / "late.nc")
+    assert mk.SimulationResult.from_netcdf(tmp_path / "late.nc").verdict() == late.verdict()
 
 
 def test_a_column_is_an_array_and_an_unknown_one_is_named(completed):

@@ -31,7 +31,7 @@ def test_a_scenario_starts_at_rest_and_runs_without_a_warning(path):
     state = scenario.control().init(Measurement(initial.angle, initial.pressures))
     assert np.isfinite(float(state.estimate))
     result = run_scenario(scenario)
-    assert result.outcome.usable and not result.poor_tracking
+    assert result.ok != (path.stem == "as-printed-constant-pid")  # the paper's PID errs by 57 % of its sine
 
 
 @pytest.mark.slow

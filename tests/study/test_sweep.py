@@ -231,7 +231,7 @@ def test_the_statistics_are_those_of_numpy():
     swept = made_up()
     codes = swept["outcome"]
     outcomes = tables(swept)["Outcomes"].columns
-    assert list(outcomes["runs"][1]) == [np.sum(codes == 0), np.sum(codes == 4), np.sum(codes == 5)]
+    assert list(outcomes["runs"][1]) == [np.sum(codes == code) for code in sorted(set(codes))]
     rows = {row[0]: row for row in swept.statistics()}
     assert len(rows) == len(METRICS)
     for metric, unit, scale in METRICS.values():

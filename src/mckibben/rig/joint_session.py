@@ -72,12 +72,14 @@ class JointRunResult(Result):
     priority: str
 
     def verdict(self) -> str:
-        """The outcome of the run, its missed deadlines, and the outcome of the venting."""
+        """The verdict on the motion, or the reason of a stop, and the outcome of the venting."""
         text = self.result.verdict() if self.result is not None and self.outcome.completed else self.outcome.kind
-        missed = f"; {self.timing.missed} of {self.timing.periods} deadlines missed" * (
-            self.paced and self.timing.missed > 0
-        )
-        return f"{text}{missed}; {self.outcome.venting}"
+        return f"{text}; {self.outcome.venting}"
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run was completed and its motion is ok."""
+        return self.outcome.completed and self.result is not None and self.result.ok
 
     def remarks(self) -> Iterator[Remark]:
         """The reason of a stop, and the remarks on the motion."""
@@ -207,8 +209,11 @@ class JointSession:
                     outcome = dataclasses.replace(outcome, kind="rig", text=str(error), error=error)
         if not segments(folder):  # it was removed
             raise StoppedError(f"stopped: {outcome.text}; {outcome.venting}")
-        table, period = read_record(folder).columns, self.plan.period
-        return JointRunResult(outcome, self.measured(table), Timing.of(table, period), self.backend.paced, priority)
+        table, paced = read_record(folder).columns, self.backend.paced
+        timing, result = Timing.of(table, self.plan.period), self.measured(table)
+        if result is not None and paced:
+            result = dataclasses.replace(result, missed=timing.missed, deadlines=timing.periods)
+        return JointRunResult(outcome, result, timing, paced, priority)
 
     @property
     def columns(self) -> list[mcap.Column]:

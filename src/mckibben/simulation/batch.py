@@ -42,7 +42,7 @@ from mckibben.simulation.accuracy import (
 from mckibben.simulation.engine import check_count, chunk_size, compute_groups, dynamic_steps
 from mckibben.simulation.loop import of_any_length, positions_over_time, streaming_episode
 from mckibben.simulation.metrics import Metrics, last_change, usual_metrics
-from mckibben.simulation.outcome import OUTCOMES, Outcome, near_reference, outcomes
+from mckibben.simulation.outcome import OUTCOMES, Demand, Outcome, near_reference, outcomes
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -95,7 +95,7 @@ class RunTable(Result):
 
     @property
     def oscillates(self) -> NDArray[np.bool_]:
-        """Mask of the runs in a limit cycle of the angle, of the stiffness or of a command."""
+        """Mask of the runs in a limit cycle of the angle, or whose commands wear the valves."""
         return np.array([outcome.oscillates for outcome in OUTCOMES])[self["outcome"]]
 
     @property
@@ -356,9 +356,21 @@ class _Runs(NamedTuple):
         constant = *shared, np.asarray(self.period, float), self.asked, dynamic_steps(substeps)
         columns, used = _run(self.engine, constant, varying, self.asked.precision)
         if self.asked.kind is Metrics:
-            spans = over_joints(lambda own: np.broadcast_to(np.ptp(own.angle, axis=0), varying[-1].shape), setpoints)
-            columns = columns | {"_span": spans}
+            columns = columns | self.demand(setpoints, varying[-1].shape)
         return columns, used
+
+    def demand(self, setpoints: PyTree, shape: tuple[int, ...]) -> dict[str, PyTree]:
+        """Demand of the reference in each run, by columns."""
+        duration, scale = self.times.size * self.period, self.shared.plant.mechanism.joint_type.scale
+
+        def of_joint(own: Setpoint) -> Demand:
+            demand = Demand.of(own.angle, own.stiffness, duration, scale)
+            return Demand(*(np.broadcast_to(part, shape) for part in demand))
+
+        joints = over_joints(of_joint, setpoints)
+        return {
+            name: over_joints(lambda own, field=field: getattr(own, field), joints) for name, field in _DEMAND.items()
+        }
 
     def setpoints(self, lanes: SimulationProblem) -> PyTree:
         """Setpoints of runs, whose parts that vary have the runs along the last axis."""
@@ -462,9 +474,10 @@ def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
 
 
 _DECIDING = (
-    *("angle_max", "time_outside_domain", "time_overloaded", "time_saturated"),
-    *("oscillation_amplitude", "stiffness_oscillation", "command_oscillation"),
+    *("angle_max", "angle_rmse", "stiffness_rmse", "oscillation_amplitude", "command_travel"),
+    *("time_outside_domain", "time_overloaded", "time_saturated"),
 )
+_DEMAND = {f"_demand_{field}": field for field in Demand._fields}
 
 
 _LANDED = ("peak_force", "peak_trunk_force", "time_outside_domain")
@@ -485,8 +498,8 @@ def _table(
     else:
         code = outcomes(
             {name: columns[f"_{name}"] for name in _DECIDING},
+            Demand(**{field: columns[name] for name, field in _DEMAND.items()}),
             angle_at_end=columns["_angle_at_end"],
-            span=columns["_span"],
             started=columns["_started"],
             by_joint=bool(mechanism.joint_names),
             scale=mechanism.joint_type.scale,

@@ -130,11 +130,15 @@ def check_reference(
 
 
 def feasibility(plant: PyTree, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
-    """Feasibility of setpoints of shape (periods,), from the attainable stiffness at them (`static_band`)."""
-    angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
-    unheld = np.isnan(others[-1])
-    cause = leaves_domain(plant.supplied_joint, angle, unheld) if unheld.any() else ""
-    return Feasibility(times, angle, *others, cause=cause, joint_type=plant.mechanism.joint_type)
+    """Feasibility of setpoints of shape (periods,), from the attainable stiffness at them (`static_band`).
+
+    None is asked of a muscle against a spring: the angle determines its stiffness.
+    """
+    angle, stiffness, low, high = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
+    unheld, joint = np.isnan(high), plant.supplied_joint
+    cause = leaves_domain(joint, angle, unheld) if unheld.any() else ""
+    desired = low if any(joint.springs) else stiffness
+    return Feasibility(times, angle, desired, low, high, cause=cause, joint_type=plant.mechanism.joint_type)
 
 
 @BatchFunction

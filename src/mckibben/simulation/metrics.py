@@ -131,16 +131,6 @@ class Duration(Total):
         return totals.sums[self.of] * run.period
 
 
-class LargerRate(Metric):
-    """Largest of the sums of a quantity of the muscles, per second."""
-
-    def terms(self, sample: PyTree) -> Totals:
-        return Totals({self.of: getattr(sample, self.of)}, {})
-
-    def value(self, totals: Totals, run: Run) -> PyTree:
-        return functools.reduce(larger, totals.sums[self.of]) / (run.periods * run.period)
-
-
 class Tracked(Metric):
     """Quantity of the state that is tracked from each control period to the next, at the end of a run."""
 
@@ -284,23 +274,19 @@ class Metrics(NamedTuple):
     oscillation_period: Annotated[
         Array, Tracked("s", "period of a limit cycle of the angle", of="period", along="joint", note="NaN without one")
     ]
-    stiffness_oscillation: Annotated[
-        Array,
-        Tracked(
-            "N*m/rad",
-            "amplitude of a limit cycle of the stiffness",
-            of="stiffness",
-            along="joint",
-            note="0 without one",
-        ),
-    ]
-    command_oscillation: Annotated[
-        Array, Tracked("Pa", "amplitude of a limit cycle of a command", of="command", shown="bar", note="0 without one")
-    ]
     command_reversals: Annotated[
         Array, Tracked("1/s", "reversals of a command per second", of="reversals", note="of 0.1 bar or more")
     ]
-    command_travel: Annotated[Array, LargerRate("Pa/s", "travel of a command per second", of="travel", shown="bar/s")]
+    command_travel: Annotated[
+        Array,
+        Tracked(
+            "Pa/s",
+            "travel of a command per second",
+            of="travel",
+            shown="bar/s",
+            note="of the valve that travels furthest, which follows its command with a play of 0.1 bar",
+        ),
+    ]
 
 
 def usual_metrics(kind: Any) -> tuple[str, ...]:
@@ -408,7 +394,6 @@ class MetricSample(NamedTuple):
     overloaded: Array
     force: Array  # [N]
     inflow: Array  # [m^3]
-    travel: tuple[Array, ...]  # of the commands [Pa]
 
     @classmethod
     def of(
@@ -418,7 +403,7 @@ class MetricSample(NamedTuple):
         periods: Array,
         change: PyTree,
         stiffness_at_change: PyTree,
-        before: Before,
+        air_before: tuple[Array, ...],
     ) -> MetricSample:
         """Samples of single control periods, elementwise: scalars or shape (periods,)."""
         index, error = jnp.asarray(index), functools.partial(over_joints, _difference)
@@ -427,7 +412,7 @@ class MetricSample(NamedTuple):
             error(moved.stiffness, moved.desired_stiffness),
         )
 
-        rises = map(_difference, moved.air, before.air)
+        rises = map(_difference, moved.air, air_before)
 
         def number(flag: ArrayLike) -> Array:
             return jnp.asarray(flag).astype(jax.tree.leaves(stiffness_error)[0].dtype)
@@ -454,19 +439,11 @@ class MetricSample(NamedTuple):
             overloaded=number(moved.overloaded),
             force=functools.reduce(larger, moved.force),
             inflow=functools.reduce(operator.add, [larger(rise, 0.0) for rise in rises]),
-            travel=tuple(map(jnp.abs, map(_difference, moved.command, before.command))),
         )
 
     def totals(self) -> Totals:
         """Terms of the metrics, and of `angle_at_end`."""
         return Totals.of((*metrics_of(Metrics).values(), _ANGLE_AT_END), self)
-
-
-class Before(NamedTuple):
-    """Air [m^3] and commands [Pa] of the muscles a period earlier."""
-
-    air: tuple[Array, ...]
-    command: tuple[Array, ...]
 
 
 def _difference(first: ArrayLike, other: ArrayLike) -> Array:
@@ -481,7 +458,7 @@ class Accumulation(NamedTuple):
     """Metrics of the control periods so far, before they are numbers of a run."""
 
     totals: Totals
-    before: Before
+    air: tuple[Array, ...]  # [m^3]
     stiffness_at_change: PyTree
     oscillation: Oscillation
 
@@ -489,11 +466,11 @@ class Accumulation(NamedTuple):
     def empty(cls, like: Trajectory) -> Accumulation:
         """Return the state before the first period, with the form and the float types of one."""
         like = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
-        kind, before = jax.tree.leaves(like.stiffness)[0], Before(like.air, like.command)
+        kind = jax.tree.leaves(like.stiffness)[0]
         change = over_joints(lambda own: Change(jnp.zeros((), int), own, own, jnp.asarray(False)), like.stiffness)
-        sample = MetricSample.of(like, 0, jnp.asarray(1), change, like.stiffness, before)
+        sample = MetricSample.of(like, 0, jnp.asarray(1), change, like.stiffness, like.air)
         totals = jax.tree.map(lambda _: jnp.zeros_like(kind), sample.totals())
-        return cls(totals, before, like.stiffness, Oscillation.empty(_signals(like)))
+        return cls(totals, like.air, like.stiffness, Oscillation.empty(_signals(like)))
 
     def after(
         self,
@@ -511,11 +488,10 @@ class Accumulation(NamedTuple):
             self.stiffness_at_change,
             change,
         )
-        values = Before(now.air, now.command)
-        before = jax.tree.map(lambda new, old: jnp.where(index == 0, new, old), values, self.before)
+        before = tuple(jnp.where(index == 0, new, old) for new, old in zip(now.air, self.air, strict=True))
         sample = MetricSample.of(now, index, periods, change, at_change, before)
         oscillation = self.oscillation.after(_signals(now), index, angle_resolution, scale)
-        return Accumulation(self.totals.merge(sample.totals()), values, at_change, oscillation)
+        return Accumulation(self.totals.merge(sample.totals()), now.air, at_change, oscillation)
 
     def run(self, periods: Array, period: ArrayLike, change: PyTree) -> Run:
         """Return the run as a whole, with its oscillations."""

@@ -1,9 +1,8 @@
-"""Detection of limit cycles, hunting and chatter: sustained oscillations that the reference does not ask for.
+"""Limit cycles and hunting of the angle, which its reference does not ask for, and the motion of the valves.
 
-Sought in the errors of angle and stiffness, and in both commands. An oscillation is sustained if at least four periods
-in a row have swings of similar size and duration that do not decay, faster than the reference: a streaming form of
-T. Hagglund, A control-loop performance monitor, Control Eng. Pract. 3, 1995. The least swings are those that sensors,
-valves and muscles resolve, see `least_swings`.
+An oscillation of the angle's error is sustained if at least four periods in a row have swings of similar size and
+duration that do not decay, faster than the reference: a streaming form of T. Hagglund, A control-loop performance
+monitor, Control Eng. Pract. 3, 1995. A valve follows its command with play, its hysteresis.
 """
 
 from __future__ import annotations
@@ -16,68 +15,45 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from mckibben.mechanism.base import joints_in, over_joints
+from mckibben.mechanism.base import over_joints
 from mckibben.units import bar, deg
 
 Scalar = Float[Array, ""]
 
+HYSTERESIS = 0.1 * bar
+"""Swing of a command within which a valve need not move: hysteresis and repeatability of proportional pressure
+regulators, 0.5 % each of 10 bar (Festo VPPE, SMC ITV)."""
 AMPLITUDE = 0.1 * deg  # least of a hinge; smaller ones are noise
 _STEPS = 2  # steps of the sensor of the angle in the least amplitude: a loop hunts by one between two of them
-_COMMAND = 0.1 * bar
-_STIFFNESS = 0.02
 _REGULAR_SIZE = 0.55  # least swing, relative to the one before
 _SMALLER = 0.97  # of the swing before, at most, of one that has decayed
 _DECAYED = 0.7  # share of such swings in an oscillation that decays, even if disturbances excite it again
 _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
 _FASTER = 0.6  # largest period of a limit cycle of the angle, relative to the mean period of the reference
-_HARMONIC = 0.25  # of stiffness and commands, where the third harmonic of the reference is still due to it
-_SHARE = 0.25  # of the run in which stiffness or a command oscillates without a break, or
-_MANY = 40  # half-periods; white or differentiated noise has at most some 30 in a row in 10,000 control periods
 _RECENT = 8  # swings of the moving average of their size
 _FALLEN = 0.85  # of the mean size, at least, of this average in an oscillation that does not decay slowly
 
 
 class Signals(NamedTuple):
-    """Signals of a control period [rad], [N*m/rad], [Pa], or of all, of shape (periods,).
+    """Signals of a control period [rad], [Pa], or of all, of shape (periods,).
 
-    Those of an unnamed joint, or tuples over joints; the commands are those of all muscles.
+    Angles are those of an unnamed joint, or tuples over joints; the commands are those of all muscles.
     """
 
     angle: PyTree
     desired_angle: PyTree
-    stiffness: PyTree
-    desired_stiffness: PyTree
     command: tuple[Array, ...]
 
 
-def least_swings(now: Signals, resolution: ArrayLike, scale: float = 1.0) -> tuple[PyTree, PyTree, ArrayLike]:
-    """Least swings, from peak to peak, of angle [rad], stiffness [N*m/rad] of each joint, and command [Pa].
-
-    That of the angle is 0.2 deg, of a slide 0.2 mm (by the scale of its `JointType`), or four steps of its sensor
-    [rad]; that of a command 0.1 bar, the hysteresis and repeatability of proportional pressure regulators (0.5 % each
-    of 10 bar: Festo VPPE, SMC ITV), within which a valve need not move; that of the stiffness 2 % of it, its change by
-    such a change of the pressure at 5 bar.
-    """
-    angle = 2 * jnp.maximum(AMPLITUDE * scale, _STEPS * jnp.asarray(resolution))
-
-    def of_stiffness(stiffness: ArrayLike, desired: ArrayLike) -> Array:
-        return _STIFFNESS * jnp.maximum(jnp.abs(jnp.asarray(stiffness)), jnp.abs(jnp.asarray(desired)))
-
-    return (
-        over_joints(lambda _: angle, now.angle),
-        over_joints(of_stiffness, now.stiffness, now.desired_stiffness),
-        _COMMAND,
-    )
-
-
 class Turns(NamedTuple):
-    """Turning points of a signal so far; times in control periods."""
+    """Turning points and travel of a signal so far; times in control periods."""
 
     direction: Scalar  # 1 upwards, -1 downwards
     reached: Scalar  # in this direction since the last turning point
     reached_at: Scalar
     total: Scalar  # number of turning points
+    travel: Scalar  # of what follows the signal with a play, the least swing
 
     @property
     def extreme(self) -> Array:
@@ -89,8 +65,10 @@ class Turns(NamedTuple):
         signed, at = self.direction * value, jnp.asarray(index, self.reached.dtype)
         further = signed >= self.reached
         reached, reached_at = jnp.where(further, signed, self.reached), jnp.where(further, at, self.reached_at)
-        turned = Turns(-self.direction, -signed, at, self.total + 1)
-        return self.reached - signed >= swing, turned, self._replace(reached=reached, reached_at=reached_at)
+        back, ahead = self.reached - signed, jnp.where(at == 0, 0.0, reached - self.reached)
+        turned = Turns(-self.direction, -signed, at, self.total + 1, self.travel + back - swing)
+        going = self._replace(reached=reached, reached_at=reached_at, travel=self.travel + ahead)
+        return back >= swing, turned, going
 
     def counted(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Turns:
         """Return the state after the sample of a control period, with the least distance of two turning points."""
@@ -130,7 +108,8 @@ class Swings(NamedTuple):
         """Return the state before the first sample, with the float type of `like`."""
         zero = jnp.zeros_like(like)
         none = Chain(zero, zero, zero, zero, zero)
-        return cls(Turns(zero + 1, zero - jnp.inf, zero, zero), zero + jnp.nan, zero, zero, zero, none, none)
+        turns = Turns(zero + 1, zero - jnp.inf, zero, zero, zero)
+        return cls(turns, zero + jnp.nan, zero, zero, zero, none, none)
 
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
         """Return the state after the sample of a control period, with the least swing that counts."""
@@ -152,12 +131,11 @@ class Swings(NamedTuple):
         longest = Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True)))
         return Swings(turns, self.turns.extreme, self.turns.reached_at, size, duration, chain, longest)
 
-    def cycle(self, longest: ArrayLike, least: ArrayLike = 0.0) -> LimitCycle:
-        """Return the limit cycle with a longest period, and a least duration or many swings [control periods]."""
+    def cycle(self, longest: ArrayLike) -> LimitCycle:
+        """Return the limit cycle with a longest period [control periods]."""
         chain = self.longest
         period = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
-        lasts = (chain.duration >= least) | (chain.number >= _MANY)
-        cycles = chain.sustained & lasts & (period < longest)
+        cycles = chain.sustained & (period < longest)
         amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
         return LimitCycle(jnp.where(cycles, amplitude, 0.0), jnp.where(cycles, period, jnp.nan))
 
@@ -170,83 +148,67 @@ class LimitCycle(NamedTuple):
 
 
 class Oscillations(NamedTuple):
-    """Limit cycles of a run, and its reversals of commands."""
+    """Limit cycles of a run, and the motion of its valves."""
 
     angle: PyTree  # amplitude [rad] of each joint; 0 without a limit cycle
     period: PyTree  # of the angle [s]; NaN without one
-    stiffness: PyTree  # amplitude [N*m/rad]
-    command: Scalar  # larger amplitude [Pa]
     reversals: Scalar  # of the command that reverses more often [1/s]
+    travel: Scalar  # of the valve that travels further [Pa/s]
 
 
 class Oscillation(NamedTuple):
-    """Swings of a run so far: of the errors of angle and stiffness and of the commands, and turns of the references."""
+    """Swings of a run so far: of the errors of the angles, and turns of their references and of the commands."""
 
     angle: PyTree  # `Swings` of each joint
-    stiffness: PyTree
-    command: tuple[Swings, ...]
     desired_angle: PyTree  # `Turns` of each joint
-    desired_stiffness: PyTree
+    command: tuple[Turns, ...]
 
     @classmethod
     def empty(cls, first: Signals) -> Oscillation:
         """Return the state before the first sample, with the float types of its signals."""
-        swings = Swings.empty(jax.tree.leaves(first.stiffness)[0])
+        swings = Swings.empty(jax.tree.leaves(first.angle)[0])
         swinging, turning = (over_joints(lambda _, own=own: own, first.angle) for own in (swings, swings.turns))
-        return cls(swinging, swinging, (swings,) * len(first.command), turning, turning)
+        return cls(swinging, turning, (swings.turns,) * len(first.command))
 
     def after(self, now: Signals, index: ArrayLike, resolution: ArrayLike = 0.0, scale: float = 1.0) -> Oscillation:
         """Return the state after the signals of a control period, and a resolution of the sensor of the angle [rad].
 
         The scale is that of the `JointType`.
         """
-        angle, stiffness, command = least_swings(now, resolution, scale)
+        least = 2 * jnp.maximum(AMPLITUDE * scale, _STEPS * jnp.asarray(resolution))
 
-        def of_error(value: ArrayLike, desired: ArrayLike, swing: ArrayLike, swings: Swings) -> Swings:
-            return swings.after(jnp.asarray(value) - desired, index, swing)
-
-        def counted(value: ArrayLike, swing: ArrayLike, turns: Turns) -> Turns:
-            return turns.counted(value, index, swing)
+        def of_error(value: ArrayLike, desired: ArrayLike, swings: Swings) -> Swings:
+            return swings.after(jnp.asarray(value) - desired, index, least)
 
         return Oscillation(
-            over_joints(of_error, now.angle, now.desired_angle, angle, self.angle),
-            over_joints(of_error, now.stiffness, now.desired_stiffness, stiffness, self.stiffness),
-            tuple(swings.after(value, index, command) for swings, value in zip(self.command, now.command, strict=True)),
+            over_joints(of_error, now.angle, now.desired_angle, self.angle),
             over_joints(
-                lambda x, turns: turns.counted(x, index, 2 * AMPLITUDE * scale), now.desired_angle, self.desired_angle
+                lambda value, turns: turns.counted(value, index, 2 * AMPLITUDE * scale),
+                now.desired_angle,
+                self.desired_angle,
             ),
-            over_joints(
-                lambda x, swing, turns: turns.counted(x, index, swing),
-                now.desired_stiffness,
-                stiffness,
-                self.desired_stiffness,
+            tuple(
+                turns.counted(value, index, HYSTERESIS) for turns, value in zip(self.command, now.command, strict=True)
             ),
         )
 
     def found(self, periods: ArrayLike, period: ArrayLike) -> Oscillations:
         """Return the oscillations of a run of so many control periods [s]."""
-        periods, angles, stiffnesses = jnp.asarray(periods), self.desired_angle, self.desired_stiffness
+        periods = jnp.asarray(periods)
 
-        def mean_period(*turns: Turns) -> Array:
-            """Mean period [control periods] of references, of the one that turns most often."""
-            return 2 * periods / jnp.maximum(functools.reduce(jnp.maximum, [own.total for own in turns]), 1e-9)
+        def of_joint(swings: Swings, reference: Turns) -> LimitCycle:
+            return swings.cycle(_FASTER * 2 * periods / jnp.maximum(reference.total, 1e-9))
 
-        cycles = over_joints(lambda own, to: own.cycle(_FASTER * mean_period(to)), self.angle, angles)
-        stiffness = over_joints(
-            lambda own, *to: own.cycle(_HARMONIC * mean_period(*to), _SHARE * periods).amplitude,
-            self.stiffness,
-            angles,
-            stiffnesses,
+        cycles = over_joints(of_joint, self.angle, self.desired_angle)
+        reversals, travel = (
+            functools.reduce(jnp.maximum, values) / (periods * period)
+            for values in ([own.total for own in self.command], [own.travel for own in self.command])
         )
-        all_turns = mean_period(*joints_in(angles), *joints_in(stiffnesses))
-        commands = [own.cycle(_HARMONIC * all_turns, _SHARE * periods).amplitude for own in self.command]
-        reversals = functools.reduce(jnp.maximum, [own.turns.total for own in self.command])
         return Oscillations(
             over_joints(lambda cycle: cycle.amplitude, cycles),
             over_joints(lambda cycle: cycle.period * period, cycles),
-            stiffness,
-            functools.reduce(jnp.maximum, commands),
-            reversals / (periods * period),
+            reversals,
+            travel,
         )
 
 
@@ -273,9 +235,9 @@ def find_oscillations(
     >>> import numpy as np
     >>> rest = np.zeros(2000)
     >>> command = 3e5 + 0.5e5 * np.sin(2 * np.pi * 10 * 1e-3 * np.arange(2000))
-    >>> found = find_oscillations(Signals(rest, rest, rest + 70, rest + 70, (command, rest)), 1e-3)
-    >>> float(found.angle), round(float(found.command) / 1e5, 2), round(float(found.reversals))
-    (0.0, 0.5, 20)
+    >>> found = find_oscillations(Signals(rest, rest, (command, rest)), 1e-3)
+    >>> float(found.angle), round(float(found.reversals)), round(float(found.travel) / 1e5)
+    (0.0, 20, 18)
     """
     signals = jax.tree.map(jnp.asarray, signals)
 
@@ -291,8 +253,6 @@ def find_limit_cycle(
     angle: ArrayLike, desired: ArrayLike, period: ArrayLike, resolution: ArrayLike = 0.0, scale: float = 1.0
 ) -> LimitCycle:
     """Return the limit cycle of the angle, from angle and reference [rad] of each control period [s]."""
-    angle = jnp.asarray(angle)
-    still = jnp.zeros_like(angle)
-    signals = Signals(angle, jnp.asarray(desired), still, still, (still,))
+    signals = Signals(jnp.asarray(angle), jnp.asarray(desired), (jnp.zeros_like(jnp.asarray(angle)),))
     oscillations = find_oscillations(signals, period, resolution, scale)
     return LimitCycle(oscillations.angle, oscillations.period)

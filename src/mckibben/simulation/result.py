@@ -8,6 +8,7 @@ import io
 import os
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
 
@@ -26,11 +27,11 @@ from mckibben.joint.geometry import Pressures
 from mckibben.mechanism.base import angles_of, over_joints
 from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Column, Remark, Result, TableColumns
+from mckibben.result import Column, Remark, Result, Severity, TableColumns
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import OF_STIFFNESS_SETPOINT, Metrics, first_of_end, last_change, measure
-from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
+from mckibben.simulation.outcome import OUTCOMES, Demand, Outcome, outcomes
 from mckibben.simulation.robot_metrics import BODY, RobotMetrics, body_columns
 from mckibben.simulation.trajectories import (
     LABELS,
@@ -51,7 +52,12 @@ if TYPE_CHECKING:
     from mckibben.plant import Plant, PlantState
     from mckibben.simulation.trajectories import Record
 
-_CHATTER = "stiffness_oscillation", "command_oscillation", "command_reversals", "command_travel"
+_FIVE = "angle_rmse", "angle_max", "stiffness_rmse", "command_travel", "air"
+_REMEDIES = {
+    Outcome.NOT_FOLLOWED: "`mckibben envelope` shows what the joint can follow; else tune the controller or calibrate",
+    Outcome.CHATTER: "lower the bandwidth of observers or the gains, or tune the controller with the sensors' noise",
+    Outcome.LATE: "free the computer of other work, or choose a longer control period",
+}
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
 """Columns of the attainable stiffness."""
 
@@ -134,6 +140,8 @@ class SimulationResult(Result):
         Static feasibility of the reference; None if unknown.
     notes
         Function of the remarks on the plant, which take longer than a run.
+    missed, deadlines
+        Numbers of missed and of all deadlines of a measured run; 0 of others.
     joints, muscles
         Names of the joints and muscles of a robot.
     joint_type
@@ -159,6 +167,8 @@ class SimulationResult(Result):
     muscles: tuple[str, ...] = ()
     joint_type: JointType = HINGE
     landing: Callable[[], RobotMetrics] | None = None
+    missed: int = 0
+    deadlines: int = 0
 
     @classmethod
     def of(
@@ -203,10 +213,15 @@ class SimulationResult(Result):
         return self.times.size * self.control_period
 
     def declared(self) -> TableColumns:
-        """The metrics, with their units, and the joints that they are of."""
-        joints = {"joint": (Column(), list(self.joints))} if self.joints and self.landing is None else {}
-        columns = joints | metric_columns(self.kind, self.metrics, self.joint_type)
-        alone = self.landing is None and np.isnan(self["desired_stiffness"]).all()
+        """The metrics, with their units, and the joints that they are of; five that are known and not 0 come first."""
+        columns = metric_columns(self.kind, self.metrics, self.joint_type)
+        if self.landing:
+            return columns
+        joints: TableColumns = {"joint": (Column(), list(self.joints))} if self.joints else {}
+        shown = {name for name in _FIVE if np.any(np.nan_to_num(self.metrics[name]))}
+        columns = {name: (replace(mark, detail=name not in shown), value) for name, (mark, value) in columns.items()}
+        columns = joints | columns
+        alone = np.isnan(self["desired_stiffness"]).all()
         return {name: column for name, column in columns.items() if not alone or name not in OF_STIFFNESS_SETPOINT}
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -288,12 +303,17 @@ class SimulationResult(Result):
         if self.kind is not Metrics:
             worst = np.max([0.0 * self.metrics["peak_force"], 0.0 * self.metrics["peak_trunk_force"]])
             return OUTCOMES[int(outcomes(self.metrics | {"angle_max": worst}))]
-        scale, by_joint = self.joint_type.scale, bool(self.joints)
-        desired = self["desired_angle"]
-        end = slice(first_of_end(desired.shape[-1]), None)
-        at_end = np.sqrt(np.mean((self["angle"] - desired)[..., end] ** 2, axis=-1))
-        span = np.ptp(desired, axis=-1)
-        return OUTCOMES[int(outcomes(self.metrics, angle_at_end=at_end, span=span, by_joint=by_joint, scale=scale))]
+        errors = (self["angle"] - self["desired_angle"])[..., first_of_end(self.times.size) :]
+        at_end = np.sqrt(np.mean(errors**2, axis=-1))
+        options: dict[str, Any] = {"missed": self.missed / max(self.deadlines, 1), "by_joint": bool(self.joints)}
+        options |= {"angle_at_end": at_end, "scale": self.joint_type.scale}
+        return OUTCOMES[int(outcomes(self.metrics, self.demand, **options))]
+
+    @functools.cached_property
+    def demand(self) -> Demand:
+        """Demand of the reference on each joint and on the valves."""
+        angle, stiffness = (np.moveaxis(self[name], -1, 0) for name in ("desired_angle", "desired_stiffness"))
+        return Demand.of(angle, stiffness, self.duration, self.joint_type.scale)
 
     def _measure(self) -> Any:
         if self.landing is not None:
@@ -305,26 +325,16 @@ class SimulationResult(Result):
 
     @property
     def ok(self) -> bool:
-        """Whether the run did not fail."""
-        return not self.outcome.failed
+        """Whether the reference is attainable, and the run follows it in time, within limits and without wear."""
+        return self.outcome.ok and super().ok
 
-    @property
-    def poor_tracking(self) -> str:
-        """Remark on an angle that follows its reference worse than a joint at rest; empty if it does not, or failed."""
-        if self.landing is not None or not self.outcome.usable:
-            return ""
-        for name, angles, desired in zip(
-            self.joints or (self.joint_type.words("the angle"),),
-            *map(self._rows, ("angle", "desired_angle")),
-            strict=True,
-        ):
-            if np.ptp(desired) < 1e-9:
-                continue
-            error, resting = (np.sqrt(np.mean((angle - desired) ** 2)) for angle in (angles, angles[0]))
-            if error > resting:
-                rmse = " instead of ".join(self.joint_type.show(rmse, "deg", 3) for rmse in (error, resting))
-                return f"{name} follows the reference worse than a joint at rest (RMSE {rmse})"
-        return ""
+    @functools.cached_property
+    def unattained(self) -> list[Remark]:
+        """Severe remarks on what the joints cannot hold of their reference at rest, as far as that is known."""
+        remedy = "`mckibben envelope` shows what is attainable"
+        reach = self.feasibility
+        own = [] if reach is None or reach.feasible else [Remark.severe("reference", reach.verdict(), remedy)]
+        return own + [note for note in self.notes() if (note.field, note.severity) == ("reference", Severity.SEVERE)]
 
     def _rows(self, name: str) -> NDArray[np.float64]:
         """Column with a row for each joint, also for an unnamed one."""
@@ -363,11 +373,16 @@ class SimulationResult(Result):
             period = np.nanmax(self.metrics["oscillation_period"])
             sentence = f"{sentence}, with an amplitude of {amplitude} and a period of {period:.3g} s"
         if self.outcome is Outcome.CHATTER:
-            stiffness, command, rate, travel = (np.max(self.metrics[name]) for name in _CHATTER)
+            travel, needed = self.metrics["command_travel"] / bar, np.max(self.demand.travel) / bar
+            rate = self.metrics["command_reversals"]
             sentence = (
-                f"{sentence}, with amplitudes of {shown(stiffness, 'N*m/rad', 3)} and {command / bar:.3g} bar; "
-                f"a command reverses {rate:.3g} times per second and travels {travel / bar:.3g} bar/s"
+                f"{sentence}; one reverses {rate:.3g} times and travels {travel:.3g} bar per second, of which the "
+                f"reference needs at most {needed:.3g} bar"
             )
+        if self.missed:
+            sentence = f"{sentence}; {self.missed} of {self.deadlines} deadlines missed"
+        if self.outcome is Outcome.NOT_FOLLOWED:
+            sentence = f"{sentence}: {self._not_followed()}"
         peak = self["force"].max()
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
@@ -379,7 +394,28 @@ class SimulationResult(Result):
             )
             if mask.any()
         ]
-        return f"{sentence} ({'; '.join(spans)})" if spans else sentence
+        sentence = f"{sentence} ({'; '.join(spans)})" if spans else sentence
+        return f"the reference is not attainable; {sentence}" if self.unattained else sentence
+
+    def _not_followed(self) -> str:
+        """Largest errors of angle and stiffness, of the joint that follows least, with the range of its reference."""
+        texts = []
+        kind = self.joint_type
+        for name, unit, allowed in (
+            ("angle", "deg", self.demand.angle),
+            ("stiffness", "N*m/rad", self.demand.stiffness),
+        ):
+            rmse, largest = (np.atleast_1d(self.metrics[f"{name}_{which}"]) for which in ("rmse", "max"))
+            if not np.any(rmse > allowed):
+                continue
+            worst = int(np.argmax(rmse / allowed))
+            desired = self._rows(f"desired_{name}")[worst] + 0.0
+            low, high = float(desired.min()), float(desired.max())
+            asked = kind.show(low, unit, 3) if low == high else kind.span((low, high), unit, 3)
+            joint = f"{self.joints[worst]}, " if self.joints else ""
+            error = kind.show(largest[worst], unit, 3)
+            texts.append(f"{joint}{kind.words(name)} error up to {error}, reference {asked}")
+        return "; ".join(texts)
 
     def _outside(self) -> str:
         """Quantities that left the domain, by how much, and the domain."""
@@ -397,16 +433,14 @@ class SimulationResult(Result):
         return f"outside the domain ({' and '.join(parts)}{f' outside {known}' if known else ''})"
 
     def remarks(self) -> Iterable[Remark]:
-        """Infeasible reference, poor tracking and integration error; notes on the plant, its domains, and friction."""
-        if self.feasibility and not self.feasibility.feasible:
-            yield Remark.warning("reference", self.feasibility.verdict())
-        if self.poor_tracking:
-            remedy = "check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
-            yield Remark.warning("controller", self.poor_tracking, remedy)
+        """Infeasible reference, remedy and integration error; notes on the plant, its domains, and friction."""
+        yield from self.unattained
+        if self.outcome in _REMEDIES:
+            yield Remark.warning("controller", _REMEDIES[self.outcome])
         if self.resolution:
             remark = Remark.note if self.resolution.resolved else Remark.warning
             yield remark("accuracy", self.resolution.describe(self.joint_type))
-        yield from self.notes()
+        yield from (note for note in self.notes() if note not in self.unattained)
         if self.joints and (left := self.metrics["time_outside_domain"]):
             yield Remark.warning("domain", f"a muscle is outside its domain for {left:.4g} s")
         if "small_motion_stiffness" in self.columns and not self.outcome.failed:
@@ -436,7 +470,8 @@ class SimulationResult(Result):
         own: dict[str, Any] = {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
         own |= self.resolution.attributes if self.resolution else {}
         own |= {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
-        own["joint_type"] = self.joint_type.name
+        own |= {"joint_type": self.joint_type.name, "missed": self.missed, "deadlines": self.deadlines}
+        own |= {"unattained": "; ".join(remark.text for remark in self.unattained)}
         boxes = [(d.contraction_min, d.contraction_max, d.pressure_min, d.pressure_max) for d in self.domains()]
         return own | ({"domains": np.ravel(np.array(boxes, float))} if boxes else {})
 
@@ -457,6 +492,7 @@ class SimulationResult(Result):
         wrong += [] if isinstance(period, float | np.floating) and period > 0 else ["control_period"]
         if wrong:
             raise FileError(str(path), [Problem(f"it is not a simulation result: it lacks {', '.join(wrong)}")])
+        unattained = str(table.attrs.get("unattained", ""))
         return cls(
             {str(name): variable.to_numpy() for name, variable in table.data_vars.items()},
             float(period),
@@ -468,6 +504,9 @@ class SimulationResult(Result):
             joints=joints,
             muscles=muscles,
             joint_type=JOINT_TYPES[str(table.attrs.get("joint_type", HINGE.name))],
+            notes=lambda: [Remark.severe("reference", unattained)] if unattained else [],
+            missed=int(table.attrs.get("missed", 0)),
+            deadlines=int(table.attrs.get("deadlines", 0)),
         )
 
 

@@ -20,7 +20,7 @@ POSTURES = 25
 def check_postures(
     robot: Robot, times: Floats, angles: Floats, stiffness: Floats, *, supply: float = np.inf
 ) -> Iterator[Remark]:
-    """Yield remarks on postures that taut muscles do not hold, and on the stiffness that they do not attain there.
+    """Yield severe remarks on postures that taut muscles do not hold, and on stiffness that they do not attain there.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def check_postures(
             missed = [name for name, value, aim in joints if abs(value - aim) > EXACT * aim]
             ranges = {} if nearest.exact else held_statics(held, missed)
         except McKibbenError as error:
-            yield Remark.warning("reference", f"{at}: {error.message}", error.remedy)
+            yield Remark.severe("reference", f"{at}: {error.message}", error.remedy)
             return
         own = {joint.name: value for joint, value in zip(robot.joints, desired, strict=True) if joint.name in ranges}
         for name, value in own.items():
@@ -59,8 +59,8 @@ def check_postures(
             if (excess := max(low - value, value - high)) > max(EXACT * value, worst.get(name, (0.0,))[0]):
                 text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"
                 by = limits[2 if value < low else 3]
-                worst[name] = excess, Remark.warning("reference", f"{text} ({by})", "choose a stiffness between")
+                worst[name] = excess, Remark.severe("reference", f"{text} ({by})", "choose a stiffness between")
         if not (nearest.exact or worst):
             text = f"{at} the joints do not attain their stiffness together: relative error {nearest.error:.2g}"
-            worst["all"] = nearest.error, Remark.warning("reference", text, "the nearest is given")
+            worst["all"] = nearest.error, Remark.severe("reference", text, "the nearest is given")
     yield from (remark for _, remark in worst.values())

@@ -384,5 +384,5 @@ class _Page(JobPage[Workbench]):
                 value = np.asarray(metrics.get(metric, np.nan))
                 value = run.of_joint(metrics, metric, joint) if value.ndim else value
                 row.append(f"{value.item() / label.size:.3g}" if value.size and np.isfinite(value) else "-")
-            rows.append([*row, "completed" if run.result.ok else "failed"])
+            rows.append([*row, run.result.outcome.value.partition(":")[0]])
         table(("run", *(f"{label.title} [{label.shown_unit}]" for label in labels.values()), "outcome"), rows)

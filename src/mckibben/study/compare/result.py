@@ -80,7 +80,7 @@ class CompareResult(Result):
         return self.batches[controller].failed[self.started]
 
     def oscillates(self, controller: str) -> NDArray[np.bool_]:
-        """Mask of the runs in a limit cycle of the angle, of the stiffness or of a command."""
+        """Mask of the runs in a limit cycle of the angle, or whose commands wear the valves."""
         return self.batches[controller].oscillates[self.started]
 
     def cost(self, controller: str) -> Vector:
