@@ -101,7 +101,7 @@ BUDGET = {
     "config": 570,
     "contract": 660,
     "control": 2670,
-    "dataset": 4050,
+    "dataset": 4070,
     "experiment_design": 720,
     "export": 2570,
     "identification": 3760,

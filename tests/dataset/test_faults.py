@@ -215,6 +215,30 @@ def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begi
     assert "accept=order" in caught.value.problems[0].remedy
 
 
+@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize("begin", [0.25, 0.5, 0.75])
+def test_a_gauge_that_turns_absolute_within_loops_or_at_a_change_of_the_level_is_a_question(begin, before, tmp_path):
+    time = np.arange(0, 30, 0.05)
+    columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
+    turn = int(begin * len(columns["time"]))
+    columns["pressure"][:turn] += 1.013 * bar * before
+    columns["pressure"][turn:] += 1.013 * bar * (not before)
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(written(tmp_path / "a.csv", columns))
+    (problem,) = caught.value.problems
+    assert problem.field == "pressure" and "accept=order" in problem.remedy
+    assert float(problem.message.split()[1]) == pytest.approx(columns["time"][turn], abs=1.0)
+
+
+@pytest.mark.parametrize(("power", "threshold"), [(1.3, 0.0), (0.8, 0.0), (1.0, 1.0)])
+def test_a_force_that_is_not_linear_in_the_pressure_is_no_gauge_that_turned_absolute(power, threshold, tmp_path):
+    time = np.arange(0, 30, 0.05)
+    columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.0, 1.5, 3.0, 4.5))
+    linear = columns["pressure"] / bar
+    columns["force"] *= np.maximum(linear - threshold, 0.1) ** power / linear
+    assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
+
+
 @pytest.mark.parametrize("kind", ["strokes", "stairs"])
 @pytest.mark.parametrize("begin", [0.3, 0.5, 0.8])
 def test_a_gauge_pressure_that_turns_absolute_is_a_question(kind, begin):

@@ -164,6 +164,27 @@ def test_a_frozen_sensor_vents_until_it_moves_again(scenarios):
         assert not np.any(outputs(frozen)[:, 3])
 
 
+@pytest.mark.slow
+def test_a_stuck_angle_vents_a_set_time_after_the_commands_moved(scenarios):
+    """However long the controller takes to move them: longer where the error is small."""
+    scenario, draw = scenarios["PID"], np.random.default_rng(1)
+    period, limits = scenario.control_period, Limits()
+    highest = min(muscle.specimen.domain.pressure_max for muscle in scenario.plant().muscles)
+    outputs, count, delays = program_in_python(controller_functions(scenario)), round(8.0 / period), []
+    for error in (0.1, 0.01):
+        rows = np.zeros((count, 6))
+        rows[:, 0], rows[:, 1] = error, 15.0
+        rows[:, 3:5] = 2e5 + 1e3 * draw.normal(size=(count, 2))
+        found = np.asarray(outputs(rows))
+        vented = int(np.argmax(found[:, 2] == VENTED))
+        assert found[vented, 3] == FROZEN
+        apart = (found[:vented, 1] - found[:vented, 0]) / 2
+        moved = int(np.argmax(np.abs(apart - apart[0]) > limits.moved * highest))
+        assert (vented - moved) * period == pytest.approx(limits.frozen + limits.tolerated, abs=0.02)
+        delays.append(vented * period)
+    assert delays == pytest.approx([0.4, 1.3], abs=0.05)  # docs/serial-protocol.md
+
+
 DUTY = {(48, 1): 0.06, (3, 1): 0.2, (1, 1): 0.12, (20, 20): 1.3, (1, 2): None, (2, 3): None, (1, 9): None}
 """Periods of bad and good samples in turn, and the time [s] within which they vent."""
 

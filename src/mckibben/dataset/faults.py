@@ -19,7 +19,7 @@ from mckibben.dataset.raw import Floats
 from mckibben.dataset.segmentation import alternation, going_on, runs, usual_interval
 from mckibben.dataset.table import Question, question
 from mckibben.errors import McKibbenWarning, RangeError
-from mckibben.units import bar, kPa, percent, show
+from mckibben.units import atm, bar, kPa, percent, show
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -63,22 +63,17 @@ def changes_at_once(force: Floats, size: int, most: float) -> bool:
     return bool(steps[at] > 2 * steps[0] and min(steps[at], apart) > most)
 
 
-def offset_from(dataset: IsobaricDataset, *, most: int = 200) -> Iterator[Question]:
+def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
     """Question about points in the order of a test, from one of which on a sensor has another zero.
 
-    Least squares of the taut points, thinned to about `most`, with ``F = p (a + b eps + c eps^2) + d + e eps`` and
-    friction in either way, from one point on with another plane. It halves the residuals, by a tenth of the largest
-    force on average, and is no extrapolation: the residuals without it are a tenth of this step or more.
+    Least squares of the taut points, thinned, with ``F = p (a + b eps + c eps^2 + d p) + e + f eps`` and friction in
+    either way, from one point on with another plane. It halves the residuals, by a tenth of the largest force on
+    average, and is no extrapolation: the residuals without it are a tenth of this step or more.
     """
-    taut = np.flatnonzero(dataset.force > SLACK * dataset.force.max(initial=0.0))
-    points = dataset.select(np.isin(np.arange(len(dataset)), taut[:: max(1, len(taut) // most)]))
-    force, pressure, contraction = points.force, points.pressure / bar, points.contraction
-    side, ones = motion_side(points), np.ones_like(force)
-    side = 0 * force if side is None else side
-    plane = [ones, contraction, pressure]
-    basis = np.column_stack([*plane, pressure * contraction, pressure * contraction**2, side, side * pressure])
+    points = _thinned(dataset)
+    force, basis = points.force, _plane_terms(points, points.pressure)
     fits = [(float(np.sum(residuals_of(force, basis) ** 2)), 0, 0.0)]
-    for at in range(_FEWEST, len(force) - _FEWEST if len(force) > 2 * basis.shape[1] else 0):
+    for at in _changes(points, basis):
         after = (np.arange(len(force)) >= at)[:, None] * basis[:, :3]
         solution = np.linalg.lstsq(np.column_stack([basis, after]), force, rcond=None)[0]
         left = force - np.column_stack([basis, after]) @ solution
@@ -88,6 +83,48 @@ def offset_from(dataset: IsobaricDataset, *, most: int = 200) -> Iterator[Questi
     if 4 * least < fits[0][0] and 0.1 * force.max() < abs(step) < min(force.max(), 10 * scatter):
         text = f"from {points.table['time'].to_numpy()[at]:.6g} s on, forces differ by {step:.3g} N from those before"
         yield question(f"{text} at equal pressure and length: has a sensor another zero?", "order", remedy=_JUMPED)
+
+
+def turned_absolute(dataset: IsobaricDataset) -> Iterator[Question]:
+    """Question about points in the order of a test, from one of which on, or before it, the pressure is absolute.
+
+    Also where that is a change of the pressure: one atmosphere less halves the residuals of `offset_from`, and a tenth
+    of it more or less does not fit as well. The lowest pressure alone cannot be told from a law that bends there.
+    """
+    points = _thinned(dataset)
+    force, pressure = points.force, points.pressure
+
+    def error(at: int, before: bool, offset: float) -> float:
+        absolute = (np.arange(len(force)) < at) == before
+        return float(np.sum(residuals_of(force, _plane_terms(points, pressure - offset * absolute)) ** 2))
+
+    changes = _changes(points, _plane_terms(points, pressure))
+    tried = [(error(at, before, atm), at, before) for at, before in product(changes, (False, True))]
+    least, at, before = min(tried, default=(np.inf, 0, False))
+    if 4 * least < error(0, False, 0.0) and least < min(error(at, before, share * atm) for share in (0.9, 1.1)):
+        where = f"{'before' if before else 'from'} {points.table['time'].to_numpy()[at]:.6g} s{'' if before else ' on'}"
+        text = f"{where}, pressures are one atmosphere above the others, by the forces: are they absolute?"
+        yield question(text, "order", field="pressure", remedy=_JUMPED)
+
+
+def _thinned(dataset: IsobaricDataset, *, most: int = 200) -> IsobaricDataset:
+    """About `most` of the taut points, in their order."""
+    taut = np.flatnonzero(dataset.force > SLACK * dataset.force.max(initial=0.0))
+    return dataset.select(np.isin(np.arange(len(dataset)), taut[:: max(1, len(taut) // most)]))
+
+
+def _changes(points: IsobaricDataset, basis: Floats) -> range:
+    """Points from which on a sensor may have another zero; none of few points."""
+    return range(_FEWEST, len(points) - _FEWEST if len(points) > 2 * basis.shape[1] else 0)
+
+
+def _plane_terms(points: IsobaricDataset, pressure: Floats) -> Floats:
+    """Terms of the force at pressures [Pa], and of friction; the first three are a plane."""
+    pressure, contraction = pressure / bar, points.contraction
+    side, ones = motion_side(points), np.ones_like(pressure)
+    side = 0 * ones if side is None else side
+    products = pressure * contraction, pressure * contraction**2, pressure**2, side, side * pressure
+    return np.column_stack([ones, contraction, pressure, *products])
 
 
 def without_faults(table: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int_], list[Question]]:

@@ -15,7 +15,7 @@ import numpy as np
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.clocks import PAIRED, join_clocks, join_pairs
-from mckibben.dataset.faults import offset_from, without_faults
+from mckibben.dataset.faults import offset_from, turned_absolute, without_faults
 from mckibben.dataset.file_names import SeveralPartsError, add_from_name, numbers_in
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -109,7 +109,8 @@ def read_dataset(
     dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, sound[rows])))
     if not own:
         check_points(dataset, source, recipe.accept)
-    if recorded and (problems := open_problems([*offset_from(dataset)], recipe.accept)):
+    faults = ([*turned_absolute(dataset)] or [*offset_from(dataset)]) if recorded else []
+    if problems := open_problems(faults, recipe.accept):
         raise DatasetError(source, problems)
     return dataset
 
