@@ -176,10 +176,11 @@ def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: Anta
     def stiffness(parameters: PyTree, angle: Array, pressure1: Array, pressure2: Array) -> dict[str, PyTree]:
         return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
 
-    angle, stiff = (
-        f"{kind.words(name)} [{kind.unit(unit)}]" for name, unit in (("angle", "rad"), ("stiffness", "N*m/rad"))
+    angle, torque, stiff = (
+        kind.words(f"{name} [{kind.unit(unit)}]")
+        for name, unit in (("an angle", "rad"), ("a torque", "N*m"), ("stiffness", "N*m/rad"))
     )
-    text = f"isobaric {stiff} by the model, at an {angle} and gauge pressures [Pa]"
+    text = f"isobaric {stiff} by the model, at {angle} and gauge pressures [Pa]"
     module.add("stiffness", text, stiffness, dict.fromkeys(("angle", "pressure1", "pressure2"), number))
     if not all(isinstance(muscle.law, PressureAffineLaw) for muscle in (model.muscle1, model.muscle2)):
         return ["attainable_stiffness: the laws are not affine in pressure, and the program would be long"]
@@ -188,8 +189,7 @@ def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: Anta
         lowest, highest = of(parameters).model.attainable_stiffness(angle, torque)
         return {"lowest": lowest, "highest": highest}
 
-    torque = f"{kind.words('torque')} [{kind.unit('N*m')}]"
-    text = f"{stiff} that is attainable at rest, at an {angle} under a {torque}; NAN if none is"
+    text = f"{stiff} that is attainable at rest, at {angle} under {torque}; NAN if none is"
     module.add("attainable_stiffness", text, attainable, {"angle": number, "torque": number})
     return []
 
