@@ -103,7 +103,7 @@ BUDGET = {
     "control": 2670,
     "dataset": 4070,
     "experiment_design": 720,
-    "export": 2570,
+    "export": 2600,
     "identification": 3760,
     "joint": 1400,
     "robot": 80,

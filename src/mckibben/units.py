@@ -270,7 +270,7 @@ HINGE = JointType("hinge")
 SLIDE = JointType(
     "slide",
     (("kg*m^2", "kg"), ("N*m", "N"), ("deg", "mm"), ("rad", "m")),
-    (("angular ", ""), ("angle", "position"), ("torque", "force")),
+    (("angular ", ""), ("an angle", "a position"), ("angle", "position"), ("torque", "force")),
     mm / deg,
 )
 JOINT_TYPES = {kind.name: kind for kind in (HINGE, SLIDE)}

@@ -31,6 +31,22 @@ def test_a_joint_runs_with_margins(cli, tmp_path, own):
     assert (tmp_path / "joint.yaml").read_text().count(f"rest_length: {length}") == 2
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("against", ["spring", "weight", "muscle"])
+@pytest.mark.parametrize("own", [False, True])
+def test_an_axis_runs_with_margins(cli, tmp_path, own, against):
+    (tmp_path / "own.yaml").write_text(to_text(write(OWN, ComponentField(Muscle))))
+    done = cli("new", "axis", "axis.yaml", "--against", against, *(("--muscle", "own.yaml") if own else ()))
+    assert done.code == 0, done.err
+    assert cli("envelope", "axis.yaml").code == 0
+    columns = json.loads(cli("simulate", "axis.yaml", "--json").out)["scalars"]
+    scenario = Scenario.read("axis.yaml")
+    assert columns["angle_rmse"]["unit"] == "m" and columns["angle_rmse"]["value"] < 0.25 * scenario.start.angle
+    assert ("stiffness_rmse" in columns) == scenario.follows_stiffness == (against == "muscle")
+    assert scenario.margins().stable
+    assert batched(scenario, extremes(uncertainty(scenario))).disk_margins(20).min() >= LEAST_DISK_MARGIN
+
+
 def test_a_test_and_a_robot_are_valid(cli):
     for kind, command in (("bench", ("rig", "run", "--dry-run")), ("robot", ("robot", "pressures"))):
         assert cli("new", kind, f"{kind}.yaml").code == 0
@@ -45,6 +61,8 @@ def test_a_test_and_a_robot_are_valid(cli):
         (("robot", "x.yaml", "--muscle", "own.yaml"), "leave --muscle out"),
         (("joint", "x.yaml", "--muscle", "missing.yaml"), "missing.yaml"),
         (("joint", "there.yaml"), "already exists"),
+        (("joint", "x.yaml", "--against", "weight"), "leave it out"),
+        (("axis", "x.yaml", "--against", "wieght"), "did you mean 'weight'"),
     ],
 )
 def test_mistakes_write_nothing(cli, tmp_path, arguments, meant):

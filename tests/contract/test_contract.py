@@ -103,6 +103,8 @@ EXAMPLES = [
     joint.TabulatedPath((-0.5, -0.2, 0.0, 0.2, 0.4), arms=(0.024, 0.0245, 0.025, 0.026, 0.0265), rest_length=0.3),
     LOAD,
     joint.PendulumLoad(0.3, 250 * mm),
+    joint.Slide(0.2, 0.18),
+    joint.SlidingMass(2.0, 50.0, 30 * deg),
     joint.GeneralLoad(0.02, 0.5),
     KNEE,
     *ACTUATORS,

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, PyTree
@@ -33,7 +34,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation.problem import in_order, sampled, sampled_reference, sampling_times
-from mckibben.units import SYMBOLS
+from mckibben.units import HINGE, SYMBOLS, JointType, Quantity
 
 _MOST_PERIODS = 10_000  # of a recording
 _UNITS = {
@@ -112,6 +113,8 @@ def controller_module(
     module, left_out = controller_program(source, name)
     if isinstance(scenario, Scenario):
         _, rows = sampled(scenario.reference(), scenario.duration, source.period)
+        if not scenario.follows_stiffness:
+            rows = rows._replace(stiffness=jnp.zeros_like(rows.angle))  # is not used
         controller, substeps = source.of(source.parameters), scenario.needed_substeps()
     else:
         assert scenario.duration is not None  # else `controller_functions` raises
@@ -131,7 +134,9 @@ def controller_module(
     start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
     recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
     _check_limits(source, columns, recording[1:])
-    return ControllerModule(module, units_of(module, "Pa, gauge"), tuple(columns), recording, left_out)
+    return ControllerModule(
+        module, units_of(module, "Pa, gauge", scenario.joint_type), tuple(columns), recording, left_out
+    )
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
@@ -159,7 +164,7 @@ def stepping_module(name: str, source: ControllerFunctions) -> SourceModule:
 
 def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: AntagonisticJoint) -> list[str]:
     """Add functions of the controller's joint model; return the parts that cannot be exported."""
-    number = np.zeros(())
+    number, kind = np.zeros(()), model.joint_type
     for muscle in ("muscle1", "muscle2"):
 
         def force(parameters: PyTree, contraction: Array, pressure: Array, muscle: str = muscle) -> dict[str, PyTree]:
@@ -171,7 +176,11 @@ def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: Anta
     def stiffness(parameters: PyTree, angle: Array, pressure1: Array, pressure2: Array) -> dict[str, PyTree]:
         return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
 
-    text = "isobaric stiffness [N*m/rad] by the model, at an angle [rad] and gauge pressures [Pa]"
+    angle, torque, stiff = (
+        kind.words(f"{name} [{kind.unit(unit)}]")
+        for name, unit in (("an angle", "rad"), ("a torque", "N*m"), ("stiffness", "N*m/rad"))
+    )
+    text = f"isobaric {stiff} by the model, at {angle} and gauge pressures [Pa]"
     module.add("stiffness", text, stiffness, dict.fromkeys(("angle", "pressure1", "pressure2"), number))
     if not all(isinstance(muscle.law, PressureAffineLaw) for muscle in (model.muscle1, model.muscle2)):
         return ["attainable_stiffness: the laws are not affine in pressure, and the program would be long"]
@@ -180,7 +189,7 @@ def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: Anta
         lowest, highest = of(parameters).model.attainable_stiffness(angle, torque)
         return {"lowest": lowest, "highest": highest}
 
-    text = "stiffness [N*m/rad] that is attainable at rest, at an angle [rad] under a torque [N*m]; NAN if none is"
+    text = f"{stiff} that is attainable at rest, at {angle} under {torque}; NAN if none is"
     module.add("attainable_stiffness", text, attainable, {"angle": number, "torque": number})
     return []
 
@@ -213,23 +222,28 @@ def _recorded(run: PyTree, _: None) -> tuple[PyTree, ...]:
     return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
 
 
-def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:
+def units_of(module: SourceModule, pressure: str = "Pa", joint_type: JointType = HINGE) -> dict[str, str]:
     """Units of a module by structure and path: of parameters from the metadata of the fields, else by quantity.
 
-    `pressure` is the text for pressures, which may say to what they refer.
+    Those of a joint of a type; `pressure` is the text for pressures, which may say to what they refer.
     """
-    units = {f"parameters.{path}": unit for path, unit in _units(module.parameters, "") if unit}
+    units = {f"parameters.{path}": unit for path, unit in _units(module.parameters, "", joint_type) if unit}
     limits = [member for member in module.members if member.path.startswith("limits.")]
     for structure, members in (module.structures() | {"state": module.state, "parameters": limits}).items():
         for member in members:
             quantity = re.sub(r"[\d._]+$", "", member.path).rpartition(".")[2]
             if quantity in _UNITS:
-                unit = _UNITS[quantity]
+                unit = joint_type.unit(_UNITS[quantity])
                 units[f"{structure}.{member.path}"] = pressure if unit == "Pa" else unit
     return units
 
 
-def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008
+def _units(
+    tree: PyTree,
+    path: str,
+    joint_type: JointType,
+    symbols: Units = Units(),  # noqa: B008
+) -> Iterator[tuple[str, str]]:
     """Path and unit of each field below; `symbols` are the units of symbolic ones."""
     parts: dict[str, PyTree]
     units: dict[str, str] = {}
@@ -241,7 +255,8 @@ def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[
     elif dataclasses.is_dataclass(tree):
         parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
         hints = field_hints(type(tree))
-        units = {name: symbols.get(mark.unit, mark).unit for name, mark in field_quantities(type(tree)).items()}
+        marks = {name: symbols.get(mark.unit, mark) for name, mark in field_quantities(type(tree)).items()}
+        units = {name: mark.for_joint(joint_type).unit for name, mark in marks.items() if isinstance(mark, Quantity)}
         units = {name: unit for name, unit in units.items() if unit not in SYMBOLS}
         if isinstance(tree, ForceLaw):
             units |= {parameter.name: parameter.unit for parameter in tree.parameters()}
@@ -250,4 +265,4 @@ def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[
     for name, part in parts.items():
         here = f"{path}.{name}" if path else name
         yield here, units.get(name, "")
-        yield from _units(part, here, units_of_part(hints.get(name)) or symbols)
+        yield from _units(part, here, joint_type, units_of_part(hints.get(name)) or symbols)

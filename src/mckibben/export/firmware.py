@@ -70,7 +70,13 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
     source, text = controller_functions(scenario, hardware.limits), scenario.dumps(folder=folder)
     module = stepping_module("controller", source)
     comment = f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}."
-    program = write_c(module, comment, single=hardware.single, wide=("setpoint",), units=units_of(module, "Pa, gauge"))
+    program = write_c(
+        module,
+        comment,
+        single=hardware.single,
+        wide=("setpoint",),
+        units=units_of(module, "Pa, gauge", scenario.joint_type),
+    )
     angles, pressures = names.by_joint("angle"), names.by_muscle("pressure")
     channels = [(channel, "rad") for channel in angles] + [(channel, "Pa") for channel in pressures]
     channels += [("force", "N")] * bool(hardware.force)

@@ -74,8 +74,10 @@ def controller_fmu(
     module.add("evaluate", "commands from now on", results, both)
     module.add("advance", "state after a control period", advance, both)
     columns = next(f for f in module.functions if f.name == "evaluate").results["results"]
-    units = {f"results.{member.path}": attributes(member.path.split(".")[0]).get("units", "") for member in columns}
-    units |= units_of(module)
+    kind = scenario.joint_type
+    labels = {member.path: attributes(member.path.split(".")[0], kind) for member in columns}
+    units = {f"results.{path}": label.get("units", "") for path, label in labels.items()}
+    units |= units_of(module, joint_type=kind)
     if (plant := scenario.plant()).valve.direct:
         units |= {f"results.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}
     title = f"Controller of the scenario {scenario.name!r}"

@@ -108,7 +108,8 @@ def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substep
         module.add("differentiate", "time derivatives of the state", rates, both)
         if plant.slips:
             module.add("project", "state after a step of an integrator", project, both)
-    units = units_of(module)
+    kind = plant.mechanism.joint_type
+    units = units_of(module, joint_type=kind)
     units |= {
         f"state.muscles.{i}.creep.{k}": unit
         for i, muscle in enumerate(plant.muscles)
@@ -116,7 +117,7 @@ def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substep
     }
     coordinates = (member.path for member in module.state if member.path.startswith(f"{position}."))
     for at, name in ((path.removeprefix(position), path.rpartition(".")[2]) for path in coordinates):
-        unit = units.setdefault(f"state.{position}{at}", attributes(name).get("units", ""))
+        unit = units.setdefault(f"state.{position}{at}", attributes(name, kind).get("units", ""))
         units[f"state.{velocity}{at}"] = per_second(unit)
     if valve.direct:
         units |= {f"inputs.command{number}": "" for number, _ in enumerate(plant.muscles, 1)}

@@ -35,7 +35,7 @@ from mckibben.result import Remark
 from mckibben.units import SLIDE, JointType, deg
 
 SMALL_MOTION = 0.1 * deg
-"""Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
+"""Amplitude of the small-motion stiffness of a hinge [rad], at which friction is mostly presliding."""
 
 MuscleStates = tuple[MuscleState, MuscleState]
 """Internal states of muscles 1 and 2."""
@@ -198,9 +198,10 @@ class AntagonisticJoint(Component):
         if self.has_friction:
             names = [f"muscle{number}" for number, muscle in enumerate(self.muscles, 1) if muscle.has_friction]
             have = "have" if len(names) > 1 else "has"
+            amplitude = self.joint_type.show(self.small_motion, "deg")
             text = (
                 f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "
-                f"stiffness, of motion by {SMALL_MOTION / deg:g} deg, includes it and depends on the presliding "
+                f"stiffness, of motion by {amplitude}, includes it and depends on the presliding "
                 "length, a guess where the comments of muscle.yaml say so"
             )
             remarks.append(Remark.note("joint", text))
@@ -232,6 +233,11 @@ class AntagonisticJoint(Component):
             message = f"a {type(load).__name__} loads a {load.joint_type.name}, not a {self.joint_type.name}"
             remedy = "give `class: sliding_mass`" if self.joint_type is SLIDE else "give one that turns, as a pendulum"
             raise RangeError(message, field="load", remedy=remedy)
+
+    @property
+    def small_motion(self) -> float:
+        """Amplitude of the small-motion stiffness: 0.1 deg [rad], of a slide 0.1 mm [m]."""
+        return SMALL_MOTION * self.joint_type.scale
 
     @property
     def has_creep(self) -> bool:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine, stiffness_range, unattainable
 from mckibben.mechanism.robot import Robot
 from mckibben.numerics.compiled import jit
@@ -312,4 +311,4 @@ def _static_states(
 
 @jit
 def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Values) -> Array:
-    return joint.secant_stiffness(angle, (pressures[0], pressures[1]), SMALL_MOTION)
+    return joint.secant_stiffness(angle, (pressures[0], pressures[1]), joint.small_motion)

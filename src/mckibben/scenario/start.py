@@ -82,7 +82,7 @@ def _axis_gains(joint: AntagonisticJoint, load: Load) -> dict[str, str]:
 
     def change(sign: float) -> tuple[float, float]:
         """Changes of force and stiffness by the pressure of muscle 2 and, with a sign, of muscle 1."""
-        low, high = (joint.torque_and_stiffness(0.0, (first + sign * step, second + step)) for step in (-kPa, kPa))
+        low, high = (joint.evaluate(0.0, (first + sign * step, second + step)) for step in (-kPa, kPa))
         return float(high[0] - low[0]) / (2 * kPa), float(high[1] - low[1]) / (2 * kPa)
 
     def gains(size: float, *units: str) -> str:

@@ -22,7 +22,7 @@ from mckibben.codegen.native import over_periods
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.config.model import DocumentModel
 from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
-from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
+from mckibben.joint.antagonistic import AntagonisticJoint
 from mckibben.joint.geometry import Pressures
 from mckibben.mechanism.base import angles_of, over_joints
 from mckibben.muscle import Domain
@@ -558,7 +558,7 @@ def _path_columns(joint: AntagonisticJoint, lane: tuple[Array, Array, Pressures,
     return {
         "friction_torque": joint.friction_torque(angle, velocity, pressures, muscles),
         "creep_torque": joint.creep_torque(angle, pressures, muscles),
-        "small_motion_stiffness": joint.secant_stiffness(angle, pressures, SMALL_MOTION),
+        "small_motion_stiffness": joint.secant_stiffness(angle, pressures, joint.small_motion),
     }
 
 

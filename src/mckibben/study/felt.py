@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from mckibben.component.checks import check_positive
 from mckibben.control import Reference
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.mechanism.disturbance import Disturbance
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit
@@ -266,4 +265,4 @@ def _push_of(low: float, high: float) -> float:
 
 @jit
 def _small(joint: AntagonisticJoint, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Array:
-    return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
+    return joint.secant_stiffness(angle, pressures, joint.small_motion)

@@ -40,7 +40,8 @@ class Limits(ConfigModel):
     Attributes
     ----------
     lowest_angle, highest_angle
-        Angles [rad]. Default: 10 deg beyond the reference, the start, and the angle of the vented joint.
+        Angles [rad]. Default: 10 deg, of a slide 10 mm, beyond the reference, the start, and the angle of the vented
+        joint.
     lowest_pressure, highest_pressure
         Measured gauge pressures [Pa]. Default: 5 % of the rated pressure outside the rated ones.
     highest_stiffness
@@ -97,8 +98,10 @@ def containment_of(scenario: Scenario | RobotScenario, limits: Limits) -> Contai
 def _measured_pressures(plant: Plant, limits: Limits) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Lowest and highest measured pressures [Pa] of all muscles."""
     rated = [muscle.specimen.domain for muscle in plant.muscles]
-    lowest = [domain.pressure_min - _ABOVE * domain.pressure_max for domain in rated]
-    highest = [domain.pressure_max * (1 + _ABOVE) for domain in rated]
+    strongest = max(float(domain.pressure_max) for domain in rated)  # for a spring, whose pressure is 0
+    margins = [_ABOVE * (float(domain.pressure_max) or strongest) for domain in rated]
+    lowest = [domain.pressure_min - margin for domain, margin in zip(rated, margins, strict=True)]
+    highest = [domain.pressure_max + margin for domain, margin in zip(rated, margins, strict=True)]
     if limits.lowest_pressure is not None:
         lowest = [limits.lowest_pressure] * len(rated)
     if limits.highest_pressure is not None:
@@ -113,8 +116,9 @@ def _joint_bounds(scenario: Scenario, limits: Limits) -> tuple[ControlSample, Co
     low, high = limits.lowest_angle, limits.highest_angle
     if low is None or high is None:
         angles = np.append(np.asarray(reference.angle), [scenario.start.angle, _vented(scenario)])
-        low = angles.min() - _BEYOND if low is None else low
-        high = angles.max() + _BEYOND if high is None else high
+        beyond = _BEYOND * scenario.joint_type.scale
+        low = angles.min() - beyond if low is None else low
+        high = angles.max() + beyond if high is None else high
     stiffest = limits.highest_stiffness
     if stiffest is None:
         joint, angles = numeric(plant.joint), np.linspace(low, high, _ANGLES)
