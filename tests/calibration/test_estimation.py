@@ -25,6 +25,7 @@ from mckibben.joint import ScaledArms
 from mckibben.mechanism import Body, Joint, MusclePair, Place, Robot
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
+from mckibben.rig.channels import Channels
 from mckibben.units import deg
 from tests.calibration import foreign
 
@@ -354,6 +355,25 @@ def test_a_recording_of_uneven_samples_with_named_columns_is_read(tmp_path):
         samples_of(model, dataclasses.replace(recording, **changes))
 
 
+LEG = Channels((".hip", ".left knee"), (".hip1", ".hip2", ".left knee1", ".left knee2"))
+
+
+def test_columns_of_a_robot_have_the_names_of_its_joints_and_muscles(tmp_path):
+    time = np.arange(1000) / 100
+    names = ["Angle.left knee [deg]", "hip", *(f"pressure.{end[1:]}_kPa" for end in LEG.muscles)]
+    rows = np.column_stack([time, 10 * np.sin(time), 5 * np.cos(time), *(100 * k + 0 * time for k in (1, 2, 3, 4))])
+    path, recipe = tmp_path / "run.csv", Recipe(columns={"hip": "angle.hip_deg"})
+    np.savetxt(path, rows, "%.5f", ",", header=",".join(["time_s", *names]), comments="")
+    recording = read_joint_recording(path, recipe, LEG)
+    np.testing.assert_allclose(recording.angle, np.radians(rows[:, [2, 1]]), atol=1e-6)
+    np.testing.assert_allclose(recording.pressures, 1e3 * rows[:, 3:])
+    with pytest.raises(DatasetError, match=r"angle\.hip"):
+        read_joint_recording(path, None, LEG)
+    with pytest.raises(DatasetError, match="command"):
+        path.write_text(path.read_text(encoding="utf-8").replace("pressure.hip1", "command.hip1"), encoding="utf-8")
+        read_joint_recording(path, recipe, LEG)
+
+
 def robot_of(joint, load):
     """The joint as a robot with one hinge."""
     mass = float(load.mass1 + load.mass2)
@@ -376,5 +396,15 @@ def test_a_robot_of_one_hinge_gives_what_the_joint_gives(recorded):
     at = np.array([-0.1, 0.0, 0.1]), (np.full(3, 4.8e5), np.full(3, 4.5e5))
     np.testing.assert_allclose(robot.stiffness(*at)[0], joint.stiffness(*at)[0], rtol=1e-2)  # of mass2, of the shank
     assert robot.quantities["knee.zero"].value == pytest.approx(joint.quantities["zero"].value, abs=0.2 * deg)
-    with pytest.raises(IdentificationError):
-        calibrate_robot(robot_of(knee(), LOAD), [recorded[1][0]], prior)
+    sliding = dataclasses.replace(robot_of(knee(), LOAD), base="vertical")
+    for refused, recording in ((robot_of(knee(), LOAD), recorded[1][0]), (sliding, recordings[0])):
+        with pytest.raises(IdentificationError) as caught:  # a weight; a base that moves
+            calibrate_robot(refused, [recording], prior)
+        assert caught.value.remedy
+
+
+def test_a_recording_of_other_joints_is_refused(recorded):
+    one = recorded[0][0]
+    with pytest.raises(IdentificationError) as caught:
+        calibrate_joint(knee(), LOAD, [dataclasses.replace(one, pressures=np.tile(one.pressures, 2))])
+    assert caught.value.value == (1, 4)

@@ -92,10 +92,10 @@ def test_parts_are_slow_and_fast_within_the_angles(calibrated):
             assert (crossings > 30) == (pace == "fast")
 
 
-def test_a_robot_is_refused_with_what_takes_it(cli):
+def test_a_robot_without_recordings_is_asked_for_them(cli):
     robot = str(ROOT / "examples/robot/lei-leg-control.yaml")
     found = cli("calibrate", robot, "--limb", "weighed", "--out", "kept")
-    assert found.code == 2 and "calibrate_robot" in found.err
+    assert found.code == 2 and "--recording" in found.err
 
 
 def test_it_is_asked_whether_the_limb_was_weighed(cli):

@@ -7,7 +7,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import field
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import jax
@@ -115,12 +115,11 @@ class JointCalibration(Calibration):
         return self.prior_stiffness(*at), self.stiffness(*at)
 
     def drawn(self, count: int) -> dict[str, Any]:
-        """Return joint and load of plants, with an array of shape (count,) for each number.
+        """Return the parts of plants by name, with an array of shape (count,) for each number.
 
         The first plant has the estimates, the others are drawn from their distribution, always the same ones.
         """
-        model = _models(self._problem, draws(self._posterior, count).T)
-        return {"joint": model.joint, "load": model.load}
+        return _models(self._problem, draws(self._posterior, count).T).parts
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
         """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
@@ -131,11 +130,17 @@ class JointCalibration(Calibration):
         )
         return root_mean_square([before]), root_mean_square([after])
 
+    @cached_property
+    def held_out_errors(self) -> tuple[float, float]:
+        """Root mean square errors [N*m] of the recordings that were held out, by the model before and after."""
+        before, after = np.sqrt(np.mean([np.square(self.errors(recording)) for recording in self.held_out], axis=0))
+        return float(before), float(after)
+
     @property
     def predicts(self) -> bool:
         """Whether the recordings that were held out, if any, are described better than by the model before."""
-        before, after = np.sum([np.square(self.errors(recording)) for recording in self.held_out], axis=0)
-        return bool(after < before)
+        before, after = self.held_out_errors
+        return after < before
 
     @table()
     def errors_of_recordings(self) -> list[Listing]:
@@ -164,7 +169,10 @@ class JointCalibration(Calibration):
             )
             for value, deviations in self.stiffness_along()
         )
-        return f"stiffness {after} N*m/rad (95 %), {before} before; {super().verdict()}"
+        held_out = ""
+        if self.held_out:
+            held_out = "; torques held out err by {1:.2g} N*m, {0:.2g} before".format(*self.held_out_errors)
+        return f"stiffness {after} N*m/rad (95 %), {before} before{held_out}; {super().verdict()}"
 
     def remarks(self) -> list[Remark]:
         """Contradictions of model and recordings, laws that are no muscle's, and quantities far from the model."""
@@ -230,10 +238,6 @@ def calibrate_robot(
     Angles of the recordings have shape (samples, joints), pressures (samples, muscles). Quantities have the names of
     joints, muscles and bodies. Raises `IdentificationError` also for locked joints, and for an added weight.
     """
-    if locked := [joint.name for joint in robot.joints if joint.locked is not None]:
-        raise IdentificationError(f"{', '.join(locked)}: locked", remedy="give the robot without locked joints")
-    if any(recording.added_mass for recording in recordings):
-        raise IdentificationError("a weight on a robot has no place", remedy="give it as a body of the robot")
     return calibrate_model(RobotModel(robot), recordings, prior)
 
 
@@ -243,6 +247,14 @@ def calibrate_model(
     """Identify a joint or a robot as `calibrate_joint` does, by an equation of motion for each joint."""
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
+    model.check(recordings)
+    sizes = len(model.joint_names), len(model.muscle_names)
+    for number, recording in enumerate(recordings, 1):
+        columns = tuple(np.reshape(each, (len(each), -1)).shape[1] for each in (recording.angle, recording.pressures))
+        if columns != sizes:
+            message = f"recording {number} has {columns[0]} angles and {columns[1]} pressures"
+            remedy = f"record {sizes[0]} angles and {sizes[1]} pressures, of all joints and muscles"
+            raise IdentificationError(message, value=columns, remedy=remedy)
     prior = prior or JointPrior()
     recorded = [samples_of(model, recording) for recording in recordings]
     problem = problem_of(model, recorded, prior)
@@ -294,7 +306,8 @@ def quantities_of(problem: CalibrationProblem, posterior: LocalMinimum) -> dict[
         unit, logarithmic = _UNITS.get(name.rpartition(".")[2], "1"), name.endswith(_LOGARITHMIC)
         number = math.exp(value) if logarithmic else float(value)
         scale = number if logarithmic else 1.0
-        compared = None if "muscle" in name or logarithmic or name.endswith("damping") else float(expected[name])
+        of_muscle = name.rpartition(".")[0] in problem.model.muscle_names
+        compared = None if of_muscle or logarithmic or name.endswith("damping") else float(expected[name])
         deviations = deviation * scale, float(np.linalg.norm(wide[name])) * scale
         estimates[name] = JointEstimate(number, *deviations, unit, logarithmic, compared)
     return estimates

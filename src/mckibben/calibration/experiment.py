@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from mckibben.calibration.equations import CREEP_TIMES
-from mckibben.calibration.estimation import JointCalibration, calibrate_joint, predicted_deviation
+from mckibben.calibration.estimation import JointCalibration, calibrate_model, predicted_deviation
 from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
-from mckibben.calibration.models import HingeModel
-from mckibben.calibration.recordings import JointPrior, JointRecording
+from mckibben.calibration.models import HingeModel, Moved, RobotModel
+from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
 from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
-from mckibben.component.schema import independent, replaced, write_text
+from mckibben.component.schema import independent, inherited_fields, replaced, write_text
 from mckibben.control import Multisine, OpenLoopControl, Reference, Sine, Sum
 from mckibben.dataset import Recipe
 from mckibben.dataset.reading import read_signals
@@ -32,10 +32,10 @@ from mckibben.joint import AntagonisticJoint, Load, Measurement, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import MaxwellCreep
-from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
 from mckibben.result import Column, Listing
 from mckibben.rig import JointRig, JointRunResult, prepare
+from mckibben.rig.channels import Channels
 from mckibben.rig.simulated.joint import Sensing
 from mckibben.scenario import Scenario, Start, run_scenario
 from mckibben.simulation import SimulationResult
@@ -88,7 +88,7 @@ class Sweeps:
         self._attainable(scenario)
         for name, mass in self.weights.items():
             yield f"{name}_slow", self._slow(scenario, mass)
-            model = calibrate_joint(first_model_of(scenario), load_of(scenario), self.recordings(results)).model
+            model = calibrate_model(first_model_of(scenario), self.recordings(results)).model
             yield f"{name}_fast", self._fast(scenario, model, mass)
 
     def prediction(self, scenario: Scenario, prior: JointPrior) -> Listing:
@@ -97,7 +97,7 @@ class Sweeps:
         The experiment is simulated on the controller's model. The duration changes it little: an error of the model
         repeats with the motion.
         """
-        model = HingeModel(first_model_of(scenario), load_of(scenario))
+        model: Any = first_model_of(scenario)
         nominal = scenario.model_copy(update={"joint": model.joint, "load": model.load})
         mass, deviations = self.added_mass or 0.5, []
         weights = [0.0, mass, 2 * mass]
@@ -200,7 +200,7 @@ class Sweeps:
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; `ParameterError` if there is none."""
-        joint, load = first_model_of(scenario), load_of(scenario)
+        joint, load = model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, 41)
         loads = [self._weighted(load, mass) for mass in self.weights.values()]
         bands = np.asarray(_bands((joint, loads, (self.lowest + self.highest) / 2), angles))
@@ -243,10 +243,22 @@ def model_of(scenario: Scenario) -> AntagonisticJoint:
     return field_of(scenario.control(), "model") or scenario.joint
 
 
-def first_model_of(scenario: Scenario) -> AntagonisticJoint:
-    """Return `model_of`, which a calibration corrects; `ParameterError` if one has corrected it already."""
-    model = model_of(scenario)
-    if isinstance(model.geometry, ScaledArms) or model.muscle1.correction or model.muscle2.correction:
+def first_model_of(scenario: Any) -> Moved:
+    """Return the controller's model of a joint or a robot, which a calibration corrects.
+
+    Raises `ParameterError` if one has corrected it already, and if controllers of single joints have models of these.
+    """
+    if not scenario.joint_names:
+        model: Moved = HingeModel(model_of(scenario), load_of(scenario))
+    else:
+        for name, controller in scenario.controllers.items():
+            if getattr(controller, "model", None) and "model" not in inherited_fields(controller):
+                remedy = "leave it out, so that it follows the robot"
+                raise ParameterError(
+                    "a joint's controller has a model", field=f"controllers.{name}.model", value=name, remedy=remedy
+                )
+        model = RobotModel(field_of(scenario.control(), "robot") or scenario.robot)
+    if any(muscle.correction for muscle in model.muscles):
         remedy = "give the scenario with the initial model: intervals need its prior"
         raise ParameterError("the controller's model has been calibrated already", remedy=remedy)
     return model
@@ -320,78 +332,81 @@ def _measured(shared: tuple[Sensors, PyTree, PyTree], _: None) -> PyTree:
 
 
 def recording_of(result: SimulationResult) -> JointRecording:
-    """The recording of a run on a joint rig."""
-    pressures, commands = (
-        np.stack([result[f"{kind}1"], result[f"{kind}2"]], axis=1) for kind in ("pressure", "command")
-    )
-    return JointRecording(result.times, result["angle"], pressures, commands=commands)
+    """The recording of a run of a joint or a robot."""
+    angle, pressures, commands = (result[name].T for name in ("angle", "pressure", "command"))
+    return JointRecording(result.times, angle, pressures, commands=commands)
 
 
-def read_joint_recording(path: str | os.PathLike[str], recipe: Recipe | None = None, **weight: Any) -> JointRecording:
+def read_joint_recording(
+    path: str | os.PathLike[str],
+    recipe: Recipe | None = None,
+    channels: Channels = Channels(),  # noqa: B008
+    **weight: Any,
+) -> JointRecording:
     """Read a recording: a file of any format of `read_dataset` with columns such as ``time_s,angle_deg,p1_bar,p2_bar``.
 
-    Columns ``command1_bar,command2_bar`` give commands, for the valves, ``tension1_N,tension2_N`` the readings of load
-    cells; `recipe` names others. Further attributes of the recording, weight and lag of the tubes, are arguments. A
-    ``result.nc`` of `mckibben rig control` is read as well. Raises a `DatasetError` with every problem of the file.
+    Those of a robot have the names of its `channels`: ``angle.hip_deg``, ``pressure.hip1_bar``. Columns
+    ``command1_bar,command2_bar`` give commands, for the valves, ``tension1_N,tension2_N`` the readings of load cells;
+    `recipe` names others. Further attributes of the recording, weight and lag of the tubes, are arguments. A
+    ``result.nc`` of `mckibben rig control` or `mckibben simulate` is read as well. Raises a `DatasetError` with every
+    problem of the file.
     """
     file = Path(path)
     if file.suffix == ".nc":
         return replace(recording_of(SimulationResult.from_netcdf(file)), **weight)
-    columns = read_signals(file, ("time", "angle", *_PRESSURES), recipe)
-    times = columns["time"]
-
-    def pair(kind: str) -> Any:
-        return np.stack([columns[f"{kind}{i}"] for i in (1, 2)], axis=1) if f"{kind}1" in columns else None
-
-    readings = columns["angle"], pair("pressure"), pair("tension")
-    return JointRecording(times, *readings, commands=pair("command"), **weight)
+    groups = [channels.by_muscle(kind) for kind in ("pressure", "command", "tension")]
+    columns = read_signals(file, ("time", *channels.readings), recipe, of_muscles=groups)
+    pressures, commands, tensions = (
+        np.stack([columns[name] for name in names], axis=1) if names[0] in columns else None for names in groups
+    )
+    angle = np.stack([columns[name] for name in channels.by_joint("angle")], axis=1)
+    angle = angle if channels.is_named else angle[:, 0]
+    return JointRecording(columns["time"], angle, cast(Floats, pressures), tensions, commands=commands, **weight)
 
 
 def calibrate_scenario(
-    scenario: Scenario,
+    scenario: Any,  # Scenario | RobotScenario
     recordings: Sequence[JointRecording],
     prior: JointPrior | None = None,
     *,
     held_out: Sequence[JointRecording] = (),
 ) -> JointCalibration:
-    """Identify the controller's model of a scenario from recordings.
+    """Identify the controller's model of a joint or a robot from recordings.
 
     Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it.
     """
-    joint, load = first_model_of(scenario), load_of(scenario)
-    fit = replace(calibrate_joint(joint, load, recordings, prior), held_out=tuple(held_out))
+    model = first_model_of(scenario)
+    fit = replace(calibrate_model(model, recordings, prior), held_out=tuple(held_out))
     keeps = bool(held_out) and not fit.predicts
     after = scenario if keeps else calibrated_scenario(scenario, fit)
-    model = joint if keeps else calibrated_model(scenario, fit)
     margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))
-    writers = {"model.yaml": partial(write_section, model, _HEAD), "scenario.yaml": after.to_yaml}
+    writers: dict[str, Any] = {"scenario.yaml": after.to_yaml}
+    if joint := (model if keeps else calibrated_model(fit)).parts.get("joint"):
+        writers["model.yaml"] = partial(write_section, joint, _HEAD)
     return replace(fit, disk_margins=margins).with_files(writers)
 
 
-def calibrated_model(scenario: Scenario, fit: JointCalibration) -> AntagonisticJoint:
-    """Return the controller's model with the estimates."""
-    model, joint, muscles = first_model_of(scenario), fit.joint, {}
-    for name in ("muscle1", "muscle2"):
-        before, after = getattr(model, name), getattr(joint, name)
-        if isinstance(after.law, AdjustedLaw):
-            parts = {"correction": after.law.correction, "friction": after.friction}
-            creep = fit.quantities.get(f"{name}.creep")
-            if creep and creep.determined and creep.value > 0 and not before.has_creep:
-                parts["creep"] = MaxwellCreep(creep.value, float(CREEP_TIMES[0]), arms=2)  # of 1 and 10 s
-            muscles[name] = replaced(before, parts)
-    assert isinstance(joint.geometry, ScaledArms)
-    return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
+def calibrated_model(fit: JointCalibration) -> Moved:
+    """Return the model with the estimates; of creep, if the model had none, those that are determined."""
+    muscles = []
+    for name, muscle in zip(fit.model.muscle_names, fit.model.muscles, strict=True):
+        creep = fit.quantities.get(f"{name}.creep")
+        if creep and creep.determined and creep.value > 0 and not muscle.has_creep:
+            arms = MaxwellCreep(creep.value, float(CREEP_TIMES[0]), arms=2)  # of 1 and 10 s
+            muscles.append(replace(muscle, creep=arms))
+        else:
+            muscles.append(muscle)
+    return fit.model.with_muscles(muscles)
 
 
-def calibrated_scenario(scenario: Scenario, fit: JointCalibration) -> Scenario:
-    """Return the scenario with the estimates as its plant, encoder included, and as its controller's model."""
-    parts: dict[str, Any] = {"joint": calibrated_model(scenario, fit)}
+def calibrated_scenario(scenario: Any, fit: JointCalibration) -> Any:
+    """Return the scenario with the estimates as plant, encoder of a joint included, and as its controller's model."""
+    parts = calibrated_model(fit).parts
+    if scenario.joint_names:  # whose uncertainty is that of all muscles and bodies
+        return with_estimates(scenario, {}, **parts)
     sensors = SampledSensors() if isinstance(scenario.sensors, PerfectSensors) else scenario.sensors
     if isinstance(sensors, SampledSensors):
         parts["sensors"] = replaced(sensors, {"encoder_offset": fit.quantities["zero"].value})
-    before = load_of(scenario)
-    estimated = {"damping", "inertia", before.estimated_mass} & {field.name for field in fields(before)}
-    parts["load"] = replaced(before, {name: getattr(fit.load, name) for name in estimated})
     return with_estimates(scenario, fit.deviations(), **parts)
 
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from mckibben.component.schema import inherited_fields, replaced
 from mckibben.control import Controller
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import McKibbenError, McKibbenWarning
 from mckibben.result import Remark
-from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario import StudiedScenario, list_parameters
 from mckibben.simulation import LEAST_DISK_MARGIN, disk_margins
 
 PLANTS = 8
@@ -30,33 +31,34 @@ _PARAMETERS = {  # of a scenario, for estimates of another name
 }
 
 
-def field_of(controller: Controller, name: str) -> Any:
+def field_of(controller: DiscreteTimeSystem, name: str) -> Any:
     """Return the field of a controller, or of the one that it wraps; None without."""
     own = getattr(controller, name, None)
     return own if own is not None else next((field_of(inner, name) for inner in _inner(controller).values()), None)
 
 
-def with_fields(controller: Controller, fields: Mapping[str, Any]) -> Any:
+def with_fields(controller: DiscreteTimeSystem, fields: Mapping[str, Any]) -> Any:
     """Return a controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
     stated = {name for name, value in vars(controller).items() if value is not None} - inherited_fields(controller)
     own = {name: value for name, value in fields.items() if name in stated}
     return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
 
 
-def _inner(controller: Controller) -> dict[str, Controller]:
+def _inner(controller: DiscreteTimeSystem) -> dict[str, Controller]:
     return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
 
 
-def with_estimates(scenario: Scenario, deviations: Mapping[str, str], **parts: Any) -> Scenario:
+def with_estimates(scenario: Any, deviations: Mapping[str, str], **parts: Any) -> Any:
     """Return a scenario with estimates as parts of its plant, and of the model that its controller holds itself.
 
     Parts of the model that the controller inherits follow the plant. `deviations` are standard deviations, as text with
     a unit, by the names of the estimates: those of parameters of the scenario become its `uncertainty`.
     """
     own = {_MODELS.get(name, name): value for name, value in parts.items()}
-    after = scenario.model_copy(update={**parts, "controller": with_fields(scenario.controller, own)})
+    control = scenario.controller and with_fields(scenario.controller, own)
+    after = scenario.model_copy(update={**parts, "controller": control})
     known = {parameter.name for parameter in list_parameters(after) if parameter.nominal is not None}
-    uncertain = {text.partition("=")[0]: text for text in scenario.uncertainty or ()}
+    uncertain = {text.partition("=")[0]: text for text in scenario.uncertain}
     for name, deviation in deviations.items():
         valve = name.replace("valve1.", "valve.muscle1.").replace("valve2.", "valve.muscle2.")
         both = name.replace("valve1.", "valve.").replace("valve2.", "valve.")
@@ -65,18 +67,18 @@ def with_estimates(scenario: Scenario, deviations: Mapping[str, str], **parts: A
             if parameter in known:
                 uncertain[parameter] = f"{parameter}=normal {deviation}"
                 break
-    return after.model_copy(update={"uncertainty": tuple(uncertain.values()) or None})
+    return after.model_copy(update={"uncertainty": tuple(uncertain.values())} if uncertain else {})
 
 
-def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64] | None:
+def loop_margins(scenario: StudiedScenario, **parts: Any) -> NDArray[np.float64] | None:
     """Return the least disk margin of a scenario's loop on each of many plants; 0 where it is unstable.
 
     `parts` of the plants have arrays of shape (plants,) in place of numbers. Warns and returns None if the scenario
     cannot run.
     """
     plant = dataclasses.replace(scenario.plant(), **parts)
-    run = plant, scenario.control(), scenario.reference(), scenario.starts()
-    times = {"duration": scenario.duration, "control_period": scenario.control_period}
+    run = plant, scenario.control(), scenario.references(), scenario.starts()
+    times = {name: scenario.timing[name] for name in ("duration", "control_period")}
     try:
         return np.nan_to_num(disk_margins(*run, **times, substeps=scenario.substeps or _SUBSTEPS)).clip(0.0)
     except McKibbenError as error:

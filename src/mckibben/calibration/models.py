@@ -9,6 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from mckibben.calibration.recordings import JointRecording
+from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.joint.route import Route
 from mckibben.mechanism import Robot
@@ -45,12 +47,22 @@ class Moved(Protocol):
     def muscles(self) -> tuple[Muscle, ...]:
         """All muscles."""
 
+    def check(self, recordings: Sequence[JointRecording]) -> None:
+        """Raise `IdentificationError` if the model cannot have moved as recorded."""
+
     def priors(self, prior: Any) -> dict[str, float]:
         """Return names of parameters, and their deviations, relative ones of factors about 1."""
 
     @property
     def absolute(self) -> dict[str, Number]:
         """Values in SI of the parameters that are factors of them."""
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """Parts of a plant by their names in a scenario."""
+
+    def with_muscles(self, muscles: Sequence[Muscle]) -> Moved:
+        """Return the model with other muscles, in their order."""
 
     def changed(self, muscles: Sequence[Muscle], values: Mapping[str, Number]) -> Moved:
         """Return the model with other muscles and with parameters, each a factor or a difference from its prior."""
@@ -90,6 +102,9 @@ class HingeModel(NamedTuple):
     def muscles(self) -> tuple[Muscle, ...]:
         return self.joint.muscles
 
+    def check(self, recordings: Sequence[JointRecording]) -> None:
+        pass
+
     def priors(self, prior: Any) -> dict[str, float]:
         mass = {"load.mass": prior.mass} if self.load.estimated_mass else {}
         return mass | {"load.inertia": prior.inertia, "arm_scale": prior.arm_scale}
@@ -100,6 +115,14 @@ class HingeModel(NamedTuple):
         mass = {"load.mass": getattr(self.load, name)} if name else {}
         return mass | {"load.inertia": self.load.total_inertia + self.inertia}
 
+    @property
+    def parts(self) -> dict[str, Any]:
+        return {"joint": self.joint, "load": self.load}
+
+    def with_muscles(self, muscles: Sequence[Muscle]) -> HingeModel:
+        first, second = muscles
+        return self._replace(joint=dataclasses.replace(self.joint, muscle1=first, muscle2=second))
+
     def changed(self, muscles: Sequence[Muscle], values: Mapping[str, Number]) -> HingeModel:
         load: Any = self.load
         name = load.estimated_mass
@@ -108,7 +131,7 @@ class HingeModel(NamedTuple):
             changes[name] = getattr(load, name) * values["load.mass"]
         geometry = ScaledArms(self.joint.geometry, values["arm_scale"])
         return HingeModel(
-            dataclasses.replace(self.joint, geometry=geometry, muscle1=muscles[0], muscle2=muscles[1]),
+            dataclasses.replace(self.with_muscles(muscles).joint, geometry=geometry),
             dataclasses.replace(load, **changes),
             (values["load.inertia"] - 1) * load.total_inertia,
         )
@@ -154,6 +177,15 @@ class RobotModel(NamedTuple):
     def muscles(self) -> tuple[Muscle, ...]:
         return self.robot.all_muscles
 
+    def check(self, recordings: Sequence[JointRecording]) -> None:
+        if self.robot.base != "fixed":
+            message = f"the base moves: {self.robot.base}"
+            raise IdentificationError(message, field="robot.base", remedy="hold it, and give the robot `base: fixed`")
+        if locked := [joint.name for joint in self.robot.joints if joint.locked is not None]:
+            raise IdentificationError(f"{', '.join(locked)}: locked", remedy="give the robot without locked joints")
+        if any(recording.added_mass for recording in recordings):
+            raise IdentificationError("a weight on a robot has no place", remedy="give it as a body of the robot")
+
     def priors(self, prior: Any) -> dict[str, float]:
         widths = {"mass": prior.mass, "inertia": prior.inertia}
         return {f"{body.name}.{name}": width for body in self.robot.bodies[1:] for name, width in widths.items()}
@@ -162,13 +194,20 @@ class RobotModel(NamedTuple):
     def absolute(self) -> dict[str, Number]:
         return {f"{body.name}.mass": body.mass for body in self.robot.bodies[1:]}
 
-    def changed(self, muscles: Sequence[Muscle], values: Mapping[str, Number]) -> RobotModel:
-        """Return the model with other muscles, in their order, and changed bodies and dampings."""
-        rest = iter(muscles)
+    @property
+    def parts(self) -> dict[str, Any]:
+        return {"robot": self.robot}
+
+    def with_muscles(self, muscles: Sequence[Muscle]) -> RobotModel:
+        following = iter(muscles)
         units: list[Any] = []
         for unit in self.robot.muscles:
             names = ("muscle1", "muscle2") if len(unit.names) > 1 else ("muscle",)
-            units.append(dataclasses.replace(unit, **{name: next(rest) for name in names}))
+            units.append(dataclasses.replace(unit, **{name: next(following) for name in names}))
+        return RobotModel(dataclasses.replace(self.robot, muscles=tuple(units)))
+
+    def changed(self, muscles: Sequence[Muscle], values: Mapping[str, Number]) -> RobotModel:
+        """Return the model with other muscles, and changed bodies and dampings."""
         bodies = [
             dataclasses.replace(
                 body,
@@ -181,8 +220,8 @@ class RobotModel(NamedTuple):
             dataclasses.replace(joint, damping=joint.damping + values[f"{joint.name}.damping"])
             for joint in self.robot.joints
         ]
-        parts = {"bodies": (self.robot.bodies[0], *bodies), "joints": tuple(joints), "muscles": tuple(units)}
-        return RobotModel(dataclasses.replace(self.robot, **parts))
+        parts = {"bodies": (self.robot.bodies[0], *bodies), "joints": tuple(joints)}
+        return RobotModel(dataclasses.replace(self.with_muscles(muscles).robot, **parts))
 
     @property
     def physical(self) -> RobotModel:

@@ -54,7 +54,7 @@ def calibrate(
     json: bool,
     reading: Reading,
 ) -> Calibration:
-    """Identify the controller's joint model with a known weight, or its valves.
+    """Identify the controller's model of a joint or a robot, or its valves.
 
     Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
 
@@ -95,17 +95,18 @@ def calibrate(
     out = required_folder(out, "calibration")
     from mckibben import calibration
     from mckibben.component.checks import check_within
+    from mckibben.rig.channels import Channels
     from mckibben.scenario import Scenario
 
     check_within("calibrate", 20.0, 600.0, "s", remedy="give another --duration", duration=seconds)
     results_folder(out, calibration.Calibration.file_names(), force)
     low, high = parse_limits("--angles", angles, "rad")
     deviations = _prior(limb, prior, valves=valves)
-    read, measure = Scenario.read(scenario), partial(calibration.read_joint_recording, recipe=reading.recipe)
+    read = Scenario.read(scenario)
     if read.joint_names:
-        message = f"{scenario} is a robot, and the experiment is that of a joint"
-        remedy = "give recordings of all joints to `mckibben.calibration.calibrate_robot` in Python"
-        raise ParameterError(message, field="scenario", value=str(scenario), remedy=remedy)
+        _check_robot(scenario, recording, valves=valves)
+    channels = Channels.of(read)
+    measure = partial(calibration.read_joint_recording, recipe=reading.recipe, channels=channels)
     lag: Any = {} if valves else {"tube": _tube(read, tube, simulated=not (rig or recording or weighted))}
     recordings = [
         *(measure(path, **lag) for path in recording or ()),
@@ -124,6 +125,14 @@ def calibrate(
         recordings = _measured(read, sweeps, out, rig, quiet=json)
     unused = [measure(path, **lag) for path in held_out or ()]
     return calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
+
+
+def _check_robot(scenario: Path, recording: Files, *, valves: bool) -> None:
+    """Refuse a robot without recordings, and its valves."""
+    if valves or not recording:
+        message = f"{scenario} is a robot, and the experiments are those of a joint"
+        remedy = "give recordings of all joints at once, --recording RUN.csv or result.nc, and --held-out others"
+        raise ParameterError(message, field="scenario", value=str(scenario), remedy=remedy)
 
 
 def _check_files(weight: str, recording: Files, weighted: Files, held_out: Files) -> None:

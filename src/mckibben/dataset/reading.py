@@ -149,13 +149,25 @@ def read_torques(
     return table
 
 
-def read_signals(path: Path, needed: Sequence[str], recipe: Recipe | None = None) -> dict[str, np.ndarray]:
-    """Columns of a joint over time by quantity, in SI units, with pairs of muscles; errors as of `read_dataset`."""
+def read_signals(
+    path: Path,
+    needed: Sequence[str],
+    recipe: Recipe | None = None,
+    *,
+    of_muscles: Sequence[Sequence[str]] = OF_MUSCLES,
+) -> dict[str, np.ndarray]:
+    """Columns of joints over time by quantity, in SI units; errors as of `read_dataset`.
+
+    Each of the quantities `of_muscles` is there for all muscles, or for none. Those of named joints and muscles have
+    the name after a point: ``angle.hip``, ``pressure.hip1``.
+    """
     (file, *_) = _files(path, recipe, {"joint": "joint"})
-    table = _understood(file, needed, None)[0]
-    names = {name for pair in OF_MUSCLES if {*pair} & {*table.columns} for name in pair}
+    named = [name for names in (needed, *of_muscles) for name in names if "." in name]
+    table = _understood(file, needed, None, named)[0]
+    names = {name for group in of_muscles if {*group} & {*table.columns} for name in group}
     if missing := sorted(names - {*table.columns, *needed}):
-        table.questions.append(question(f"no column for {missing[0]}, of two muscles", field=missing[0]))
+        text = f"no column for {missing[0]}, which other muscles have"
+        table.questions.append(question(text, field=missing[0]))
     table.ask(file.recipe.accept)
     return {name: column.values for name, column in table.columns.items()}
 
@@ -272,7 +284,9 @@ def _parts_named(path: Path, recipe: Recipe) -> tuple[str, ...]:
     return ()
 
 
-def _understood(file: _File, needed: Sequence[str], geometry: JointPaths | None) -> tuple[Table, bool]:
+def _understood(
+    file: _File, needed: Sequence[str], geometry: JointPaths | None, named: Sequence[str] = ()
+) -> tuple[Table, bool]:
     """Table of a file, joined with others over time, and whether this program wrote it."""
     raw, recipe = file.raw(), file.recipe
     needless: list[str] = []
@@ -290,7 +304,7 @@ def _understood(file: _File, needed: Sequence[str], geometry: JointPaths | None)
     own = {"specimen", "source", "slack_force", "preprocessing"} <= {*raw.comments}
     own &= {column.name for column in raw.columns} <= {*CSV_COLUMNS.values()}
     try:
-        return understand(file.name, raw, recipe, needed, geometry), own
+        return understand(file.name, raw, recipe, needed, geometry, named), own
     except MemoryError:
         raise refusal(file.path, "needs more memory than there is", LIMIT_REMEDY) from None
 

@@ -28,6 +28,7 @@ from mckibben.dataset.vocabulary import (
     is_harmless,
     parse_header,
     parse_line,
+    parse_named,
     si_factor,
 )
 from mckibben.dataset.words import doubtful_words, other_units
@@ -72,7 +73,12 @@ _LENGTH = re.compile(r"(?<![\d.,])(\d+(?:\.\d+)?) ?(mm|cm|m)\b(?!\w|[/^])")
 
 
 def understand(
-    path: Path, raw: RawTable, recipe: Recipe, needed: Sequence[str], geometry: JointPaths | None = None
+    path: Path,
+    raw: RawTable,
+    recipe: Recipe,
+    needed: Sequence[str],
+    geometry: JointPaths | None = None,
+    named: Sequence[str] = (),
 ) -> Table:
     """Map the columns of a file to quantities in SI units; what is not plain becomes a question of the table.
 
@@ -84,8 +90,10 @@ def understand(
         Quantities without which nothing can be read.
     geometry
         Of the joint at which torques were measured: those of one muscle are read as its force and length.
+    named
+        Quantities of named joints and muscles, such as ``angle.hip``.
     """
-    return _Reader(path, raw, recipe).read(needed, geometry)
+    return _Reader(path, raw, recipe, named).read(needed, geometry)
 
 
 class _Entry(NamedTuple):
@@ -107,8 +115,8 @@ class _Entry(NamedTuple):
 class _Reader:
     """Steps of `understand`."""
 
-    def __init__(self, path: Path, raw: RawTable, recipe: Recipe) -> None:
-        self.raw, self.recipe = raw, recipe
+    def __init__(self, path: Path, raw: RawTable, recipe: Recipe, named: Sequence[str]) -> None:
+        self.raw, self.recipe, self.named = raw, recipe, named
         self.mapping = {str(key).strip(): name for key, name in (recipe.columns or {}).items()}
         lines = np.asarray(raw.lines, np.int64)
         self.table = Table(path, place=raw.place, lines=lines, interval=raw.interval, questions=raw.questions)
@@ -230,7 +238,8 @@ class _Reader:
                 self.table.ignored.append(column.name)
                 continue
             gain, offset, name = parse_line(name)
-            header = parse_header(name) if name else self._header_of(column)
+            stated = (name, "") if name else (column.title, column.unit)
+            header = parse_named(*stated, self.named) or (parse_header(name) if name else self._header_of(column))
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
                 known = [f"{quantity}_{units[0]}" for quantity, units in QUANTITIES.items() if units]
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"

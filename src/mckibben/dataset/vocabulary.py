@@ -6,7 +6,7 @@ import functools
 import re
 import tomllib
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import NamedTuple
 
@@ -24,16 +24,28 @@ UNITS: Mapping[str, str] = {
 """Units in which each quantity is read, the usual one first."""
 OF_MUSCLES = ("pressure1", "pressure2"), ("command1", "command2"), ("tension1", "tension2")
 """Quantities of the muscles of a joint: pressures, their commands, and forces."""
-QUANTITIES: Mapping[str, tuple[str, ...]] = {
-    **{name: tuple(units.split()) for name, units in UNITS.items()},
-    **dict.fromkeys(("set_pressure", *OF_MUSCLES[0], *OF_MUSCLES[1]), tuple(UNITS["pressure"].split())),
-    **dict.fromkeys(OF_MUSCLES[2], tuple(UNITS["force"].split())),
-    "set_force": tuple(UNITS["force"].split()),
-    **dict.fromkeys(("displacement", "shortening"), tuple(UNITS["length"].split())),
-    "lengthening": (*UNITS["length"].split(), *UNITS["contraction"].split()),
-    "relative_length": tuple(UNITS["contraction"].split()),
-    **dict.fromkeys(("direction", "phase", "repeat"), ()),
-}
+
+
+class _Quantities(dict[str, tuple[str, ...]]):
+    """Units by quantity, also by that of a named joint or muscle, such as ``angle.hip``."""
+
+    def __missing__(self, name: str) -> tuple[str, ...]:
+        quantity = name.partition(".")[0]
+        return self[quantity if quantity in self or quantity == name else f"{quantity}1"]
+
+
+QUANTITIES: Mapping[str, tuple[str, ...]] = _Quantities(
+    {
+        **{name: tuple(units.split()) for name, units in UNITS.items()},
+        **dict.fromkeys(("set_pressure", *OF_MUSCLES[0], *OF_MUSCLES[1]), tuple(UNITS["pressure"].split())),
+        **dict.fromkeys(OF_MUSCLES[2], tuple(UNITS["force"].split())),
+        "set_force": tuple(UNITS["force"].split()),
+        **dict.fromkeys(("displacement", "shortening"), tuple(UNITS["length"].split())),
+        "lengthening": (*UNITS["length"].split(), *UNITS["contraction"].split()),
+        "relative_length": tuple(UNITS["contraction"].split()),
+        **dict.fromkeys(("direction", "phase", "repeat"), ()),
+    }
+)
 """Units of each quantity of a column.
 
 `shortening` and `lengthening` are displacements with a known direction, the latter also relative to the initial length,
@@ -148,6 +160,17 @@ def parse_header(text: str, unit: str = "") -> Header:
         if len({header.quantity for header in headers}) == 1:
             return max(headers, key=lambda header: bool(header.unit))
     return whole
+
+
+def parse_named(text: str, unit: str, names: Sequence[str]) -> Header | None:
+    """Understand a header with one of the names of joints and muscles; None of another.
+
+    >>> parse_named("Angle.left hip [deg]", "", ["angle.knee", "angle.left hip"])
+    Header(quantity='angle.left hip', unit='deg', name='angle left hip', absolute=False)
+    """
+    whole = _read_whole(text, unit)
+    name = next((name for name in names if _plain(name) == whole.name), None)
+    return whole._replace(quantity=name, unit=canonical_unit(whole.unit, name)) if name else None
 
 
 def _read_whole(text: str, unit: str) -> Header:

@@ -467,34 +467,40 @@ def selection(selection: Selection) -> Figure:
 def calibration(calibration: JointCalibration) -> Figure:
     """Stiffness of a model before and after calibration along the recordings, with 95 % intervals, and its change.
 
-    Left: over recording time, one recording after the other; right: calibrated minus before, over the angle.
+    Left: over recording time, one recording after the other; right: calibrated minus before, over the angle. A row for
+    each joint.
 
     Parameters
     ----------
     calibration
         Result of `mckibben.calibration.calibrate_joint`.
     """
-    figure = blank(DOUBLE, 2.9)
-    over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
-    start = 0.0
+    names = calibration.model.joint_names
+    figure = blank(DOUBLE, 1.0 + 1.9 * len(names))
+    rows, start = figure.subplots(len(names), 2, width_ratios=(2, 1), squeeze=False), 0.0
     for recording in calibration.recordings:
-        angle, pressures = recording.angle[::_SAMPLES_APART], recording.pressures[::_SAMPLES_APART].T
-        before = calibration.prior_stiffness(angle, (pressures[0], pressures[1]))
-        after = calibration.stiffness(angle, (pressures[0], pressures[1]))
+        angle, pressures = recording.angle[::_SAMPLES_APART], tuple(recording.pressures[::_SAMPLES_APART].T)
+        before, after = (
+            [np.reshape(each, (len(angle), -1)).T for each in stiffness(angle.T, pressures)]
+            for stiffness in (calibration.prior_stiffness, calibration.stiffness)
+        )
         time = start + recording.time[::_SAMPLES_APART] - recording.time[0]
         start = float(time[-1])
-        over_time.axvline(start, color=BLACK, linewidth=0.6)
-        for name, (value, deviation), color in (("model before", before, ORANGE), ("calibrated", after, BLUE)):
-            over_time.plot(time, value, color=color, linewidth=1.0, label=name)
-            edges = value - 1.96 * deviation, value + 1.96 * deviation
-            draw_band(over_time, time, *edges, color=color, alpha=0.2, label=f"{name}, 95 % interval")
-        over_angle.plot(angle / deg, after[0] - before[0], ".", color=BLUE, markersize=2)
-    letter(over_time, 0, "stiffness along the recordings")
-    letter(over_angle, 1, "calibrated minus before")
-    over_time.set(xlabel="time [s]", ylabel=_STIFFNESS)
-    over_angle.set(xlabel=_ANGLE, ylabel="difference [N·m/rad]")
-    over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
-    legend_above(figure, over_time, columns=2)
+        for i, (over_time, over_angle) in enumerate(rows):
+            over_time.axvline(start, color=BLACK, linewidth=0.6)
+            for name, (values, deviations), color in (("model before", before, ORANGE), ("calibrated", after, BLUE)):
+                over_time.plot(time, values[i], color=color, linewidth=1.0, label=name)
+                edges = values[i] - 1.96 * deviations[i], values[i] + 1.96 * deviations[i]
+                draw_band(over_time, time, *edges, color=color, alpha=0.2, label=f"{name}, 95 % interval")
+            own = angle.reshape(len(angle), -1)[:, i]
+            over_angle.plot(own / deg, after[0][i] - before[0][i], ".", color=BLUE, markersize=2)
+    for i, ((over_time, over_angle), name) in enumerate(zip(rows, names, strict=True)):
+        letter(over_time, 2 * i, f"{name.removesuffix('.')} stiffness along the recordings".strip())
+        letter(over_angle, 2 * i + 1, "calibrated minus before")
+        over_time.set(xlabel="time [s]", ylabel=_STIFFNESS)
+        over_angle.set(xlabel=_ANGLE, ylabel="difference [N·m/rad]")
+        over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
+    legend_above(figure, rows[0, 0], columns=2)
     return figure
 
 

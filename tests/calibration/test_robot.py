@@ -1,0 +1,117 @@
+"""Calibration of robots on recordings of others: other laws, friction, masses, encoder zeros and noise."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.calibration import JointPrior, calibrate_scenario
+from mckibben.calibration.experiment import recording_of
+from mckibben.calibration.models import RobotModel
+from mckibben.component.schema import read_component
+from mckibben.control import Multisine, Reference, Sine, Sum
+from mckibben.muscle import MaxwellSlip, Muscle
+from mckibben.scenario import Scenario
+from mckibben.scenario.reading import read_mjcf
+from mckibben.units import deg, mm
+
+pytestmark = [pytest.mark.usefixtures("optimized"), pytest.mark.slow]
+SECONDS = 15.0
+ARM = """
+name: arm
+robot: robot.yaml
+valve: {time_constant: 20 ms, supply: 7 bar}
+reference:
+  shoulder side: {angle: 0 deg, stiffness: 6 N*m/rad}
+  shoulder: {angle: 0 deg, stiffness: 14 N*m/rad}
+  elbow: {angle: 0 deg, stiffness: 7.5 N*m/rad}
+  wrist: {angle: 0 deg, stiffness: 4 N*m/rad}
+controller:
+  class: computed_torque
+  feedback: {bandwidth: 130 rad/s}
+  observer: {bandwidth: 20 rad/s}
+  friction_compensation: true
+duration: 2 s
+control_period: 1 ms
+"""
+
+
+def foreign(robot, rng):
+    """A robot whose muscles have another curvature, strength and friction, and whose bodies have other masses."""
+    muscles = []
+    for muscle in robot.all_muscles:
+        law = dataclasses.replace(muscle.law, decay=1.2 * muscle.law.decay)
+        at = 0.1, 4.4e5
+        strength = float(muscle.law.force(*at) / law.force(*at)) * (1 + 0.08 * rng.standard_normal())
+        friction = MaxwellSlip(8 * np.exp(0.3 * rng.standard_normal()), 0.4 * mm, elements=3)
+        muscles.append(dataclasses.replace(muscle, law=law, strength=strength, friction=friction))
+    bodies = [
+        dataclasses.replace(body, mass=body.mass * factor, inertia=tuple(each * factor for each in body.inertia))
+        for body, factor in zip(robot.bodies, 1 + 0.05 * rng.standard_normal(len(robot.bodies)), strict=True)
+    ]
+    return dataclasses.replace(RobotModel(robot).with_muscles(muscles).robot, bodies=tuple(bodies))
+
+
+def reference(rng, amplitude, stiffness):
+    """Slow and fast motion, and a slow change of the stiffness."""
+    fast = Multisine((0.12 * amplitude,) * 4, tuple(rng.uniform(0.8, 3.5, 4)), tuple(rng.uniform(0, 6, 4)))
+    slow = Sine(0.6 * amplitude, rng.uniform(0.15, 0.35))
+    return Reference(Sum((slow, fast)), Sine(0.1 * stiffness, rng.uniform(0.1, 0.25), offset=stiffness))
+
+
+def moved(scenario, plant, rng, amplitudes, stiffness):
+    """Two recordings of the plant under the scenario's controller, then true angles and pressures, and zeros."""
+    references = {
+        name: reference(rng, amplitude, own)
+        for name, amplitude, own in zip(scenario.joint_names, amplitudes, stiffness, strict=True)
+    }
+    run = scenario.replace(robot=plant, reference=references, duration=2 * SECONDS).run_once()
+    zero = 0.5 * deg * rng.standard_normal(len(scenario.joint_names))
+    whole, half = recording_of(run), run.times.size // 2
+    step = 0.022 * deg
+    read = dataclasses.replace(
+        whole,
+        angle=np.round((whole.angle + zero) / step) * step,
+        pressures=whole.pressures + 4e3 * rng.standard_normal(whole.pressures.shape),
+        commands=None,
+    )
+    first, second = (
+        dataclasses.replace(read, **{name: getattr(read, name)[part] for name in ("time", "angle", "pressures")})
+        for part in (slice(half), slice(half, None))
+    )
+    return first, second, whole.angle[::500], whole.pressures[::500], zero
+
+
+def check(scenario, amplitudes, stiffness, seed=3):
+    """The error of the torques of held-out motion is halved, and that of the stiffness falls over all joints."""
+    rng = np.random.default_rng(seed)
+    plant = foreign(scenario.robot, rng)
+    fitted, held_out, angle, pressures, zero = moved(scenario.with_fixed_model(), plant, rng, amplitudes, stiffness)
+    fit = calibrate_scenario(scenario, [fitted], JointPrior(mass=0.05, inertia=0.1), held_out=[held_out])
+    before, after = fit.held_out_errors
+    assert after < 0.5 * before and f"{after:.2g} N*m" in fit.verdict()
+    true = np.array([plant.stiffness(tuple(own), tuple(both)) for own, both in zip(angle, pressures, strict=True)])
+    models = fit.prior_stiffness, fit.stiffness
+    values = [stiffness_of((angle + zero).T, tuple(pressures.T))[0] for stiffness_of in models]
+    errors = [np.sqrt(np.mean(np.square(value / true - 1))) for value in values]
+    assert errors[1] < errors[0]
+    return fit
+
+
+def test_a_leg_with_other_muscles_is_predicted(tmp_path):
+    scenario = Scenario.read("examples/robot/lei-leg-control.yaml")
+    fit = check(scenario, np.array([7.0, 4.0, 12.0]) * deg, (15.0, 15.0, 15.0))
+    fit.save(tmp_path)
+    after = Scenario.read(tmp_path / "scenario.yaml")
+    assert after.robot.bodies[1].mass == pytest.approx(fit.quantities["thigh.mass"].value)
+    assert all(muscle.correction for muscle in after.robot.all_muscles)
+
+
+def test_an_arm_with_muscles_over_two_joints_is_predicted(tmp_path):
+    read_mjcf(Path("examples/robot/arm.xml"), read_component(Muscle, Path("examples/robot/arm-muscle.yaml"))).write(
+        tmp_path
+    )
+    (tmp_path / "reach.yaml").write_text(ARM, encoding="utf-8")
+    scenario = Scenario.read(tmp_path / "reach.yaml")
+    check(scenario, np.array([6.0, 10.0, 10.0, 10.0]) * deg, (6.0, 14.0, 7.5, 4.0))
