@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -151,7 +153,8 @@ def test_a_joint_of_a_robot_has_the_stiffness_of_the_joint_alone():
 @pytest.mark.slow
 def test_muscles_over_several_joints_stiffen_each_of_them():
     """At constant pressures, in small motion, it is the isobaric stiffness of that joint with the other held."""
-    robot = RobotScenario.read("examples/robot/neck.yaml").robot
+    text = re.sub(r", friction: \{[^}]*\}", "", Path("examples/robot/neck.yaml").read_text(encoding="utf-8"))
+    robot = RobotScenario.parse(text).robot
     plant, count = RobotPlant(robot, IdealValve()), len(robot.all_muscles)
     angles, pressures = (0.05, -0.03), np.linspace(2e5, 3e5, count)
     state = plant.init_state(angles, tuple(pressures))

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float, Num
+from jaxtyping import Array, ArrayLike, Float, Num, PyTree
 
 from mckibben.binding import call
 from mckibben.component.base import Component
@@ -420,7 +420,7 @@ class AntagonisticJoint(Component):
         Array([118.1,  94.3,  81.1], dtype=float64)
         """
         check_positive("secant_stiffness", "rad", amplitude=amplitude)
-        air: Any = {"polytropic_index": polytropic_index, "dead_volume": dead_volume}
+        air: PyTree = {"polytropic_index": polytropic_index, "dead_volume": dead_volume}
         return secant_stiffness(self.routes, 0, angle, pressure_pair(pressures), amplitude, **air)
 
     def stiffness_for(self, angle: ArrayLike, pressures: Pressures, amplitude: ArrayLike | None) -> Array:

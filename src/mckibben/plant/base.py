@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes, delay_periods
 from mckibben.component.base import Component
@@ -193,7 +193,7 @@ class Plant(Component):
         creep = tuple(muscle.state_rate(held, rate, pressure).creep for muscle, held, rate, pressure in muscles)
         return Motion(velocity, acceleration, creep)
 
-    def acceleration(self, state: PlantState, torques: Sequence[Array]) -> Any:
+    def acceleration(self, state: PlantState, torques: Sequence[Array]) -> PyTree:
         """Return the acceleration [rad/s^2, m/s^2] under torques [N*m] by joint, in the form of a velocity."""
         return self.mechanism.acceleration(state.position, state.velocity, torques)
 

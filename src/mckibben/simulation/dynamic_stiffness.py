@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.actuator import Actuator, FlowValve
@@ -54,9 +54,9 @@ class _TestStand(Plant):
     """
 
     plant: Plant
-    share: tuple[Any, ...]
-    centre: tuple[Any, ...]
-    circular_frequency: Any
+    share: tuple[ArrayLike, ...]
+    centre: tuple[ArrayLike, ...]
+    circular_frequency: ArrayLike
 
     @property
     def _valve(self) -> Actuator:
@@ -70,19 +70,19 @@ class _TestStand(Plant):
     def disturbances(self) -> tuple[Disturbance, ...]:
         return self.plant.disturbances
 
-    def fastest_rates(self, angles: Any, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
+    def fastest_rates(self, angles: PyTree, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         return self.plant.fastest_rates(angles, stiffness)
 
-    def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Any]:
+    def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, PyTree]:
         return self.plant.sample(state, period)
 
-    def acceleration(self, state: PlantState, torques: Sequence[Array]) -> Any:
+    def acceleration(self, state: PlantState, torques: Sequence[Array]) -> PyTree:
         joints = zip(self.share, self.centre, self.mechanism.by_joint(state.position), strict=True)
         return self.moving(
             [share * self.circular_frequency**2 * (centre - angle) for share, centre, angle in joints], state
         )
 
-    def moving(self, values: Sequence[ArrayLike], state: PlantState) -> Any:
+    def moving(self, values: Sequence[ArrayLike], state: PlantState) -> PyTree:
         """Return rates [rad/s] or accelerations of the joints as those of a state whose base is at rest."""
         return self.mechanism.like_joints(values, jax.tree.map(jnp.zeros_like, state.velocity))
 
@@ -95,12 +95,12 @@ class _TestStand(Plant):
 class _Holding(DiscreteTimeSystem):
     """Constant commands [Pa], or openings."""
 
-    commands: tuple[Any, ...]
+    commands: tuple[ArrayLike, ...]
 
-    def init(self, measurement: Any) -> tuple[()]:
+    def init(self, measurement: PyTree) -> tuple[()]:
         return ()
 
-    def step(self, state: Any, setpoint: Any, measurement: Any, period: ArrayLike) -> tuple[tuple[()], Any]:
+    def step(self, state: PyTree, setpoint: PyTree, measurement: PyTree, period: ArrayLike) -> tuple[tuple[()], PyTree]:
         return (), self.commands
 
 
@@ -116,7 +116,7 @@ def closed_valves(plant: Plants, *, polytropic_index: float | None = None) -> Pl
         muscle.specimen.check_volume("the stiffness with closed valves")
     shut = FlowValve(_SHUT, 10 * bar)
     valves = [plant.valve_of(i) for i in range(len(plant.muscles))]
-    own: Any = [valve if valve.holds_air else shut for valve in valves]
+    own: Sequence[PyTree] = [valve if valve.holds_air else shut for valve in valves]
     index = [valve.polytropic_index if polytropic_index is None else polytropic_index for valve in own]
     dead = [valve.dead_volume for valve in own]
     wall = [valve.wall_conductance if polytropic_index is None else None for valve in own]
@@ -219,7 +219,7 @@ def dynamic_stiffness(
 def _last_cycle(
     stand: _TestStand,
     controller: DiscreteTimeSystem,
-    setpoint: Any,
+    setpoint: PyTree,
     initial: PlantState,
     amplitudes: Array,
     period: Array,

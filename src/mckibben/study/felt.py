@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
@@ -203,9 +203,9 @@ def felt_stiffness(
     return found
 
 
-def first_setpoints(scenario: Scenario | RobotScenario) -> Any:
+def first_setpoints(scenario: Scenario | RobotScenario) -> PyTree:
     """Return the first setpoint of an unnamed joint, or a tuple of those of all joints."""
-    references: Any = scenario.references()
+    references: PyTree = scenario.references()
     if not scenario.joint_names:
         return references(0.0)
     return tuple(references[name](0.0) for name in scenario.joint_names)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
@@ -217,7 +217,7 @@ def stiffness_tests(
         If the plant needs more substeps.
     """
     report = progress or silent
-    plant: Any = scenario.plant()
+    plant: PyTree = scenario.plant()
     controller = scenario.control()
     closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.needed_substeps()
@@ -234,7 +234,7 @@ def stiffness_tests(
         **({COMMANDED: plant} if plant.valve.holds_air else {}),
         CONTROLLED: plant,
     }
-    valve: Any = closed.valve
+    valve: PyTree = closed.valve
     index = valve.polytropic_index if valve.wall_conductance is None else HEAT_CAPACITY_RATIO
     names = scenario.joint_names or ("",)
     motions, count = {}, 0
@@ -243,7 +243,7 @@ def stiffness_tests(
         for test, own in plants.items():
             report(f"{name} {test}".strip(), count / (len(plants) * len(names)))
             count += 1
-            control: dict[str, Any] = {"controller": controller, "setpoint": setpoint} if test == CONTROLLED else {}
+            control: dict[str, PyTree] = {"controller": controller, "setpoint": setpoint} if test == CONTROLLED else {}
             started = state if own.valve_of(0) is plant.valve_of(0) else state._replace(air=())
             times = {"control_period": period, "substeps": substeps}
             tests[test] = dynamic_stiffness(own, started, amplitudes, rates, joint=joint, **control, **times)
@@ -279,8 +279,8 @@ def _closed_forms(
     mechanism, position, pressures = plant.mechanism, state.position, state.pressures
     angle, over = mechanism.by_joint(position)[joint], mechanism.routes_over(position, joint)
 
-    def secants(index: ArrayLike | None) -> Any:
-        air: Any = {"polytropic_index": index, "dead_volume": dead_volume}
+    def secants(index: ArrayLike | None) -> PyTree:
+        air: PyTree = {"polytropic_index": index, "dead_volume": dead_volume}
         return jax.vmap(lambda amplitude: secant_stiffness(over, joint, angle, pressures, amplitude, **air))(amplitudes)
 
     routes, indices = mechanism.routes(position), (index,) * len(pressures)
