@@ -47,7 +47,7 @@ def cli(monkeypatch, capsys, tmp_path) -> Callable[..., Answer]:
 
 @pytest.fixture(scope="session")
 def shortened() -> Callable[[str], str]:
-    """An example of ours, cut to 0.2 s, its step early."""
+    """An example of ours, cut to 0.2 s, its step early: a PID does not follow so soon, and runs have exit code 1."""
 
     def text(name: str) -> str:
         whole = (EXAMPLES / f"{name}.yaml").read_text(encoding="utf-8")

@@ -21,20 +21,20 @@ ROOT = Path(__file__).parents[2]
 def test_animate_writes_the_run_and_mistakes_come_before_it(cli, tmp_path, shortened):
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
     found = cli("simulate", "short.yaml", "--animate", "run.gif", "--json")
-    assert (found.code, json.loads(found.out)["ok"]) == (0, True)
+    assert (found.code, json.loads(found.out)["ok"]) == (1, False)
     assert (tmp_path / "run.gif").read_bytes()[:6] == b"GIF89a"
     for name, part in (("run.gif", "already"), ("run.mp4", ".webp"), ("missing/run.gif", "")):
         refused = cli("simulate", "short.yaml", "--animate", name)
-        assert (refused.code, refused.out) == ((2, "") if part else (0, refused.out)), name
+        assert (refused.code, refused.out) == ((2, "") if part else (1, refused.out)), name
         assert part in refused.err
-    assert cli("simulate", "short.yaml", "--animate", "run.gif", "--force").code == 0
+    assert cli("simulate", "short.yaml", "--animate", "run.gif", "--force").code == 1
 
 
 @pytest.mark.slow
 def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened):
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
     found = cli("simulate", "short.yaml", "--out", "kept", "--json")
-    assert found.code == 0
+    assert found.code == 1
     kept = tmp_path / "kept"
     assert {"result.nc", "result.mcap", "results.json", "scenario.yaml", "tracking.png"} <= {
         p.name for p in kept.iterdir()
@@ -65,7 +65,7 @@ def test_the_mistakes_of_the_documentation_give_its_words(cli, tmp_path):
 def kept(cli, tmp_path, shortened):
     """Folder of a run that was kept."""
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
-    assert cli("simulate", "short.yaml", "--out", "kept").code == 0
+    assert cli("simulate", "short.yaml", "--out", "kept").code == 1
     return tmp_path / "kept"
 
 
@@ -82,7 +82,7 @@ def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kep
         (kept / name).symlink_to(precious)
     precious.write_text("mine")
     assert cli("simulate", "short.yaml", "--out", "kept").code == 2
-    assert cli("simulate", "short.yaml", "--out", "kept", "--force").code == 0
+    assert cli("simulate", "short.yaml", "--out", "kept", "--force").code == 1
     assert precious.read_text() == "mine"
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
