@@ -147,8 +147,11 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
 
 @pytest.mark.slow
 def test_a_robot_becomes_unstable_at_its_delay_margin():
-    text = RobotScenario.read(FULL).dumps().replace("duration: 4 s", "duration: 1 s")
-    scenario = RobotScenario.parse(text)
+    """Of muscles without friction, whose small motions are those of the linear loop."""
+    text = re.sub(r"  muscles:\n(    .*\n){3}", "", Path(FULL).read_text(encoding="utf-8"))
+    text = re.sub(r"  (friction|observer).*\n", "", text).replace("80 rad/s", "60 rad/s")
+    scenario = RobotScenario.parse(text).replace(duration=1.0)
+    assert not any(muscle.has_friction for muscle in scenario.robot.all_muscles)
     margin = scenario.margins(3).delay.min()
     for share, least, most in ((0.9, 0.0, 0.1), (1.15, 0.25, 10.0)):  # beyond it, a limit cycle
         late = scenario.with_fixed_model().model_copy(update={"command_delay": share * margin, "substeps": 4})
