@@ -92,40 +92,40 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
     "top": 992,
-    "actuator": 1000,
-    "calibration": 1780,
+    "actuator": 1060,
+    "calibration": 1770,
     "catalog": 230,
     "cli": 1540,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
     "contract": 660,
-    "control": 2650,
+    "control": 2660,
     "dataset": 4050,
     "experiment_design": 720,
-    "export": 2560,
-    "identification": 3730,
-    "joint": 1260,
+    "export": 2570,
+    "identification": 3760,
+    "joint": 1360,
     "robot": 80,
-    "mechanism": 1700,
-    "muscle": 1590,
+    "mechanism": 2020,
+    "muscle": 1610,
     "numerics": 810,
     "paper": 1180,
-    "plant": 780,
-    "reachability": 1140,
-    "report": 1990,
-    "rig": 4980,
-    "scenario": 2170,
-    "serial_protocol": 170,
-    "simulation": 3420,
+    "plant": 770,
+    "reachability": 1150,
+    "report": 2040,
+    "rig": 4940,
+    "scenario": 2250,
+    "serial_protocol": 180,
+    "simulation": 3460,
     "statics": 570,
     "storage": 600,
-    "study": 3930,
-    "web": 3130,
+    "study": 3940,
+    "web": 3050,
 }
 
 MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 457  # numbers at module level, to come to 500
+MOST_CONSTANTS = 458  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

@@ -10,13 +10,13 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import CallError, ExportError, ParameterError
-from mckibben.mechanism.dynamics import joint_load
 from mckibben.plant import PerfectSensors
 from mckibben.robot import RobotScenario
 from mckibben.scenario import with_values
 from mckibben.study.compare.robots import RobotSuite
 from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
+from tests.robot.conftest import as_joint
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
 
@@ -202,17 +202,7 @@ def knee():
 
 @pytest.mark.slow
 def test_a_robot_of_one_joint_is_the_joint(knee):
-    names = ("valve", "sensors", "command_delay", "duration", "control_period", "substeps")
-    joint = mk.Scenario(
-        name="joint",
-        joint=knee.robot.pair(0),
-        load=joint_load(knee.robot, (0.0,), 0, 9.81),
-        controller=knee.controllers["knee"],
-        reference=knee.reference["knee"],
-        start={"angle": 0.0, "stiffness": 14.0},
-        **{name: getattr(knee, name) for name in names},
-    )
-    robot, alone = (JointEnv(scenario, reward=REWARD, history=2, repeat=REPEAT) for scenario in (knee, joint))
+    robot, alone = (JointEnv(scenario, reward=REWARD, history=2, repeat=REPEAT) for scenario in (knee, as_joint(knee)))
     now = ["angle.knee", "velocity.knee", "pressure.knee1", "pressure.knee2"]
     now += ["reference_angle.knee", "reference_stiffness.knee"]
     assert list(robot.metadata["observation_units"])[:8] == [*now, "action.knee1_before1", "action.knee2_before1"]

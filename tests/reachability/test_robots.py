@@ -10,7 +10,6 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import ParameterError, RangeError
-from mckibben.mechanism.dynamics import joint_load
 from mckibben.reachability import envelope, static_envelope
 from mckibben.reachability.envelope import _band_of_coupled
 from mckibben.reachability.static import angles_within, coupled_envelope, pair_envelope
@@ -18,6 +17,7 @@ from mckibben.robot import RobotScenario
 from mckibben.scenario.robot import read_robot
 from mckibben.statics.posture import holding_torques
 from mckibben.units import bar, deg
+from tests.robot.conftest import as_joint
 
 ROOT = Path(__file__).parents[2]
 ONE = (ROOT / "tests/robot/one-joint.yaml").read_text(encoding="utf-8")
@@ -43,16 +43,7 @@ def test_a_knee_as_a_robot_has_the_envelope_of_the_joint(stiffness):
     text = ONE.replace("amplitude: 5 deg", "amplitude: 12 deg").replace("20 ms}", "20 ms, supply: 5.5 bar}")
     text = re.sub(r"stiffness: \{class: step.*\}", f"stiffness: {stiffness} N*m/rad", text)
     robot = RobotScenario.parse(text + "\ncontrollers: {knee: {class: decoupling, feedback: {bandwidth: 40 rad/s}}}\n")
-    scenario = mk.Scenario(
-        name="knee",
-        joint=robot.robot.pair(0),
-        load=joint_load(robot.robot, (0.0,), 0, 9.81),
-        valve=robot.valve,
-        controller=robot.controllers["knee"],
-        reference=robot.references()["knee"],
-        duration=robot.duration,
-        control_period=robot.control_period,
-    )
+    scenario = as_joint(robot)
     joint, knee = scenario.envelope(), robot.envelope()
     ours = knee.joints["knee"]
     theirs = static_envelope(scenario.plant(), angles=ours.static.angles)

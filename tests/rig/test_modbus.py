@@ -114,12 +114,6 @@ def test_no_terminal_and_no_register_are_named(terminal):
     assert refused.value.field == "pressure2"
 
 
-def test_all_mistakes_of_a_map_are_told_at_once():
-    with pytest.raises(ScenarioError) as refused:
-        RegisterMap.parse("host: 1.2.3.4\nrate: 0\ninputs: {force: {address: -1, gain: 1, unit: N, low: 0, high: 9}}\n")
-    assert {problem.field for problem in refused.value.problems} == {"rate", "inputs.force.address", "outputs"}
-
-
 SPLIT = """host: 127.0.0.1
 port: {port}
 rate: 200

@@ -2,7 +2,9 @@ import dataclasses
 
 import pytest
 
+import mckibben as mk
 from mckibben import catalog
+from mckibben.mechanism.dynamics import joint_load
 from mckibben.robot import Body, Foot, Joint, MusclePair, OverJoint, PathMuscle, Place, Robot, RobotScenario
 from mckibben.units import deg
 
@@ -29,6 +31,21 @@ def pair():
     """Two muscles of the paper, contracted by 10 % at the angle 0."""
     joint = catalog.joint("knee-table-2")
     return dataclasses.replace(joint, geometry=dataclasses.replace(joint.geometry, connector_length=0.208))
+
+
+def as_joint(robot):
+    """The scenario of a robot of one joint as that of a joint, in closed form."""
+    (name,) = robot.joint_names
+    same = ("valve", "sensors", "command_delay", "duration", "control_period", "substeps")
+    return mk.Scenario(
+        name="joint",
+        joint=robot.robot.pair(0),
+        load=joint_load(robot.robot, (0.0,), 0, 9.81),
+        controller=robot.controllers[name],
+        reference=robot.references()[name],
+        start={"angle": 0.0, "stiffness": 14.0},
+        **{name: getattr(robot, name) for name in same},
+    )
 
 
 def robot_of(pair, freedom, names=("hip", "knee", "ankle")):

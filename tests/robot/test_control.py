@@ -31,6 +31,7 @@ from mckibben.study.compare.robots import RobotSuite
 from mckibben.study.compare.runs import started
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.units import bar, deg
+from tests.robot.conftest import as_joint
 
 ONE = Path(__file__).with_name("one-joint.yaml").read_text(encoding="utf-8")
 LAG = "{time_constant: 20 ms}"
@@ -72,18 +73,8 @@ def test_a_stiffness_of_0_is_refused(stiffness):
 def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):
     scenario = RobotScenario.parse(ONE.replace(LAG, valve) + controllers)
     run, margins = scenario.run_once(), scenario.margins(3)
-    parts = {name: getattr(scenario, name) for name in ("valve", "sensors", "command_delay")}
-    alone = mk.Scenario(
-        name="joint",
-        joint=scenario.robot.pair(0),
-        load=joint_load(scenario.robot, (0.0,), 0, 9.81),
-        controller=scenario.controllers["knee"],
-        reference=scenario.reference["knee"],
-        start={"angle": 0.0, "stiffness": 14.0},
-        **parts,
-        **{key: value for key, value in scenario.timing.items() if key != "accuracy"},
-    )
-    own, alone = alone.margins(3), alone.simulate()
+    joint = as_joint(scenario)
+    own, alone = joint.margins(3), joint.simulate()
     for name in ("radius", "gain", "phase", "delay", "disk", "alone"):
         np.testing.assert_allclose(getattr(margins, name), getattr(own, name), rtol=1e-4)
     assert set(margins.loop) <= {"knee1", "knee2"}
@@ -143,21 +134,6 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     blind = late_commands.model_copy(update={"controller": unaware}).run_once()
     left = [np.std((r["angle"] - r["desired_angle"])[:, late], axis=1) for r in (aware, blind)]
     np.testing.assert_array_less(*left)
-
-
-@pytest.mark.slow
-def test_a_robot_becomes_unstable_at_its_delay_margin():
-    """Of muscles without friction, whose small motions are those of the linear loop."""
-    text = re.sub(r"  muscles:\n(    .*\n){3}", "", Path(FULL).read_text(encoding="utf-8"))
-    text = re.sub(r"  (friction|observer).*\n", "", text).replace("80 rad/s", "60 rad/s")
-    scenario = RobotScenario.parse(text).replace(duration=1.0)
-    assert not any(muscle.has_friction for muscle in scenario.robot.all_muscles)
-    margin = scenario.margins(3).delay.min()
-    for share, least, most in ((0.9, 0.0, 0.1), (1.15, 0.25, 10.0)):  # beyond it, a limit cycle
-        late = scenario.with_fixed_model().model_copy(update={"command_delay": share * margin, "substeps": 4})
-        run = late.run_once()
-        error = np.abs(run["angle"] - run["desired_angle"])[0, run["time"] > 0.5].max() / deg
-        assert least < error < most
 
 
 @pytest.mark.slow

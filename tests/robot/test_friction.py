@@ -12,10 +12,10 @@ import mckibben as mk
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.mechanism.base import RobotMeasurement
-from mckibben.mechanism.dynamics import joint_load
 from mckibben.plant import JointFriction
 from mckibben.robot import ComputedTorque, RobotScenario
 from mckibben.units import deg
+from tests.robot.conftest import as_joint
 
 ONE = Path(__file__).with_name("one-joint.yaml").read_text(encoding="utf-8")
 LEG = Path("examples/robot/lei-leg-control.yaml").read_text(encoding="utf-8")
@@ -41,16 +41,7 @@ def test_friction_of_a_robot_of_one_joint_is_that_of_the_joint():
     gains = "feedback: {bandwidth: 40 rad/s}, friction_compensation: true, friction_in_observer: 60 %"
     whole = RobotScenario.parse(f"{text}controller: {{{gains}, preview: 30 ms}}\n").run_once()
     apart = RobotScenario.parse(f"{text}controllers: {{knee: {{class: decoupling, {gains}, preview: 30 ms}}}}\n")
-    joint = mk.Scenario(
-        name="joint",
-        joint=apart.robot.pair(0),
-        load=joint_load(apart.robot, (0.0,), 0, 9.81),
-        controller=apart.controllers["knee"],
-        reference=apart.reference["knee"],
-        start={"angle": 0.0, "stiffness": 14.0},
-        **{name: getattr(apart, name) for name in ("valve", "sensors", "command_delay")},
-        **{key: value for key, value in apart.timing.items() if key != "accuracy"},
-    ).simulate()
+    joint = as_joint(apart).simulate()
     np.testing.assert_allclose(whole["angle"][0], joint["angle"], atol=1e-4)
     assert np.abs(whole["friction_compensation"][0]).max() > 0.2
     np.testing.assert_allclose(whole["friction_compensation"][0], joint["friction_compensation"], atol=1e-3)

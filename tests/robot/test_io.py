@@ -1,4 +1,4 @@
-"""Sensors, delays, joint friction and disturbances of a robot."""
+"""Sensors and disturbances of a robot; delays and friction are those of any plant."""
 
 import dataclasses
 from typing import ClassVar
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.actuator import FirstOrderValve, IdealValve
+from mckibben.actuator import FirstOrderValve
 from mckibben.control.robot_control import RobotController
 from mckibben.plant import JointFriction, SampledSensors, TorquePulses
 from mckibben.robot import PressureSchedule, RobotPlant, RobotScenario, RobotStart, simulate_robot
@@ -48,21 +48,6 @@ def with_joints(plant, **changes):
     return eqx.tree_at(lambda p: p.robot, plant, dataclasses.replace(plant.robot, joints=joints))
 
 
-def schedule(*switches, last=4.8e5):
-    levels = [(one, last) if i == 2 and switches else (one,) for i, one in enumerate(PRESSURES)]
-    return PressureSchedule(tuple(levels), tuple(switches if i == 2 else () for i in range(len(PRESSURES))))
-
-
-@pytest.mark.slow
-def test_a_delay_is_that_of_a_schedule_that_switches_later(fixed):
-    late = dataclasses.replace(fixed, command_delay=4.5 * ms)
-    delayed, shifted = (
-        simulate_robot(plant, schedule(at), START, **RUN) for plant, at in ((late, 10 * ms), (fixed, 14.5 * ms))
-    )
-    assert abs(delayed["angle"] - shifted["angle"]).max() < 1e-12
-    assert abs(delayed["angle"] - simulate_robot(fixed, schedule(10 * ms), START, **RUN)["angle"]).max() > 0.1 * deg
-
-
 @pytest.mark.slow
 def test_sensors_quantise_angles_and_disturb_pressures(fixed):
     sensors = SampledSensors(encoder=0.1 * deg, pressure_noise=4 * kPa, seed=3)
@@ -79,33 +64,6 @@ def test_sensors_quantise_angles_and_disturb_pressures(fixed):
 
 
 @pytest.mark.slow
-def test_a_joint_sticks_below_its_friction(fixed):
-    held = with_joints(fixed, friction=JointFriction(20.0, 1 * deg))
-    moved = [
-        float(abs(simulate_robot(plant, schedule(5 * ms), START, **RUN)["angle"]).max()) / deg
-        for plant in (held, fixed)
-    ]
-    assert moved[0] < 0.5 and moved[1] > 1
-
-
-@pytest.mark.slow
-def test_friction_is_the_only_loss_of_a_free_robot(pair):
-    """Without muscles' pressure and damping, energy falls by the friction torque times the angle that is turned."""
-    plant = RobotPlant(robot_of(pair, "fixed", ("hip",)), IdealValve())
-    rubbing = with_joints(plant, friction=JointFriction(0.05, 0.01 * deg), lower=-25 * deg, upper=25 * deg)
-    state = rubbing.init_state((10 * deg,), (0.0, 0.0), clearance=1.0)
-    advance = eqx.filter_jit(lambda state: rubbing.advance(state, (0.0, 0.0), 2 * ms, 20))
-    energies, angles = [], []
-    for _ in range(40):
-        state = advance(state)
-        energies.append(float(rubbing.energy(state)))
-        angles.append(float(state.angle[0]))
-    lost, turned = energies[0] - energies[-1], angles[0] - angles[-1]
-    assert turned > 0.5 * deg
-    assert lost == pytest.approx(0.05 * turned, abs=0.05 * 0.01 * deg)  # less what the presliding springs hold
-
-
-@pytest.mark.slow
 def test_a_disturbance_turns_its_joint(fixed):
     pulses = TorquePulses(2.0, width=20 * ms, start=5 * ms)
     plant = with_joints(fixed, disturbance=pulses)
@@ -114,7 +72,10 @@ def test_a_disturbance_turns_its_joint(fixed):
         at = state._replace(io=state.io._replace(sample=jnp.asarray(float(period))))
         sampled, _ = plant.sample(at, 1 * ms)
         np.testing.assert_allclose(np.subtract(plant.forces(sampled).torques, plant.forces(state).torques), torque)
-    pushed, free = (simulate_robot(one, schedule(), START, **RUN)["angle"] for one in (plant, fixed))
+    pushed, free = (
+        simulate_robot(one, PressureSchedule(tuple((p,) for p in PRESSURES)), START, **RUN)["angle"]
+        for one in (plant, fixed)
+    )
     assert float((pushed - free)[2, 30]) > 1 * deg
 
 

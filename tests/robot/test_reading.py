@@ -104,7 +104,7 @@ def test_what_we_write_reads_back(base, tmp_path):
 BAD = """<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1"/>
 <body name="b"><joint name="j" range="-10 10" stiffness="2"/><geom size="0.1"/><site name="s"/>
 <geom name="wrap" type="sphere" size="0.1"/></body><site name="t"/></body></worldbody>
-<tendon><spatial name="rope"><site site="s"/><geom geom="wrap"/><site site="t"/></spatial>
+<tendon><spatial name="rope"><site site="s"/><geom geom="wrap" sidesite="s"/><site site="t"/></spatial>
 <fixed name="belt"><joint joint="j" coef="1"/></fixed></tendon>
 <equality><weld body1="a" body2="b"/></equality><actuator><muscle name="drive" tendon="rope"/></actuator></mujoco>"""
 
@@ -343,7 +343,7 @@ def test_a_tendon_over_many_hinges_has_the_range_of_their_corners(chain):
     sampled = []
     for _ in range(200):
         angles = np.random.default_rng(len(sampled)).uniform(-1, 1, CHAIN) * np.deg2rad(10)
-        sampled.append(float(read.robot.path_through(read.tendons["long"], tuple(np.sign(angles) * np.deg2rad(10)))[0]))
+        sampled.append(float(read.robot.path_along(read.tendons["long"], tuple(np.sign(angles) * np.deg2rad(10)))[0]))
     assert shortest <= min(sampled) + 1e-9 < max(sampled) - 1e-9 <= longest
 
 

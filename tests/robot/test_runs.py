@@ -12,7 +12,7 @@ import xarray as xr
 
 import mckibben as mk
 from mckibben.control import Controller
-from mckibben.errors import CallError, ParameterError, RangeError, SimulationError
+from mckibben.errors import RangeError, SimulationError
 from mckibben.robot import (
     JointwiseControl,
     PressureSchedule,
@@ -56,20 +56,6 @@ def test_single_runs_and_batches_with_a_series_spring_agree_in_both_engines(plan
     assert native.engine == "native"
     assert float(native["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
     assert (np.diff(native["deflection"]) > 0).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["native", "xla"])
-def test_batches_with_32_bits_are_those_with_64(plant, start, engine):
-    given = {"over": {"initial.upward_speed": [-0.5, -1.0]}, "substeps": 2, "engine": engine, **STEP}
-    controller = PressureSchedule(tuple((p,) for p in start.pressures))
-    whole, half = (simulate_robots(plant, controller, start, precision=bits, **given) for bits in (64, 32))
-    assert half.table["peak_force"].dtype == np.float32
-    for name in ("peak_force", "peak_trunk_force", "deflection"):
-        np.testing.assert_allclose(half[name], whole[name], rtol=1e-3, err_msg=name)
-        assert (np.asarray(half[name]) != np.asarray(whole[name])).any()
-    with pytest.raises(SimulationError):
-        simulate_robots(plant, controller, start, precision=16, **given)
 
 
 @pytest.mark.slow
@@ -240,15 +226,6 @@ def test_a_fixed_base_has_no_speed(plant, start):
     assert caught.value.field == "upward_speed"
 
 
-def test_batches_need_something_that_varies(plant, start):
-    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    with pytest.raises(ParameterError):
-        simulate_robots(plant, schedule, start, **STEP)
-    with pytest.raises(ParameterError) as caught:
-        simulate_robots(plant, schedule, start, over={"robot.bodies.0.masss": [1.0, 2.0]}, **STEP)
-    assert "robot.bodies.0.mass" in caught.value.remedy
-
-
 @pytest.mark.slow
 def test_hopping_in_place_settles_to_equal_hops():
     example = runpy.run_path("examples/robot/hopping.py")
@@ -271,19 +248,6 @@ def test_the_air_of_a_run_is_that_which_flows_in(plant, start):
     table = simulate_robots(plant, schedule, high, over={"initial.upward_speed": [-1.0, -0.9]}, substeps=1, **STEP)
     assert -steps[steps < 0].sum() > 0.2 * steps[steps > 0].sum() > 0
     assert float(table["air_mass"][0]) == pytest.approx(steps[steps > 0].sum(), rel=2e-3)
-
-
-def test_arguments_that_are_swapped_or_not_a_number_are_named(plant, start):
-    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    for arguments, kind, field in (
-        ((plant, start, schedule), CallError, "controller"),
-        ((plant, schedule, start._replace(upward_speed=float("nan"))), SimulationError, "initial.upward_speed"),
-    ):
-        with pytest.raises(kind) as caught:
-            simulate_robot(*arguments, **STEP)
-        assert caught.value.field == field
-    with pytest.raises(ParameterError):
-        simulate_robot(plant, schedule, start._replace(upward_speed=np.array([-1.0, -0.5])), **STEP)
 
 
 def test_parts_of_a_controller_are_prepared_for_the_control_period():

@@ -12,7 +12,6 @@ from mckibben import robot as robots
 from mckibben.cli import app
 from mckibben.codegen.templates import filled
 from mckibben.errors import FileError, RangeError, ScenarioError
-from mckibben.storage.files import file_lock
 from mckibben.study import jumping as jump_search
 from mckibben.study import landing as landings
 from mckibben.study.landing import valve_with
@@ -197,28 +196,6 @@ def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario):
         robots.RobotScenario.parse(text)
     (problem,) = caught.value.problems
     assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
-
-
-@pytest.mark.slow
-def test_a_study_that_was_broken_off_goes_on(scenario, study, tmp_path, monkeypatch):
-    monkeypatch.setattr(landings.Landings, "block_size", lambda self: 42)
-    run, runs = landings.Landings.compute, []
-
-    def counted(self, rows):
-        runs.append(1)
-        if len(runs) == 3:
-            raise KeyboardInterrupt
-        return run(self, rows)
-
-    monkeypatch.setattr(landings.Landings, "compute", counted)
-    with pytest.raises(KeyboardInterrupt):
-        robots.study_landing(scenario, out=tmp_path)
-    with file_lock(tmp_path / ".study.sqlite.lock", "computing this study"), pytest.raises(FileError):
-        robots.study_landing(scenario, out=tmp_path, resume=True)
-    before = len(runs)
-    again = robots.study_landing(scenario, out=tmp_path, resume=True)
-    assert 1 <= len(runs) - before < 6  # of six blocks, the finished ones are kept
-    assert again.table.equals(study.table)
 
 
 def test_time_constant_of_the_valve(scenario):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError
-from mckibben.mechanism.dynamics import joint_load
 from mckibben.report.joint import felt_stiffness as drawn
 from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
 from mckibben.study.felt import Felt, felt_stiffness
 from mckibben.study.stiffness import FeltStiffness
 from tests.reachability.test_robots import ONE
+from tests.robot.conftest import as_joint
 
 HELD = """
 name: knee at constant pressures
@@ -44,21 +44,7 @@ def test_a_joint_as_a_robot_feels_the_same_and_the_position_loop_adds_to_the_sti
     text = ONE.replace("sensors: {encoder: 0.022 deg, pressure_noise: 2 kPa}\n", "")
     text += "controllers: {knee: {class: decoupling, feedback: {bandwidth: 30 rad/s}}}\n"
     robot = RobotScenario.parse(text)
-    parts = {
-        name: getattr(robot, name) for name in ("valve", "command_delay", "duration", "control_period", "substeps")
-    }
-    load = joint_load(robot.robot, (0.0,), 0, 9.81)
-    references = robot.references()["knee"]
-    joint = Scenario(
-        name="knee",
-        joint=robot.robot.pair(0),
-        load=load,
-        controller=robot.controllers["knee"],
-        reference=references,
-        start={"angle": 0.0, "stiffness": 14.0},
-        **parts,
-    )
-    ours, theirs = (felt_stiffness(scenario, frequencies=(1.0, 5.0)) for scenario in (robot, joint))
+    ours, theirs = (felt_stiffness(scenario, frequencies=(1.0, 5.0)) for scenario in (robot, as_joint(robot)))
     knee, alone = ours["knee"], theirs[""]
     assert knee.torque == alone.torque == 0.7 and knee.setpoint == alone.setpoint == 14.0
     np.testing.assert_allclose(knee.impedance, alone.impedance, rtol=1e-4)

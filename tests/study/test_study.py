@@ -54,14 +54,6 @@ def test_an_interrupted_study_goes_on(tmp_path):
     assert Draws().run(tmp_path, resume=True).computed == 0
 
 
-def test_another_study_is_refused(tmp_path):
-    Draws().run(tmp_path)
-    with pytest.raises(FileError, match="seed: the study was started with 3, not 4"):
-        Draws(seed=4).run(tmp_path, resume=True)
-    with pytest.raises(FileError, match="a study exists already"):
-        Draws().run(tmp_path)
-
-
 def test_records_of_another_length_or_of_another_version_are_refused(tmp_path):
     class Short(Draws):
         def compute(self, rows):

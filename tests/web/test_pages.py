@@ -4,6 +4,7 @@ import asyncio
 import dataclasses
 import gc
 import importlib.util
+import inspect
 import itertools
 import re
 import shutil
@@ -34,7 +35,7 @@ from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, robot, run, session, start, tune, wording, workbench
+from mckibben.web import app, design, identify, layout, rig, robot, run, session, tune, wording, workbench
 from mckibben.web.reading import Read
 from mckibben.web.results import Presented, Repetition
 
@@ -55,6 +56,21 @@ async def visitor():
                 client.outbox.stop()  # Python 3.11 may lose the cancellation of its loop
     finally:
         sys.modules.update(loaded)  # NiceGUI unloads the packages of the pages, which later tests still hold
+
+
+def visits(test):
+    """A test of what one user does, the first argument."""
+
+    async def visit(arguments):
+        async with visitor() as user:
+            await test(user, **arguments)
+
+    def run(**arguments):
+        asyncio.run(visit(arguments))
+
+    _, *others = inspect.signature(test).parameters.values()
+    run.__name__, run.__doc__, run.__signature__ = test.__name__, test.__doc__, inspect.Signature(others)
+    return run
 
 
 def the(user, kind, marker=None):
@@ -128,29 +144,25 @@ def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
     np.testing.assert_allclose(jax.tree.leaves(kept), jax.tree.leaves(geometry), rtol=1e-9)
 
 
-def test_every_field_tells_its_meaning_and_a_change_is_undone():
-    async def visit():
-        async with visitor() as user:
-            silent = {}
-            for path in layout.PAGES:
-                await user.open(path)
-                shown = [user._gather_elements(kind, None, None, None) for kind in FIELDS]
-                texts = {tip.props["target"]: tip.text for tip in user._gather_elements(ui.tooltip, None, None, None)}
-                told = {field: texts.get(f"#{field.html_id}", "") for field in itertools.chain(*shown)}
-                silent[path] = [field.props for field, text in told.items() if not text or text.startswith("Allowed")]
-            await user.open("/tune")
-            request = state(tune.StudyState).request
-            numbers = []
-            for number in (10, 20, 30):
-                the(user, ui.number, "iterations").set_value(number)
-                await until(lambda now=number: [form["iterations"] for form in state(dict)["/tune"]][-1:] == [now])
-            for _ in range(3):
-                user.find(marker="undo").click()
-                await until(lambda: the(user, ui.number, "iterations").value == request.iterations)
-                numbers.append(request.iterations)
-            return silent, numbers
-
-    silent, numbers = asyncio.run(visit())
+@visits
+async def test_every_field_tells_its_meaning_and_a_change_is_undone(user):
+    silent = {}
+    for path in layout.PAGES:
+        await user.open(path)
+        shown = [user._gather_elements(kind, None, None, None) for kind in FIELDS]
+        texts = {tip.props["target"]: tip.text for tip in user._gather_elements(ui.tooltip, None, None, None)}
+        told = {field: texts.get(f"#{field.html_id}", "") for field in itertools.chain(*shown)}
+        silent[path] = [field.props for field, text in told.items() if not text or text.startswith("Allowed")]
+    await user.open("/tune")
+    request = state(tune.StudyState).request
+    numbers = []
+    for number in (10, 20, 30):
+        the(user, ui.number, "iterations").set_value(number)
+        await until(lambda now=number: [form["iterations"] for form in state(dict)["/tune"]][-1:] == [now])
+    for _ in range(3):
+        user.find(marker="undo").click()
+        await until(lambda: the(user, ui.number, "iterations").value == request.iterations)
+        numbers.append(request.iterations)
     assert not any(silent.values()), silent
     assert numbers == [20, 10, 10]
 
@@ -159,29 +171,26 @@ FIELDS = (ui.select, ui.number, ui.input, ui.textarea, ui.slider, ui.checkbox)
 
 
 @pytest.mark.slow
-def test_another_kind_of_joint_has_its_own_sliders():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/joint")
-            chart = charts(user)[0]
-            await until(lambda: chart.options["series"])
-            the(user, ui.slider, "from-hip-to-joint-axis").set_value(150)  # the muscles do not fit
-            await until(lambda: "stale" in chart.classes)
-            the(user, ui.select, "kind").set_value("pulleys")
-            await until(lambda: "stale" not in chart.classes)
-            field = the(user, ui.number, "radius-of-the-pulleys-field")
-            for refused in (130, None):
-                field.set_value(refused)
-                assert "stale" in chart.classes
-                field.set_value(30)
-                assert "stale" not in chart.classes
-            await asyncio.sleep(0.1)  # the handlers of the field set the slider
-            await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
-            the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
-            await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
-            return state(design.JointDesign), curve(chart, "lowest"), curve(charts(user)[-1], "highest")
-
-    kept, stiffness, torque = asyncio.run(visit())
+@visits
+async def test_another_kind_of_joint_has_its_own_sliders(user):
+    await user.open("/joint")
+    chart = charts(user)[0]
+    await until(lambda: chart.options["series"])
+    the(user, ui.slider, "from-hip-to-joint-axis").set_value(150)  # the muscles do not fit
+    await until(lambda: "stale" in chart.classes)
+    the(user, ui.select, "kind").set_value("pulleys")
+    await until(lambda: "stale" not in chart.classes)
+    field = the(user, ui.number, "radius-of-the-pulleys-field")
+    for refused in (130, None):
+        field.set_value(refused)
+        assert "stale" in chart.classes
+        field.set_value(30)
+        assert "stale" not in chart.classes
+    await asyncio.sleep(0.1)  # the handlers of the field set the slider
+    await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
+    the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
+    await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
+    kept, stiffness, torque = state(design.JointDesign), curve(chart, "lowest"), curve(charts(user)[-1], "highest")
     found = design.compute(kept, MUSCLE)  # also what the browser gets again with a change of the chart's color
     np.testing.assert_allclose(stiffness, found.stiffness[0], rtol=1e-4)
     np.testing.assert_allclose(torque, found.torque[1], rtol=1e-4)
@@ -201,24 +210,21 @@ async def points_of_the_rig(user):
 
 
 @pytest.mark.slow
-def test_points_are_uploaded_fitted_downloaded_and_give_a_joint(tmp_path):
-    async def visit():
-        async with visitor() as user:
-            await user.open("/identify")
-            await give(user, RIG)
-            await user.should_see("204 points, 32 slack", retries=60)
-            user.find(marker="fit").click()
-            await user.should_see("ExponentialLaw describes", retries=400)
-            user.find(marker="download-fit").click()
-            answer = await user.download.next(timeout=30)
-            kept = state(identify.IdentificationState)
-            await user.open("/identify")  # a reload
-            await user.should_see("ExponentialLaw describes", retries=100)
-            await user.open("/joint")
-            assert design.YOURS in the(user, ui.select, "muscle").options
-            return answer.content, kept.muscle
-
-    content, muscle = asyncio.run(visit())
+@visits
+async def test_points_are_uploaded_fitted_downloaded_and_give_a_joint(user, tmp_path):
+    await user.open("/identify")
+    await give(user, RIG)
+    await user.should_see("204 points, 32 slack", retries=60)
+    user.find(marker="fit").click()
+    await user.should_see("ExponentialLaw describes", retries=400)
+    user.find(marker="download-fit").click()
+    answer = await user.download.next(timeout=30)
+    kept = state(identify.IdentificationState)
+    await user.open("/identify")  # a reload
+    await user.should_see("ExponentialLaw describes", retries=100)
+    await user.open("/joint")
+    assert design.YOURS in the(user, ui.select, "muscle").options
+    content, muscle = answer.content, kept.muscle
     zipfile.ZipFile(BytesIO(content)).extractall(tmp_path)
     (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
     expected = identify_with_friction(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
@@ -248,26 +254,23 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
     assert set(scenario.joint.remarks) <= set(run.presented.remarks)
 
 
-def test_an_outlier_is_named_and_can_be_kept():
+@visits
+async def test_an_outlier_is_named_and_can_be_kept(user):
     pressure, contraction = (np.ravel(axis) for axis in np.meshgrid(np.arange(3, 7) * bar, np.arange(0, 12, 2) / 100))
     force = np.array(MUSCLE.law.force(contraction, pressure))
     force[7] *= 1.4
     data = mk.IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force)
 
-    async def visit():
-        async with visitor() as user:
-            await user.open("/identify")
-            state(identify.IdentificationState).use("points", Read((), data, ()))
-            kept = state(identify.IdentificationState)
-            user.find(marker="fit").click()
-            await user.should_see("23 points", retries=400)
-            await user.should_see(wording.KEEP, kind=ui.label)
-            assert kept.results["fit"].result.points_used == 23
-            user.find(marker="keep").click()
-            user.find(marker="fit").click()
-            await until(lambda: kept.results["fit"].result.points_used == 24, 40)
-
-    asyncio.run(visit())
+    await user.open("/identify")
+    state(identify.IdentificationState).use("points", Read((), data, ()))
+    kept = state(identify.IdentificationState)
+    user.find(marker="fit").click()
+    await user.should_see("23 points", retries=400)
+    await user.should_see(wording.KEEP, kind=ui.label)
+    assert kept.results["fit"].result.points_used == 23
+    user.find(marker="keep").click()
+    user.find(marker="fit").click()
+    await until(lambda: kept.results["fit"].result.points_used == 24, 40)
 
 
 @pytest.mark.parametrize(
@@ -290,36 +293,33 @@ def test_advice_names_what_the_page_has(text, shown):
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
 
 
-def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_file_is_shown_as_text():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/identify")
-            await give(
-                user,
-                "t_s,p_bar,eps_percent,F_N,<b>x [mm]\n"
-                + "".join(f"{e},2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9)),
-            )
-            kept = state(identify.IdentificationState)
-            await until(lambda: there(user, "question"))
-            await user.should_see("<b>x [mm]", kind=ui.label)
-            answers = {answer.text: answer for answer in user.find(marker="answer").elements}
-            shown, asked = len(charts(user)), [question.problem.field for question in kept.questions]
-            user.find(marker="fit").click()
-            await user.should_see("answer the questions about the file first")
-            UserInteraction(user, {answers["not used"]}, None).click()
-            await until(lambda: not kept.questions and not kept.jobs.busy)
-            the(user, ui.select, "unit-F_N").set_value("kN")
-            await until(lambda: kept.data is not None and kept.data.force.max() == 1e5)
-            return shown, asked, answers.keys(), kept.reading.columns
-
-    shown, asked, answers, columns = asyncio.run(visit())
+@visits
+async def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_file_is_shown_as_text(user):
+    await user.open("/identify")
+    await give(
+        user,
+        "t_s,p_bar,eps_percent,F_N,<b>x [mm]\n" + "".join(f"{e},2,{e},{100 - 4 * e},{e % 3}\n" for e in range(9)),
+    )
+    kept = state(identify.IdentificationState)
+    await until(lambda: there(user, "question"))
+    await user.should_see("<b>x [mm]", kind=ui.label)
+    answers = {answer.text: answer for answer in user.find(marker="answer").elements}
+    shown, asked = len(charts(user)), [question.problem.field for question in kept.questions]
+    user.find(marker="fit").click()
+    await user.should_see("answer the questions about the file first")
+    UserInteraction(user, {answers["not used"]}, None).click()
+    await until(lambda: not kept.questions and not kept.jobs.busy)
+    the(user, ui.select, "unit-F_N").set_value("kN")
+    await until(lambda: kept.data is not None and kept.data.force.max() == 1e5)
+    answers, columns = answers.keys(), kept.reading.columns
     assert shown == 4 and asked == ["<b>x [mm]"]  # points are drawn before the questions are answered
     ways = ("length", "displacement, + = shorter", "displacement, + = longer")  # of a column in mm
     assert answers == {*(f"take it as {way}" for way in ways), "not used"}
     assert columns == {"<b>x [mm]": "ignore", "F_N": "force_kN"}
 
 
-def test_a_search_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
+@visits
+async def test_a_search_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(user, monkeypatch):
     class Done(Result):
         def verdict(self):
             return "tuning is done"
@@ -333,33 +333,30 @@ def test_a_search_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(
     def is_grey(user):
         return any("stale" in one.classes for one in user.find(ui.column).elements)
 
-    async def visit():
-        async with visitor() as user:
-            await user.open("/tune")
-            kept = state(tune.StudyState)
-            kept.error = ParameterError("of an earlier search")
-            the(user, ui.number, "iterations").set_value(500)
-            user.find(marker="tune").click()
-            await user.should_see("correct first: iterations")
-            assert not kept.jobs.busy
-            the(user, ui.number, "iterations").set_value(3)
-            the(user, ui.number, "angle_rmse").set_value(0.2)
-            user.find(marker="tune").click()
-            await user.should_see("tuning is done", retries=30)
-            await user.should_see("severe: unstable", kind=ui.label)
-            state(workbench.Workbench).text += "\n# a remark"
-            await asyncio.sleep(0.5)
-            assert kept.error is None and not is_grey(user)
-            state(workbench.Workbench).text = workbench.START.replace("duration: 6 s", "duration: 5 s")
-            await until(lambda: is_grey(user))
-            return kept.request
-
-    request = asyncio.run(visit())
+    await user.open("/tune")
+    kept = state(tune.StudyState)
+    kept.error = ParameterError("of an earlier search")
+    the(user, ui.number, "iterations").set_value(500)
+    user.find(marker="tune").click()
+    await user.should_see("correct first: iterations")
+    assert not kept.jobs.busy
+    the(user, ui.number, "iterations").set_value(3)
+    the(user, ui.number, "angle_rmse").set_value(0.2)
+    user.find(marker="tune").click()
+    await user.should_see("tuning is done", retries=30)
+    await user.should_see("severe: unstable", kind=ui.label)
+    state(workbench.Workbench).text += "\n# a remark"
+    await asyncio.sleep(0.5)
+    assert kept.error is None and not is_grey(user)
+    state(workbench.Workbench).text = workbench.START.replace("duration: 6 s", "duration: 5 s")
+    await until(lambda: is_grey(user))
+    request = kept.request
     assert (request.iterations, request.cost) == (3, "angle_rmse/0.2 deg + stiffness_rmse/0.1 N*m/rad")
 
 
 @pytest.mark.slow
-def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
+@visits
+async def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(user, monkeypatch):
     """Also if it is cancelled after its last evaluation; while a file has open questions nothing is fitted."""
     written = identify.write_identified
 
@@ -373,49 +370,42 @@ def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
     monkeypatch.setattr(identify, "write_identified", write_identified)
     cancel, laws = [], []
 
-    async def visit():
-        async with visitor() as user:
-            kept = await points_of_the_rig(user)
-            folder = kept.sources[0].parent.parent
-            user.find(marker="fit").click()
-            await until(lambda: "fit" in kept.results, 60)
-            before, fit = (folder / "fit.yaml").read_bytes(), kept.results["fit"].result
-            the(user, ui.select, "law").set_value("ChouLaw")
-            cancel.append(True)
-            user.find(marker="fit").click()
-            await until(lambda: len(laws) == 2, 60)
-            await asyncio.sleep(0.3)
-            await give(user, "pressure_bar,force_N\n1,2\n")
-            await until(lambda: kept.questions)
-            user.find(marker="fit").click()
-            await asyncio.sleep(0.3)
-            return before, (folder / "fit.yaml").read_bytes(), fit
-
-    before, after, fit = asyncio.run(visit())
+    kept = await points_of_the_rig(user)
+    folder = kept.sources[0].parent.parent
+    user.find(marker="fit").click()
+    await until(lambda: "fit" in kept.results, 60)
+    before, fit = (folder / "fit.yaml").read_bytes(), kept.results["fit"].result
+    the(user, ui.select, "law").set_value("ChouLaw")
+    cancel.append(True)
+    user.find(marker="fit").click()
+    await until(lambda: len(laws) == 2, 60)
+    await asyncio.sleep(0.3)
+    await give(user, "pressure_bar,force_N\n1,2\n")
+    await until(lambda: kept.questions)
+    user.find(marker="fit").click()
+    await asyncio.sleep(0.3)
+    after = (folder / "fit.yaml").read_bytes()
     assert laws == [ExponentialLaw, ChouLaw]  # both fits were finished, and there was no third one
     assert before == after
     assert "ExponentialLaw" in fit.verdict()
 
 
-def test_several_files_are_one_test_and_gone_when_others_replace_them():
+@visits
+async def test_several_files_are_one_test_and_gone_when_others_replace_them(user):
     lines = RIG.splitlines()
     first = next(k for k, one in enumerate(lines) if not one.startswith("#")) + 1
     parts = ["\n".join([*lines[:first], *some]) for some in (lines[first : first + 102], lines[first + 102 :])]
 
-    async def visit():
-        async with visitor() as user:
-            await user.open("/identify")
-            kept = state(identify.IdentificationState)
-            files = [SmallFileUpload(f"../{k},5 bar.csv", "", part.encode()) for k, part in enumerate(parts)]
-            await the(user, ui.upload).handle_uploads(files)
-            await until(lambda: kept.data is not None)
-            points, first = len(kept.data), kept.sources
-            folder = first[0].parent.parent
-            await give(user, RIG)
-            await until(lambda: kept.name == "points.csv" and not kept.old)
-            return points, len(kept.data), first, list(folder.rglob("*.csv")), kept.sources
-
-    points, in_one_file, first, remaining, last = asyncio.run(visit())
+    await user.open("/identify")
+    kept = state(identify.IdentificationState)
+    files = [SmallFileUpload(f"../{k},5 bar.csv", "", part.encode()) for k, part in enumerate(parts)]
+    await the(user, ui.upload).handle_uploads(files)
+    await until(lambda: kept.data is not None)
+    points, first = len(kept.data), kept.sources
+    folder = first[0].parent.parent
+    await give(user, RIG)
+    await until(lambda: kept.name == "points.csv" and not kept.old)
+    in_one_file, remaining, last = len(kept.data), list(folder.rglob("*.csv")), kept.sources
     assert points == in_one_file
     assert [path.name for path in first] == ["data-0,5 bar.csv", "data-1,5 bar.csv"]
     assert remaining == list(last)
@@ -423,55 +413,48 @@ def test_several_files_are_one_test_and_gone_when_others_replace_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig", "/robot"])
-def test_a_page_is_freed_when_it_is_left(where):
-    async def visit():
-        async with visitor() as user:
-            pages = []
-            module = sys.modules[f"mckibben.web{where.replace('/', '.')}"]
-            init = module._Page.__init__
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(
-                    module._Page,
-                    "__init__",
-                    lambda page, *given: (pages.append(weakref.ref(page)), init(page, *given))[1],
-                )
-                await user.open(where)
-            await asyncio.sleep(0.5)
-            user.client.delete()
-            user.client = None
-            for _ in range(300):  # a run that has begun keeps its page
-                gc.collect()
-                if pages[0]() is None:
-                    break
-                await asyncio.sleep(0.1)
-            return pages[0]()
-
-    assert asyncio.run(visit()) is None
+@visits
+async def test_a_page_is_freed_when_it_is_left(user, where):
+    pages = []
+    module = sys.modules[f"mckibben.web{where.replace('/', '.')}"]
+    init = module._Page.__init__
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            module._Page,
+            "__init__",
+            lambda page, *given: (pages.append(weakref.ref(page)), init(page, *given))[1],
+        )
+        await user.open(where)
+    await asyncio.sleep(0.5)
+    user.client.delete()
+    user.client = None
+    for _ in range(300):  # a run that has begun keeps its page
+        gc.collect()
+        if pages[0]() is None:
+            break
+        await asyncio.sleep(0.1)
+    assert pages[0]() is None
 
 
 @pytest.mark.slow
-def test_a_parameter_changes_the_run_and_runs_are_overlaid():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/run")
-            bench = state(workbench.Workbench)
-            await until(lambda: bench.current is not None, 60)
-            first = bench.current
-            user.find(marker="keep").click()
-            await until(lambda: there(user, "controller.position.ki"))
-            await until(lambda: state(dict)["/run"])
-            the(user, ui.number, "controller.position.ki").set_value(90)
-            await until(lambda: bench.current is not first, 60)
-            await until(lambda: "run 1" in [one["name"] for one in charts(user)[0].options["series"]])
-            changed = bench.current
-            user.find(marker="margins").click()
-            await until(lambda: bench.studies, 100)
-            await until(lambda: len(state(dict)["/run"]) == 2)
-            user.find(marker="undo").click()
-            await until(lambda: bench.current is not changed and bench.ran, 60)
-            return first, changed, bench
-
-    first, changed, bench = asyncio.run(visit())
+@visits
+async def test_a_parameter_changes_the_run_and_runs_are_overlaid(user):
+    await user.open("/run")
+    bench = state(workbench.Workbench)
+    await until(lambda: bench.current is not None, 60)
+    first = bench.current
+    user.find(marker="keep").click()
+    await until(lambda: there(user, "controller.position.ki"))
+    await until(lambda: state(dict)["/run"])
+    the(user, ui.number, "controller.position.ki").set_value(90)
+    await until(lambda: bench.current is not first, 60)
+    await until(lambda: "run 1" in [one["name"] for one in charts(user)[0].options["series"]])
+    changed = bench.current
+    user.find(marker="margins").click()
+    await until(lambda: bench.studies, 100)
+    await until(lambda: len(state(dict)["/run"]) == 2)
+    user.find(marker="undo").click()
+    await until(lambda: bench.current is not changed and bench.ran, 60)
     assert "ki: 90 bar/(rad*s)" in changed.text
     assert changed.result.metrics["angle_rmse"] < first.result.metrics["angle_rmse"]
     assert [one.text for one in bench.overlays] == [first.text] == [bench.text]
@@ -481,50 +464,44 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
 
 @pytest.mark.parametrize("wrong", [1e308, None])
 @pytest.mark.slow
-def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
-    async def visit():
-        async with visitor() as user:
-            await user.open("/run")
-            bench = state(workbench.Workbench)
-            await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
-            first, field = bench.current, the(user, ui.number, "controller.position.ki")
-            field.set_value(wrong)
-            assert field.error
-            await asyncio.sleep(0.1)
-            assert not bench.jobs.busy and bench.current is first
-            field.set_value(70)
-            assert not field.error and bench.jobs.busy
-            await user.open("/joint")
-            field = the(user, ui.number, "radius-of-the-anchors-field")
-            field.set_value(wrong)
-            assert field.error
-            field.set_value(40)
-            await until(lambda: state(design.JointDesign).dimensions["radius"] == 40)
-            assert not field.error
-            await user.open("/identify")
-            field = the(user, ui.input, "initial_length")
-            for text, refused in (("-5 lb", True), ("-180 mm", True), ("nan mm", True), ("180 mm", False), ("", False)):
-                field.set_value(text)
-                assert bool(field.error) == refused
-
-    asyncio.run(visit())
+@visits
+async def test_a_number_that_cannot_be_is_refused_at_its_field(user, wrong):
+    await user.open("/run")
+    bench = state(workbench.Workbench)
+    await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
+    first, field = bench.current, the(user, ui.number, "controller.position.ki")
+    field.set_value(wrong)
+    assert field.error
+    await asyncio.sleep(0.1)
+    assert not bench.jobs.busy and bench.current is first
+    field.set_value(70)
+    assert not field.error and bench.jobs.busy
+    await user.open("/joint")
+    field = the(user, ui.number, "radius-of-the-anchors-field")
+    field.set_value(wrong)
+    assert field.error
+    field.set_value(40)
+    await until(lambda: state(design.JointDesign).dimensions["radius"] == 40)
+    assert not field.error
+    await user.open("/identify")
+    field = the(user, ui.input, "initial_length")
+    for text, refused in (("-5 lb", True), ("-180 mm", True), ("nan mm", True), ("180 mm", False), ("", False)):
+        field.set_value(text)
+        assert bool(field.error) == refused
 
 
 @pytest.mark.slow
-def test_a_part_of_the_plant_is_chosen_and_its_numbers_are_fields():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/run")
-            bench = state(workbench.Workbench)
-            await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
-            the(user, ui.select, "sensors").set_value("encoder and noise")
-            await until(lambda: there(user, "sensors.encoder") and not bench.jobs.busy, 60)
-            first = bench.current
-            the(user, ui.number, "sensors.encoder").set_value(0.5)
-            await until(lambda: bench.current is not first, 60)
-            return bench.scenario, Scenario.parse(bench.text), the(user, ui.select, "sensors").value
-
-    ran, written, shown = asyncio.run(visit())
+@visits
+async def test_a_part_of_the_plant_is_chosen_and_its_numbers_are_fields(user):
+    await user.open("/run")
+    bench = state(workbench.Workbench)
+    await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
+    the(user, ui.select, "sensors").set_value("encoder and noise")
+    await until(lambda: there(user, "sensors.encoder") and not bench.jobs.busy, 60)
+    first = bench.current
+    the(user, ui.number, "sensors.encoder").set_value(0.5)
+    await until(lambda: bench.current is not first, 60)
+    ran, written, shown = bench.scenario, Scenario.parse(bench.text), the(user, ui.select, "sensors").value
     assert float(ran.sensors.encoder) == pytest.approx(0.5 * deg) == float(written.sensors.encoder)
     assert shown == "encoder and noise"
 
@@ -569,35 +546,30 @@ def test_a_robot_turns_with_its_sliders_and_shows_what_its_joints_attain(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_robot_of_a_file_runs_with_a_stiffness_that_it_has_and_is_drawn_by_joint():
+@visits
+async def test_a_robot_of_a_file_runs_with_a_stiffness_that_it_has_and_is_drawn_by_joint(user):
     folder = Path(__file__).parents[2] / "examples" / "robot"
 
-    async def visit():
-        async with visitor() as user:
-            await user.open("/robot")
-            await until(lambda: user._gather_elements(None, ui.table, None, None))
-            files = [(folder / name).read_bytes() for name in ("neck.yaml", "arm-muscle.yaml")]
-            uploads = [
-                SmallFileUpload(name, "", text) for name, text in zip(("neck.yaml", "m.yaml"), files, strict=True)
-            ]
-            await the(user, ui.upload).handle_uploads(uploads)
-            await until(lambda: state(robot.RobotPageState).name == "neck.yaml")
-            user.find(marker="run-robot").click()
-            await user.open("/run")
-            bench = state(workbench.Workbench)
-            await until(lambda: bench.current is not None, 100)
-            assert bench.error is None
-            await until(lambda: there(user, "joint") and the(user, ui.toggle, "joint").options == ["side", "nod"])
-            user.find(marker="keep").click()
-            await until(lambda: bench.overlays and there(user, "reference.nod.angle.amplitude"))
-            first = bench.current
-            the(user, ui.number, "reference.nod.angle.amplitude").set_value(1.0)
-            await until(lambda: bench.current is not first, 100)
-            the(user, ui.toggle, "joint").set_value("nod")
-            await until(lambda: bench.joint == "nod")
-            return first, bench, [curve(charts(user)[0], name) for name in ("run 1", "now", "desired")]
-
-    first, bench, drawn = asyncio.run(visit())
+    await user.open("/robot")
+    await until(lambda: user._gather_elements(None, ui.table, None, None))
+    files = [(folder / name).read_bytes() for name in ("neck.yaml", "arm-muscle.yaml")]
+    uploads = [SmallFileUpload(name, "", text) for name, text in zip(("neck.yaml", "m.yaml"), files, strict=True)]
+    await the(user, ui.upload).handle_uploads(uploads)
+    await until(lambda: state(robot.RobotPageState).name == "neck.yaml")
+    user.find(marker="run-robot").click()
+    await user.open("/run")
+    bench = state(workbench.Workbench)
+    await until(lambda: bench.current is not None, 100)
+    assert bench.error is None
+    await until(lambda: there(user, "joint") and the(user, ui.toggle, "joint").options == ["side", "nod"])
+    user.find(marker="keep").click()
+    await until(lambda: bench.overlays and there(user, "reference.nod.angle.amplitude"))
+    first = bench.current
+    the(user, ui.number, "reference.nod.angle.amplitude").set_value(1.0)
+    await until(lambda: bench.current is not first, 100)
+    the(user, ui.toggle, "joint").set_value("nod")
+    await until(lambda: bench.joint == "nod")
+    drawn = [curve(charts(user)[0], name) for name in ("run 1", "now", "desired")]
     assert bench.current.muscles == ("front", "left", "right")
     result = bench.current.result
     for shown, values in zip(drawn, (first.result["angle"], result["angle"], result["desired_angle"]), strict=True):
@@ -607,55 +579,48 @@ def test_a_robot_of_a_file_runs_with_a_stiffness_that_it_has_and_is_drawn_by_joi
 
 
 @pytest.mark.slow
-def test_a_joint_gets_the_controller_of_a_new_file_also_after_another_run():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/run")
-            bench = state(workbench.Workbench)
-            await until(lambda: bench.current is not None, 60)
-            await user.open("/joint")
-            user.find(content="Run this joint").click()
-            await user.open("/run")
-            await until(lambda: bench.scenario.name == "my joint", 60)
-            return bench.scenario
-
-    scenario = asyncio.run(visit())
+@visits
+async def test_a_joint_gets_the_controller_of_a_new_file_also_after_another_run(user):
+    await user.open("/run")
+    bench = state(workbench.Workbench)
+    await until(lambda: bench.current is not None, 60)
+    await user.open("/joint")
+    user.find(content="Run this joint").click()
+    await user.open("/run")
+    await until(lambda: bench.scenario.name == "my joint", 60)
+    scenario = bench.scenario
     assert isinstance(scenario.controller, mk.control.DecouplingControl)
     assert (float(scenario.load.mass), float(scenario.load.length)) == (1.0, 0.25)
 
 
 @pytest.mark.slow
-def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_before_a_run_are_dimmed(monkeypatch):
+@visits
+async def test_results_beside_another_text_or_a_refused_value_are_grey_and_those_before_a_run_dimmed(user, monkeypatch):
     monkeypatch.setattr(run, "compute", lambda *given: (time.sleep(0.5), workbench.compute(*given))[1])
 
     def looks(user):
         around = [one for one in user.find(ui.column).elements if charts(user)[1] in one.descendants()]
         return {"stale", "waiting"} & {name for one in around for name in one.classes}
 
-    async def visit():
-        async with visitor() as user:
-            await user.open("/run")
-            bench = state(workbench.Workbench)
-            await until(lambda: user._gather_elements(ui.echart, None, None, None), 60)
-            await until(lambda: there(user, "controller.position.ki") and not looks(user))
-            text = the(user, ui.textarea, "scenario")
-            text.set_value(text.value + "# more")
-            await until(lambda: looks(user) == {"stale"})
-            text.set_value(bench.text)
-            await until(lambda: not looks(user))
-            the(user, ui.number, "controller.position.ki").set_value(-1)
-            await until(lambda: looks(user) == {"stale"})
-            the(user, ui.number, "controller.position.ki").set_value(70)
-            await until(lambda: looks(user) == {"waiting"})
-            await until(lambda: not looks(user), 60)
-            took = bench.jobs.took["numbers"]
-            the(user, ui.number, "controller.position.ki").set_value(80)
-            await until(lambda: looks(user) == {"waiting"})
-            expected = bench.jobs.expected
-            await until(lambda: not looks(user), 60)
-            return expected, took
-
-    expected, took = asyncio.run(visit())
+    await user.open("/run")
+    bench = state(workbench.Workbench)
+    await until(lambda: user._gather_elements(ui.echart, None, None, None), 60)
+    await until(lambda: there(user, "controller.position.ki") and not looks(user))
+    text = the(user, ui.textarea, "scenario")
+    text.set_value(text.value + "# more")
+    await until(lambda: looks(user) == {"stale"})
+    text.set_value(bench.text)
+    await until(lambda: not looks(user))
+    the(user, ui.number, "controller.position.ki").set_value(-1)
+    await until(lambda: looks(user) == {"stale"})
+    the(user, ui.number, "controller.position.ki").set_value(70)
+    await until(lambda: looks(user) == {"waiting"})
+    await until(lambda: not looks(user), 60)
+    took = bench.jobs.took["numbers"]
+    the(user, ui.number, "controller.position.ki").set_value(80)
+    await until(lambda: looks(user) == {"waiting"})
+    expected = bench.jobs.expected
+    await until(lambda: not looks(user), 60)
     assert expected == took > 0
 
 
@@ -671,15 +636,6 @@ def test_curves_of_a_fit_are_its_law_and_both_ways_with_its_friction(tmp_path):
     np.testing.assert_allclose(law[:60, 1], fit.law.force(law[:60, 0] / 100, 6 * bar), rtol=1e-4)
     np.testing.assert_allclose(loading[:60, 1] - law[:60, 1], float(fit.friction.half_width), atol=0.02)
     np.testing.assert_allclose(law[:60, 1] - unloading[:60, 1], float(fit.friction.half_width), atol=0.02)
-
-
-@pytest.mark.slow
-def test_the_picture_of_the_joint_moves_through_its_drawings_and_returns():
-    _, moving, _ = start.step_pictures()
-    values = [re.findall(r"\S+", part) for part in re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)]
-    assert values and all(len("".join(one).split(";")) == 17 for one in values)
-    first = re.findall(r'attributeName="points"[^>]*values="([^"]*)"', moving)[0].split(";")
-    assert first[0] == first[-1] != first[4]
 
 
 def test_an_upload_has_one_scenario_and_names_stay_in_its_folder(tmp_path):
@@ -734,26 +690,22 @@ def test_a_run_that_nobody_can_wait_for_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/rig")
-            bench = state(rig.RigState)
-            bench.pace = 20
-            user.find(marker="start").click()
-            await until(lambda: len(bench.rows) > 8)
-            user.find(marker="vent").click()
-            await until(lambda: bench.error is not None)
-            stopped, rows = bench.error, len(bench.rows)
-            bench.pace = 0
-            the(user, ui.input, "pressures").set_value("2, 3.")
-            the(user, ui.number, "step").set_value(8)
-            assert "pressures: [2 bar, 3 bar]" in bench.text and "step: 8 mm" in bench.text
-            user.find(marker="start").click()
-            await until(lambda: bench.result is not None)
-            return stopped, rows, bench
-
-    stopped, rows, bench = asyncio.run(visit())
+@visits
+async def test_a_test_on_the_simulated_rig_is_vented_or_gives_points(user):
+    await user.open("/rig")
+    bench = state(rig.RigState)
+    bench.pace = 20
+    user.find(marker="start").click()
+    await until(lambda: len(bench.rows) > 8)
+    user.find(marker="vent").click()
+    await until(lambda: bench.error is not None)
+    stopped, rows = bench.error, len(bench.rows)
+    bench.pace = 0
+    the(user, ui.input, "pressures").set_value("2, 3.")
+    the(user, ui.number, "step").set_value(8)
+    assert "pressures: [2 bar, 3 bar]" in bench.text and "step: 8 mm" in bench.text
+    user.find(marker="start").click()
+    await until(lambda: bench.result is not None)
     assert isinstance(stopped, StoppedError) and "vented" in stopped.message
     assert bench.error is None and len(bench.rows) > rows
     assert sorted({round(p / bar) for p in bench.result.pressure}) == [2, 3]

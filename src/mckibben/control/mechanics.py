@@ -20,7 +20,7 @@ from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.terms import JointTerms, Row, joint_terms
 from mckibben.mechanism.tree import Equations
-from mckibben.muscle import Muscle, SpringLaw
+from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import total
@@ -159,7 +159,7 @@ class TreeMechanics:
         terms, lowest, highest = joint_terms(self.robot, angles), [], []
         for muscle, (offset, gain) in zip(self.muscles, terms.tension, strict=True):
             limits: Any = floating(muscle.domain.pressure_min), floating(muscle.domain.pressure_max)
-            if not isinstance(muscle.law, SpringLaw):
+            if not muscle.law.is_passive:
                 low = jnp.clip((minimum_tension - offset) / gain, *limits)
                 limits = low, jnp.clip((muscle.specimen.force_limit - offset) / gain, low, limits[1])
             lowest.append(limits[0])

@@ -22,9 +22,10 @@ from mckibben.export.drives import Drive, Transmission, muscle_drive, muscle_fun
 from mckibben.export.muscle_plugin import MuscleFunctions, MuscleModel, plugin_files
 from mckibben.export.targets import Exported, filled
 from mckibben.joint import Load
-from mckibben.mechanism.bodies import Body, Joint
+from mckibben.mechanism.bodies import Body, BodyPoint, Joint, PathElement
 from mckibben.mechanism.dynamics import SLIDES, TURNS, Posture, Velocity
 from mckibben.mechanism.muscles import TendonParts
+from mckibben.mechanism.wrapping import TendonPulley, WrapCylinder, WrapSphere
 from mckibben.numerics.spatial import Vector, X, Z
 from mckibben.plant import JointPlant
 from mckibben.plant.robot_plant import RobotPlant
@@ -38,6 +39,8 @@ UnitOf = Callable[[PyTree], PyTree]
 """Selection of a muscle or a pair from a plant."""
 Attributes = dict[str, str]
 """Attributes of an element of MJCF."""
+Element = tuple[str, Attributes]
+"""Element of a tendon: its tag and attributes."""
 
 
 def mujoco_model(
@@ -97,7 +100,7 @@ class _Tendon(NamedTuple):
 
     tag: str
     attributes: Attributes
-    parts: Sequence[tuple[str, Attributes]]
+    parts: Sequence[Element]
 
 
 class Assembly:
@@ -164,11 +167,7 @@ class Assembly:
         if all(transmission.points for transmission in moved):
             pairs = enumerate(zip(numbers, moved, strict=True), 1)
             parts = [self._across(f"{name} {part}", *pair) for part, pair in pairs]
-            through = [
-                self._site(self.plant.robot.frame_names.index(point.body), f"{name} point {number}", point.place.vector)
-                for number, point in enumerate(muscle.through, 1)
-            ]
-            self._spatial(name, [*parts, *([through] if through else [])])
+            self._spatial(name, [*parts, list(self._through(name, muscle.through))] if muscle.through else parts)
         elif all(transmission.coefficient for transmission in moved) and not muscle.through:
             offset += self._fixed(name, moved, [self.joints[number] for number in numbers])
         else:
@@ -177,12 +176,37 @@ class Assembly:
             )
         self.drives.append(muscle_drive(name, first, unit_of, 0, offset))
 
-    def _spatial(self, name: str, parts: Sequence[Sequence[str]]) -> None:
-        """Add a tendon of straight parts between sites; its length is their sum."""
-        elements: list[tuple[str, Attributes]] = []
-        for part in parts:
-            elements += [("pulley", {"divisor": "1"})] * bool(elements) + [("site", {"site": site}) for site in part]
-        self._tendons.append(_Tendon("spatial", {"name": name, "class": "muscle"}, elements))
+    def _spatial(self, name: str, branches: Sequence[Sequence[Element]]) -> None:
+        """Add a tendon; its length is the sum of its branches."""
+        elements = [element for branch in branches for element in (("pulley", {"divisor": "1"}), *branch)]
+        self._tendons.append(_Tendon("spatial", {"name": name, "class": "muscle"}, elements[1:]))
+
+    def _through(self, name: str, elements: Sequence[PathElement]) -> Iterator[Element]:
+        """Add sites and geoms of a path to its bodies; yield the elements of its tendon."""
+        frames = self.plant.robot.frame_names
+        for number, element in enumerate(elements, 1):
+            label = f"{name} point {number}"
+            if type(element) not in (BodyPoint, WrapSphere, WrapCylinder, TendonPulley):  # others may go another way
+                remedy = "give points, spheres, cylinders and pulleys of mckibben"
+                raise _cannot("through", f"the {type(element).__name__} of {name}", remedy)
+            if isinstance(element, BodyPoint):
+                yield self._site(frames.index(element.body), label, element.place.vector)
+            elif isinstance(element, TendonPulley):
+                yield "pulley", {"divisor": repr(float(element.divisor))}
+            elif isinstance(element, WrapSphere):
+                yield "geom", self._surface(frames.index(element.body), label, element)
+
+    def _surface(self, body: int, name: str, surface: WrapSphere) -> Attributes:
+        """Add a surface that a path touches, with its side."""
+        shape = {"name": name, "class": "surface", "type": surface.short_name}
+        shape |= {"size": numbers_text([surface.radius] * 2), "pos": numbers_text(surface.place.vector)}
+        if isinstance(surface, WrapCylinder):
+            shape["zaxis"] = numbers_text(surface.axis)
+        self.bodies[body].shapes.append(shape)
+        if surface.side is None:
+            return {"geom": name}
+        self._site(body, f"{name} side", surface.side.vector)
+        return {"geom": name, "sidesite": f"{name} side"}
 
     def _fixed(self, name: str, moved: Sequence[Transmission], joints: Sequence[Joint]) -> float:
         """Add a tendon over pulleys; return its length [m] at locked joints."""
@@ -195,16 +219,16 @@ class Assembly:
         self._tendons.append(_Tendon("fixed", {"name": name}, parts))
         return sum(one.coefficient * float(joint.locked) for one, joint in pairs if joint.locked is not None)
 
-    def _across(self, path: str, number: int, moved: Transmission) -> list[str]:
-        """Add the sites of a straight path over a joint to its bodies; return their names."""
+    def _across(self, path: str, number: int, moved: Transmission) -> list[Element]:
+        """Add the sites of a straight path over a joint to its bodies; return them as elements of a tendon."""
         joint = self.joints[number]
         fixed, moving = anchors(joint, moved)
         first = self._site(self.parents[number], f"{path} fixed", fixed + joint.place.vector)
         return [first, self._site(number + 1, f"{path} moving", moving)]
 
-    def _site(self, body: int, name: str, place: Vector) -> str:
+    def _site(self, body: int, name: str, place: Vector) -> Element:
         self.bodies[body].sites[name] = place
-        return name
+        return "site", {"site": name}
 
     def mjcf(self, name: str, timestep: float, functions: Sequence[MuscleFunctions] = ()) -> str:
         """MJCF with the tendons of the muscles and, if there are `functions`, their actuators."""

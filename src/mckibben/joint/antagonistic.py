@@ -16,16 +16,17 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, printable
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
+from mckibben.joint.load import Load
 from mckibben.joint.route import Route, init_states, pair_routes, update_states
 from mckibben.joint.tendon import RigidTendon, Tendon
-from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
+from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.air import ATMOSPHERE
 from mckibben.muscle.muscle import CHECK_LAW, warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.result import Remark
-from mckibben.units import deg
+from mckibben.units import SLIDE, JointType, deg
 
 SMALL_MOTION = 0.1 * deg
 """Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
@@ -200,8 +201,30 @@ class AntagonisticJoint(Component):
 
     @property
     def springs(self) -> tuple[bool, bool]:
-        """Whether muscle 1 and muscle 2 are return springs."""
-        return isinstance(self.muscle1.law, SpringLaw), isinstance(self.muscle2.law, SpringLaw)
+        """Whether muscle 1 and muscle 2 are return springs, or none: the other one is alone."""
+        return self.muscle1.law.is_passive, self.muscle2.law.is_passive
+
+    @property
+    def joint_type(self) -> JointType:
+        """How the joint moves: a slide's angles are positions [m], its torques forces [N]."""
+        return self.geometry.joint_type
+
+    def check_setpoint(self, stiffness: object) -> None:
+        """Raise `RangeError` for a setpoint of the stiffness of a single muscle, or None for that of two."""
+        if any(self.springs) and stiffness is not None:
+            what = self.joint_type.words("angle")
+            message = f"one muscle alone has no stiffness of its own choice: {what} and load determine it"
+            raise RangeError(message, field="reference.stiffness", remedy="leave it out")
+        if not any(self.springs) and stiffness is None:
+            remedy = "give one, which `mckibben envelope` shows"
+            raise RangeError("two muscles need a stiffness", field="reference.stiffness", remedy=remedy)
+
+    def check_load(self, load: Load) -> None:
+        """Raise `RangeError` for a load that moves in another way."""
+        if load.joint_type is not self.joint_type:
+            message = f"a {type(load).__name__} loads a {load.joint_type.name}, not a {self.joint_type.name}"
+            remedy = "give `class: sliding_mass`" if self.joint_type is SLIDE else "give one that turns, as a pendulum"
+            raise RangeError(message, field="load", remedy=remedy)
 
     @property
     def has_creep(self) -> bool:

@@ -12,6 +12,7 @@ from mckibben.component.base import Component
 from mckibben.joint.route import Route
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import Muscle, MuscleState
+from mckibben.units import HINGE, JointType
 
 Scalar = Float[Array, ""]
 
@@ -45,6 +46,11 @@ class Mechanism(abc.ABC):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints; none of a single joint without a name."""
         return ()
+
+    @property
+    def joint_type(self) -> JointType:
+        """How its joints move."""
+        return HINGE
 
     @property
     def muscle_names(self) -> tuple[str, ...]:

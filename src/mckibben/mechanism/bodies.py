@@ -208,7 +208,34 @@ class Joint(Component):
         return 0.0 if self.spring is None else product(self.spring, difference(angle, self.spring_angle))
 
 
-class BodyPoint(Component):
+class PathElement(Component):
+    """Part of the path of a muscle: a point, a surface that it may touch, or a pulley."""
+
+    @property
+    def carrier(self) -> str | None:
+        """Name of the body that it is on; None for a pulley of a tackle."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """What it is, in tables."""
+        return self.carrier or ""
+
+    @classmethod
+    def from_file(cls, value: object) -> object:
+        """Return a section with its class: a cylinder has an axis, a sphere a radius, a pulley a divisor."""
+        if cls is not PathElement or not isinstance(value, dict) or "class" in value:
+            return value
+        marks = {"axis": "cylinder", "radius": "sphere", "divisor": "pulley"}
+        return {"class": next((kind for mark, kind in marks.items() if mark in value), "point"), **value}
+
+    @classmethod
+    def to_file(cls, section: dict[str, object]) -> dict[str, object]:
+        """Return a section without its class."""
+        return {name: field for name, field in section.items() if name != "class"}
+
+
+class BodyPoint(PathElement):
     """Point of a body.
 
     Parameters
@@ -219,8 +246,14 @@ class BodyPoint(Component):
         From the hinge that carries the body.
     """
 
+    short_name = "point"
+
     body: str = eqx.field(static=True)
     place: Place = Place()
+
+    @property
+    def carrier(self) -> str:
+        return self.body
 
 
 class Foot(Component):

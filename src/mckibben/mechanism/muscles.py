@@ -16,8 +16,9 @@ from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Geometry, MusclePath, RigidTendon, Tendon
 from mckibben.joint.route import Bends, Route, pair_routes
-from mckibben.mechanism.bodies import BodyPoint, Joint
-from mckibben.mechanism.tree import Frame, TreeHinge, path_through
+from mckibben.mechanism.bodies import Joint, PathElement
+from mckibben.mechanism.tree import Frame, TreeHinge
+from mckibben.mechanism.wrapping import check_path, path_along
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.spatial import total
@@ -39,10 +40,9 @@ class Skeleton(NamedTuple):
         """Return the number of a joint."""
         return [joint.name for joint in self.joints].index(name)
 
-    def path_through(self, points: Sequence[BodyPoint]) -> tuple[Array, dict[int, Array], Callable[[], Bends]]:
-        """Return the length [m] of lines through points, and its derivatives [m/rad] by the number of the joint."""
-        places = [(self.frame_names.index(point.body), point.place.vector) for point in points]
-        length, slopes, bends = path_through(places, *self.posed())
+    def path_along(self, elements: Sequence[PathElement]) -> tuple[Array, dict[int, Array], Callable[[], Bends]]:
+        """Return the length [m] of a path, and its derivatives [m/rad] by the number of the joint."""
+        length, slopes, bends = path_along(elements, self.frame_names, *self.posed())
 
         def by_joints() -> Bends:
             return {(i - 1, j - 1): bend for (i, j), bend in bends().items()}
@@ -51,10 +51,10 @@ class Skeleton(NamedTuple):
 
 
 class TendonParts(NamedTuple):
-    """Parts of a path: paths over joints, straight lines through points, and what is taken from its length [m]."""
+    """Parts of a path: paths over joints, points and surfaces, and what is taken from its length [m]."""
 
     over: tuple[OverJoint, ...]
-    through: tuple[BodyPoint, ...]
+    through: tuple[PathElement, ...]
     connector_length: float
 
 
@@ -108,8 +108,8 @@ class MuscleUnit(Component):
         """Names of the joints that `over` gives."""
 
     @property
-    def points(self) -> tuple[BodyPoint, ...]:
-        """Points that its path goes through."""
+    def elements(self) -> tuple[PathElement, ...]:
+        """Points, surfaces and pulleys of its path."""
         return ()
 
     @abc.abstractmethod
@@ -198,7 +198,7 @@ class OverJoint(Component):
 
 class PathMuscle(MuscleUnit):
     """Muscle over joints and through points of bodies: its path is the sum of the paths over each joint and of the
-    straight lines from point to point.
+    lines from point to point, straight or around a surface between them.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ class PathMuscle(MuscleUnit):
     over
         Paths over joints.
     through
-        Points from one end to the other.
+        Points from one end to the other, spheres and cylinders that the path touches between two of them, and pulleys.
     connector_length
         Length of the connectors in series with the muscle [m]; below 0 for a muscle that is longer than its path.
     tendon
@@ -221,19 +221,16 @@ class PathMuscle(MuscleUnit):
     name: str = eqx.field(static=True)
     muscle: Muscle
     over: tuple[OverJoint, ...] = ()
-    through: tuple[BodyPoint, ...] = ()
+    through: tuple[PathElement, ...] = ()
     connector_length: Coordinate = 0.0
     tendon: Tendon = RigidTendon()
 
     def __check_init__(self) -> None:
         super().__check_init__()
         self.muscle.check_pressure_limit()
-        bodies = [point.body for point in self.through]
-        if len(set(bodies)) == 1:
-            remedy = "give points on two bodies or more"
-            message = f"{self.name}: it passes through {', '.join(bodies)} alone"
-            raise RangeError(message, field="through", value=bodies, remedy=remedy)
-        if not bodies and not self.over:
+        if self.through:
+            check_path(self.name, self.through)
+        elif not self.over:
             remedy = "give points that it goes `through`, or paths `over` joints"
             raise RangeError(f"{self.name}: it has no path", field="through", remedy=remedy)
 
@@ -250,7 +247,7 @@ class PathMuscle(MuscleUnit):
         return tuple(part.joint for part in self.over)
 
     @property
-    def points(self) -> tuple[BodyPoint, ...]:
+    def elements(self) -> tuple[PathElement, ...]:
         return self.through
 
     @property
@@ -264,7 +261,7 @@ class PathMuscle(MuscleUnit):
         length: Any = functools.reduce(total, (own for own, _ in lengths.values()), 0.0)
         straight: Callable[[], Bends] = dict
         if self.through:
-            lines, by_joint, straight = skeleton.path_through(self.through)
+            lines, by_joint, straight = skeleton.path_along(self.through)
             length = total(length, lines)
             for joint, slope in by_joint.items():
                 slopes[joint] = total(slopes.get(joint, 0.0), slope)

@@ -10,12 +10,14 @@ from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.joint import Geometry
-from mckibben.mechanism.bodies import BodyPoint, Foot
+from mckibben.mechanism.bodies import BodyPoint, Foot, PathElement
 from mckibben.mechanism.dynamics import at_rest, frames, posture_of
 from mckibben.mechanism.muscles import MuscleUnit
 from mckibben.mechanism.point_stiffness import point_stiffness
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.tree import Frame
+from mckibben.mechanism.wrapping import WrapSphere, branches
+from mckibben.numerics.spatial import Vector
 
 Floats = NDArray[np.float64]
 BASE = ("x", "y", "z", "pitch", "yaw", "roll")
@@ -114,12 +116,30 @@ def outline(robot: Robot, angles: Sequence[float], base: Sequence[float] = ()) -
     for unit in robot.muscles:
         if (pair := unit.pair) is not None:
             muscles |= _pair(pair.geometry, unit, robot, angles, placed, beyond)
-        elif unit.points:
-            muscles[unit.names[0]] = np.stack([point_of(point, robot, placed) for point in unit.points])
+        elif unit.elements:
+            muscles[unit.names[0]] = _path(unit.elements, robot, placed)
     return Outline(bodies, at[1:], muscles)
 
 
-def point_of(point: BodyPoint | Foot, robot: Robot, placed: Sequence[Frame]) -> Floats:
+def _path(elements: Sequence[PathElement], robot: Robot, placed: Sequence[Frame]) -> Floats:
+    """Points of a path, with arcs over surfaces; NaN between its branches."""
+    lines: list[Floats] = []
+    for _, branch in branches(elements):
+        places = [point_of(element, robot, placed) for element in branch if isinstance(element, BodyPoint | WrapSphere)]
+        for number, (element, at) in enumerate(zip(branch, places, strict=True)):
+            if isinstance(element, WrapSphere):
+                frame = placed[robot.frame_names.index(element.body)]
+                before, after = (Vector(*(places[number + step] - at)) for step in (-1, 1))
+                path = element.wrap(before, after, frame.axes)
+                if float(path.turn):
+                    lines += [at + _numbers(point) for point in element.arc(path, frame.axes)]
+            else:
+                lines.append(at)
+        lines.append(np.full(3, np.nan))
+    return np.stack(lines[:-1])
+
+
+def point_of(point: BodyPoint | Foot | WrapSphere, robot: Robot, placed: Sequence[Frame]) -> Floats:
     """Return a point of a body [m] in given frames."""
     return _numbers(placed[robot.frame_names.index(point.body)].point(point.place.vector)[0])
 

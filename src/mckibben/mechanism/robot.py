@@ -20,7 +20,7 @@ from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, RigidTendon, Tendon
 from mckibben.joint.route import Route
-from mckibben.mechanism.bodies import MOTIONS, Body, BodyPoint, Foot, Freedom, GravityRatio, Joint, check_base
+from mckibben.mechanism.bodies import MOTIONS, Body, Foot, Freedom, GravityRatio, Joint, PathElement, check_base
 from mckibben.mechanism.muscles import MuscleUnit, Skeleton, check_contractions
 from mckibben.mechanism.tree import Frame, TreeHinge, frames_of
 from mckibben.muscle import Muscle
@@ -149,11 +149,11 @@ class Robot(Component):
                     field = f"muscles.{number}.over" + (f".{place}.joint" if len(unit.names) == 1 else "")
                     message = f"{unit.names[0]}: it passes over {quoted(name)}"
                     yield message, field, name, f"name different joints of {', '.join(joints)}"
-            for place, point in enumerate(unit.points):
-                if point.body not in frames:
+            for place, element in enumerate(unit.elements):
+                if (body := element.carrier) is not None and body not in frames:
                     field = f"muscles.{number}.through.{place}.body"
-                    message = f"{unit.names[0]}: the robot has no body {quoted(point.body)}"
-                    yield message, field, point.body, f"name one of {', '.join(frames)}"
+                    message = f"{unit.names[0]}: the robot has no body {quoted(body)}"
+                    yield message, field, body, f"name one of {', '.join(frames)}"
         fields = (["foot"] if self.foot else []) + [f"contacts.{number}" for number in range(len(self.contacts))]
         for field, sphere in zip(fields, self.spheres, strict=True):
             if sphere.body not in frames:
@@ -175,7 +175,7 @@ class Robot(Component):
                         details: Any = {"value": float(angle), "lower": low, "upper": high, "unit": "rad"}
                         remedy = "give a smaller range, or a geometry for all of it"
                         raise RangeError(message, field=f"joints.{index}.{end}", remedy=remedy, **details)
-            if unit.points:
+            if unit.elements:
                 places = [f"the {place} of all ranges" for place in ("lower ends", "middle", "upper ends")]
                 angles = [np.linspace(low, high, len(places)) for low, high in limits]
             else:
@@ -294,10 +294,14 @@ class Robot(Component):
 
     def pair(self, index: int) -> AntagonisticJoint:
         """Return the pair of muscles of a joint; `RangeError` without one."""
+        return self.named_pair(index)[1]
+
+    def named_pair(self, index: int) -> tuple[tuple[str, ...], AntagonisticJoint]:
+        """Return the names of the pair of muscles of a joint, and the pair; `RangeError` without one."""
         name = self.joints[index].name
         for unit in self.muscles:
             if name in unit.joint_names and (pair := unit.pair) is not None:
-                return pair
+                return unit.names, pair
         remedy = "give it one (a muscle with `over` and `geometry`), or name a joint that has one"
         raise RangeError(f"{name}: it has no pair of muscles", field="muscles", remedy=remedy)
 
@@ -358,9 +362,11 @@ class Robot(Component):
         skeleton = self._skeleton(angles)
         return [routed for unit in self.muscles for routed in unit.routed(skeleton)]
 
-    def path_through(self, points: Sequence[BodyPoint], angles: Sequence[ArrayLike]) -> tuple[Array, dict[int, Array]]:
-        """Return the length [m] of lines through points at angles [rad], and its derivatives [m/rad] by joint."""
-        return self._skeleton(angles).path_through(points)[:2]
+    def path_along(
+        self, elements: Sequence[PathElement], angles: Sequence[ArrayLike]
+    ) -> tuple[Array, dict[int, Array]]:
+        """Return the length [m] of a path at angles [rad], and its derivatives [m/rad] by joint."""
+        return self._skeleton(angles).path_along(elements)[:2]
 
     def hinges(self, angles: Sequence[Any], rates: Sequence[Any], base: int = 0) -> list[TreeHinge]:
         """Return the hinges of the joints at angles [rad] and rates [rad/s]; the base has a number."""

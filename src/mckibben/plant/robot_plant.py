@@ -22,13 +22,12 @@ from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
 from mckibben.mechanism.dynamics import (
     at_rest,
     mobilities,
-    motion,
     posture_of,
 )
 from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.robot_tree import Tree
-from mckibben.muscle import MuscleState, SpringLaw
+from mckibben.muscle import MuscleState
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import Plant
@@ -126,7 +125,7 @@ class RobotPlant(Plant):
         sideways = max((np.linalg.eigvalsh(mobility[:2, :2])[-1] for mobility in points), default=0.0)
         rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
-            muscles = (muscle for muscle in robot.all_muscles if not isinstance(muscle.law, SpringLaw))
+            muscles = (muscle for muscle in robot.all_muscles if not muscle.law.is_passive)
             volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
             rates["the air"] = self.valve.fastest_rate_in(min(volumes))
         return rates
@@ -215,11 +214,6 @@ class RobotPlant(Plant):
     def ground_force(self, state: PlantState) -> Vector:
         """Return the force [N] of the ground on all spheres: forwards, to the left, and up."""
         return _sum(self.mechanism.contact_forces(state.position, state.velocity), state)
-
-    def energy(self, state: PlantState) -> Float[Array, ""]:
-        """Return the mechanical energy of the bodies [J]."""
-        found = motion(self.robot, state.position, state.velocity, self.gravity)
-        return found.kinetic + found.potential
 
 
 def _sum(forces: Sequence[Vector], state: PlantState) -> Vector:

@@ -212,7 +212,8 @@ def posture(
 def set_space(axes: Axes3D, lines: Sequence[np.ndarray]) -> float:
     """Set labels, view and limits [mm] of axes for lines [m] in space; return half the extent [mm]."""
     points = np.concatenate(lines) / mm
-    middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max() / 2)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    middle, half = (low + high) / 2, float((high - low).max() / 2)
     axes.set(xlabel="forwards [mm]", ylabel="to the left [mm]", zlabel="up [mm]")
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
     for limit, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):

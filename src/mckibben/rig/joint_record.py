@@ -5,21 +5,20 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.engine import compiled
 from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
 from mckibben.muscle import MuscleState, NoCreep, NoFriction
-from mckibben.plant import JointPlant, PlantState
-from mckibben.plant.robot_plant import RobotPlant
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.result import Column, Listing, Remark
 from mckibben.rig.channels import Channels
-from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
+from mckibben.simulation import Feasibility, SimulationResult
 from mckibben.simulation.result import columns_of_run
 from mckibben.simulation.trajectories import Record
 from mckibben.storage import mcap
@@ -105,17 +104,19 @@ class MeasuredRun(NamedTuple):
         return tuple(self.table[name] for name in names)
 
 
-def measured_robot(
+def measured_run(
     columns: Mapping[str, NDArray[np.float64]],
-    plant: RobotPlant,
+    plant: Plant,
     start: PlantState,
     channels: Channels,
     period: float,
     *,
+    reach: Feasibility | None = None,
+    stiffness_amplitude: float | None = None,
     scenario: str = "",
-    notes: tuple[Remark, ...] = (),
+    notes: Sequence[Remark] = (),
 ) -> SimulationResult | None:
-    """Return the result of a recorded run of a robot; None without a run.
+    """Return the result of a recorded run; None without a run.
 
     Parameters
     ----------
@@ -125,89 +126,56 @@ def measured_robot(
         Plant, by whose laws stiffness and forces are computed, and its state at the start.
     channels, period
         Names of joints and muscles, and control period [s].
+    reach
+        Feasibility of the reference of a joint.
+    stiffness_amplitude
+        Amplitude of the motion that the stiffness is of [rad]; None for that of an infinitely small one.
     scenario, notes
         Text of the scenario, and what it does not attain.
     """
     run = MeasuredRun.of(columns)
     if run is None:
         return None
-    readings = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
-    velocities = tuple(np.gradient(angle, period) for angle in readings[0])
-    states = _states((plant, start), (readings[0], velocities, readings[1]))
+    angles, pressures = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
+    velocities = tuple(np.gradient(angle, period) for angle in angles)
+    states = _states((plant, start), (angles, velocities, pressures))
     telemetry: dict[str, PyTree] = {}
     for name, values in run.telemetry.items():
         quantity, of, _ = name.partition(".")
         telemetry[quantity] = (*telemetry.get(quantity, ()), values) if of else values
     record = Record(states, run.rows(channels.by_muscle("command")), run.table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     desired = zip(*(run.rows(channels.by_joint(f"desired_{name}")) for name in ("angle", "stiffness")), strict=True)
-    setpoints = tuple(Setpoint(*values) for values in desired)  # type: ignore[arg-type]
-    unknown = np.full((len(readings[0]), len(run.table["time"])), np.nan)
-    joints, muscles = (tuple(end.removeprefix(".") for end in ends) for ends in channels)
+    like, unknown = plant.mechanism.like_joints, np.full(len(run.table["time"]), np.nan)
+    setpoints = like([Setpoint(*own) for own in desired])  # type: ignore[arg-type]
+    without_step = like([unknown] * len(angles))
+    band = reach and dataclasses.replace(
+        reach, lowest=reach.lowest[: unknown.size], highest=reach.highest[: unknown.size]
+    )
+    measured = columns_of_run(plant, setpoints, record, lambda: without_step, stiffness_amplitude, band, "auto")
+    airs = [name for name in measured if name.startswith("air")]  # noise of the pressures would count as air
+    measured |= dict.fromkeys(airs, [unknown] * len(pressures) if channels.is_named else unknown)
     return SimulationResult(
-        columns_of_run(plant, setpoints, record, lambda: unknown, None, None, "auto"),
+        measured,
         period,
         scenario,
         angle_resolution=float(plant.sensors.angle_resolution),
+        feasibility=reach,
         notes=lambda: [*notes],
-        joints=joints,
-        muscles=muscles,
+        joints=plant.mechanism.joint_names,
+        muscles=plant.mechanism.muscle_names,
     )
 
 
 @compiled
-def _states(robot: tuple[RobotPlant, PlantState], lanes: PyTree) -> PlantState:
+def _states(base: tuple[Plant, PlantState], lanes: PyTree) -> PlantState:
     """States at angles [rad], velocities [rad/s] and pressures [Pa], over the last axis, with the base at its start."""
-    plant, start = robot
+    plant, start = base
     angles, velocities, pressures = lanes
     like = plant.mechanism.like_joints
     position, velocity = like(angles, start.position), like(velocities, start.velocity)
     muscles, friction = (MuscleState((), ()),) * len(pressures), ()
     bare = start._replace(position=position, velocity=velocity, pressures=pressures, muscles=muscles, friction=friction)
     return plant.complete_state(bare)
-
-
-def measured_result(
-    columns: Mapping[str, NDArray[np.float64]],
-    plant: JointPlant,
-    reach: Feasibility,
-    period: float,
-    stiffness_amplitude: float | None,
-    *,
-    scenario: str = "",
-) -> SimulationResult | None:
-    """Return the result of a recorded run; None without a run.
-
-    Parameters
-    ----------
-    columns
-        Columns of the record, shape (rows,).
-    plant, reach
-        Plant, by whose laws stiffness, torque and forces are computed, and feasibility of the reference.
-    period
-        Control period [s].
-    stiffness_amplitude
-        Amplitude of the motion that the stiffness is of [rad]; None for that of an infinitely small one.
-    scenario
-        Text of the scenario.
-    """
-    run = MeasuredRun.of(columns)
-    if run is None:
-        return None
-    table, telemetry = run
-    velocity: PyTree = np.gradient(table["angle"], period)
-    angle, *pressures = cast(list[Array], run.rows(Channels().readings))
-    state = PlantState(angle, velocity, tuple(pressures))  # type: ignore[arg-type]
-    record = Record(state, (table["command1"], table["command2"]), table["limited"] != 0, telemetry)  # type: ignore[arg-type]
-    references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
-    nothing, count = np.full(len(table["time"]), np.nan), len(table["time"])
-    moved = compute_trajectory(_by_laws(plant), references, record, nothing, stiffness_amplitude)
-    moved = moved._replace(air=(nothing, nothing))  # type: ignore[arg-type]
-    band = reach.lowest[:count], reach.highest[:count]
-    resolution = float(plant.sensors.angle_resolution)
-    result = SimulationResult.of(
-        moved, period, band=band, telemetry=telemetry, scenario=scenario, angle_resolution=resolution
-    )
-    return dataclasses.replace(result, feasibility=reach)
 
 
 def _every_period(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
@@ -224,7 +192,7 @@ def _every_period(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArr
     return filled
 
 
-def _by_laws(plant: JointPlant) -> JointPlant:
+def by_laws(plant: JointPlant) -> JointPlant:
     """The plant without friction and creep."""
     joint = plant.joint
     muscle1, muscle2 = (

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
-from mckibben.control.base import Setpoint
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError, StoppedError
+from mckibben.mechanism.base import joints_in
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import Plant
 from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.rig.backend import Backend, ChannelStatus
@@ -30,15 +31,15 @@ from mckibben.rig.compiled import (
     vented_state,
 )
 from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
-from mckibben.rig.joint_record import Timing, columns, measured_result, measured_robot
+from mckibben.rig.joint_record import Timing, by_laws, columns, measured_run
 from mckibben.rig.joint_rig import JointRig, RunConditions
 from mckibben.rig.record import Recorder, read_record, segments, software_versions
 from mckibben.rig.safety import PROBED, stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.simulation import Feasibility, SimulationResult, check_reference
-from mckibben.simulation.feasibility import unattainable
-from mckibben.simulation.problem import sampled_reference, sampling_times
+from mckibben.simulation import Feasibility, SimulationResult
+from mckibben.simulation.problem import in_order, sampled_reference, sampling_times
+from mckibben.simulation.simulate import Reached
 from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg, ms
@@ -216,12 +217,11 @@ class JointSession:
 
     def measured(self, table: Mapping[str, NDArray[np.float64]]) -> SimulationResult | None:
         """Result of the columns of a record; None if the run did not begin."""
-        text, period = self.scenario.dumps(), self.plan.period
-        if isinstance(self.reach, Feasibility):
-            amplitude = self.scenario.controller.stiffness_amplitude  # type: ignore[union-attr]
-            return measured_result(table, self.plant, self.reach, period, amplitude, scenario=text)  # type: ignore[arg-type]
-        named = {"scenario": text, "notes": self.reach}
-        return measured_robot(table, self.plant, self.start, self.plan.channels, period, **named)  # type: ignore[arg-type]
+        text, run = self.scenario.dumps(), (self.start, self.plan.channels, self.plan.period)
+        if not isinstance(self.reach, Feasibility):
+            return measured_run(table, self.plant, *run, scenario=text, notes=self.reach)
+        amplitude, plant = self.scenario.controller.stiffness_amplitude, by_laws(self.plant)  # type: ignore
+        return measured_run(table, plant, *run, reach=self.reach, stiffness_amplitude=amplitude, scenario=text)
 
 
 def prepare(
@@ -269,9 +269,12 @@ def prepare(
             raise RangeError(message, field="controller.preview", remedy=remedy)
         program = ControlProgram(controller, channels)
     with _building(source, "start"):
-        times, setpoints = _setpoints(scenario)
-        references = np.concatenate([np.stack(columns, axis=1) for columns in zip(*setpoints, strict=True)], axis=1)
-        reach = _reachable(scenario, plant, times, setpoints)
+        times = sampling_times(scenario.timing["duration"], period)
+        setpoints = in_order(plant, sampled_reference(scenario.references(), times))
+        by_joint = zip(*joints_in(setpoints), strict=True)
+        references = np.concatenate([np.stack(columns, axis=1) for columns in by_joint], axis=1)
+        reached = Reached(plant, numeric(plant), times, setpoints)
+        reach = reached.by(scenario.control()) or tuple(reached.notes())
     approach, angles = rig.approach, references[:, : len(channels.joints)]
     extremes = np.vstack([angles.min(axis=0), angles.max(axis=0), angles_of(plant, start), angles_of(plant, vented)])
     limits, ranges = _limits(rig, plant, channels, extremes)
@@ -308,31 +311,6 @@ def prepare(
         "versions": software_versions("jax", "numpy"),
     }
     return JointSession(scenario, plant, start, reach, backend, limits, plan, program, header)
-
-
-def _reachable(
-    scenario: Scenario | RobotScenario, plant: Plant, times: NDArray[np.float64], setpoints: Sequence[Setpoint]
-) -> Feasibility | tuple[Remark, ...]:
-    """Feasibility of the reference of a joint, or remarks on the setpoints that a robot does not attain."""
-    if not isinstance(scenario, Scenario):
-        return tuple(unattainable(plant, times, setpoints))
-    return check_reference(
-        plant,  # type: ignore[arg-type]
-        scenario.reference(),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        stiffness_amplitude=scenario.controller.stiffness_amplitude,
-    )
-
-
-def _setpoints(scenario: Scenario | RobotScenario) -> tuple[NDArray[np.float64], list[Setpoint]]:
-    """Start times [s] of the control periods, and the setpoints of each joint in them."""
-    if isinstance(scenario, Scenario):
-        references, duration = [scenario.reference()], scenario.duration
-    else:
-        references, duration = [scenario.references()[name] for name in scenario.joint_names], scenario.run_duration
-    times = sampling_times(duration, scenario.control_period)
-    return times, [sampled_reference(reference, times) for reference in references]
 
 
 def _limits(

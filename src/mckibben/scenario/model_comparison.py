@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.mechanism.bodies import BodyPoint
+from mckibben.mechanism.bodies import PathElement
 from mckibben.mechanism.dynamics import at_rest, motion_equations, posture_of
 from mckibben.mechanism.robot import Robot
 from mckibben.scenario.model_file import Coordinate, ModelFile
@@ -40,7 +40,7 @@ def _lengths(file: ModelFile, coordinates: Sequence[Coordinate], angles: Floats)
 
 
 def path_ranges(
-    file: ModelFile, coordinates: Sequence[Coordinate], robot: Robot, tendons: Mapping[int, tuple[BodyPoint, ...]]
+    file: ModelFile, coordinates: Sequence[Coordinate], robot: Robot, tendons: Mapping[int, tuple[PathElement, ...]]
 ) -> dict[int, tuple[float, float]]:
     """Return the shortest and longest path [m] of tendons within the ranges of the joints.
 
@@ -91,7 +91,7 @@ def differences(
     robot: Robot,
     base: int,
     coordinates: Sequence[Coordinate],
-    tendons: Mapping[int, tuple[BodyPoint, ...]],
+    tendons: Mapping[int, tuple[PathElement, ...]],
 ) -> Iterator[str]:
     """Yield the masses, forces and lengths that differ at random states; the base rests at the pose of the file."""
     rng, joints = np.random.default_rng(0), robot.joints
@@ -110,7 +110,7 @@ def differences(
             shown = ", ".join(where[:3]) + (f" and {len(where) - 3} more" if len(where) > 3 else "")
             yield f"{kind} of {shown}: different by {error.max() / scale:.2g} of the largest, {scale:.3g}"
     for number, points in tendons.items():
-        lengths = np.asarray(robot.path_through(points, list(map(jnp.asarray, angles.T)))[0])
+        lengths = np.asarray(robot.path_along(points, list(map(jnp.asarray, angles.T)))[0])
         error = np.abs(lengths - [state["lengths"][number] for state in theirs]).max()
         if error > 1e-9:
             yield f"length of {file.named('tendon', number)}: different by {error:.2g} m"

@@ -15,7 +15,7 @@ from mckibben.component.schema import component_field, declared_fields, field_ty
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted
 from mckibben.scenario.scenario import Start, StudiedScenario
-from mckibben.units import BoundedInt, Quantity, show
+from mckibben.units import HINGE, BoundedInt, JointType, Quantity, show
 
 Place = tuple[str, ...]
 """Keys from the top of a scenario to a value; of an item of a list its index."""
@@ -41,11 +41,13 @@ class _Parameters:
     spellings: dict[str, str] = field(default_factory=dict)
     parts: dict[str, object] = field(default_factory=dict)
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
+    joint_type: JointType = HINGE
 
     @classmethod
     def of(cls, scenario: StudiedScenario) -> Self:
         """Walk the fields of a scenario."""
         parameters = cls()
+        parameters.joint_type = scenario.joint_type
         for name, info in type(scenario).model_fields.items():
             parameters._add_field(info.alias or name, getattr(scenario, name), info)
         return parameters
@@ -70,7 +72,8 @@ class _Parameters:
 
     def _add(self, name: str, places: tuple[Place, ...], mark: Mark, nominal: Any, *, listed: bool = True) -> None:
         """Add a parameter; one that is not listed can be varied, too."""
-        self.numbers[name] = places, mark, nominal
+        own = mark.for_joint(self.joint_type) if isinstance(mark, Quantity) else mark
+        self.numbers[name] = places, own, nominal
         self.spellings[name] = name
         if listed:
             self.listed.append(name)

@@ -19,10 +19,11 @@ from mckibben.component.schema import ComponentField, parse_component
 from mckibben.config.document import LONGEST_TEXT, read_document
 from mckibben.config.model import read_text, validated
 from mckibben.errors import ParameterError, Problem, RangeError, ScenarioError, quoted, suggest
-from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Freedom, Joint, Place
+from mckibben.mechanism.bodies import Body, BodyPoint, Foot, Freedom, Joint, PathElement, Place
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.mechanism.muscles import PathMuscle
 from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.wrapping import TendonPulley, WrapCylinder, WrapSphere, check_path
 from mckibben.muscle import Muscle, return_spring
 from mckibben.result import Column, Listing, Remark, Result, table
 from mckibben.scenario.model_comparison import differences, is_spring, path_ranges
@@ -51,7 +52,7 @@ class ReadRobot(Result):
     robot
         Bodies, joints, springs, and the muscles of tendons if they were given.
     tendons
-        Points of each spatial tendon by its name.
+        Points, surfaces and pulleys of each spatial tendon by its name.
     paths
         Shortest and longest path [m] of each, within the ranges of the joints.
     left_out
@@ -64,7 +65,7 @@ class ReadRobot(Result):
 
     name: str
     robot: Robot
-    tendons: dict[str, tuple[BodyPoint, ...]]
+    tendons: dict[str, tuple[PathElement, ...]]
     paths: dict[str, tuple[float, float]]
     left_out: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
@@ -101,7 +102,7 @@ class ReadRobot(Result):
         }
         yield Listing("joints", columns)
         if self.tendons:
-            through = [", ".join(point.body for point in points) for points in self.tendons.values()]
+            through = [", ".join(element.label for element in path) for path in self.tendons.values()]
             shortest, longest = zip(*self.paths.values(), strict=True)
             columns = {
                 "tendon": (Column(), list(self.tendons)),
@@ -128,9 +129,10 @@ def read_mjcf(
     """Return the robot of a file of MJCF or URDF.
 
     Carried over are bodies with their inertias, hinges with range, spring, damping, armature and friction, balls as
-    three hinges, gravity, spatial tendons through sites, a base that is fixed, free, or on slides (`_BASES`), and
-    spheres (geoms) whose names begin with ``foot``. Axes are those of the world at the pose of the file. Masses,
-    forces and lengths of the robot are compared with those of the file at random states: `left_out` names what differs.
+    three hinges, gravity, spatial tendons with their sites, geoms and pulleys, a base that is fixed, free, or on slides
+    (`_BASES`), and spheres (geoms) whose names begin with ``foot``. Axes are those of the world at the pose of the
+    file. Masses, forces and lengths of the robot are compared with those of the file at random states: `left_out` names
+    what differs.
 
     Parameters
     ----------
@@ -194,7 +196,7 @@ def read_tendon_muscles(path: Path) -> Muscle | dict[str, Muscle]:
 
 def _fitted(
     file: ModelFile,
-    tendons: Mapping[int, tuple[BodyPoint, ...]],
+    tendons: Mapping[int, tuple[PathElement, ...]],
     muscles: Mapping[str, Muscle],
     paths: Mapping[int, tuple[float, float]],
 ) -> list[PathMuscle]:
@@ -220,7 +222,7 @@ def _fitted(
     return units
 
 
-def _spring(name: str, points: tuple[BodyPoint, ...], model, number: int, longest: float) -> PathMuscle:
+def _spring(name: str, points: tuple[PathElement, ...], model, number: int, longest: float) -> PathMuscle:
     """Tension spring in place of a tendon; it begins to pull where the tendon does."""
     unloaded, rate = float(model.tendon_lengthspring[number, 1]), float(np.ravel(model.tendon_stiffness[number])[0])
     free = 4 * max(longest, unloaded)  # the reference of its contraction, which stays small
@@ -507,28 +509,47 @@ class _Reader:
                 radius = float(self._model.geom_size[number, 0])
                 yield Foot(name, _place(self._data.geom_xpos[number] - origin), _rounded(radius))
 
-    def tendons(self) -> Iterator[tuple[int, tuple[BodyPoint, ...]]]:
-        """Yield number and points of each tendon that is a line through sites; note the others."""
-        model, wraps = self._model, self._file.mujoco.mjtWrap
+    def tendons(self) -> Iterator[tuple[int, tuple[PathElement, ...]]]:
+        """Yield number and path of each spatial tendon; note the others."""
+        model = self._model
         for number in range(model.ntendon):
-            parts = range(model.tendon_adr[number], model.tendon_adr[number] + model.tendon_num[number])
-            named = self._file.named("tendon", number)
-            others = {int(model.wrap_type[part]) for part in parts} - {int(wraps.mjWRAP_SITE)}
-            if others:
-                what = ", ".join(sorted(wraps(kind).name.removeprefix("mjWRAP_").lower() for kind in others))
-                self.left_out.append(f"{named}: it has a {what}")
-                continue
-            sites = [int(model.wrap_objid[part]) for part in parts]
-            carriers = [int(model.body_weldid[model.site_bodyid[site]]) for site in sites]
-            if not self._origins.keys() >= set(carriers):
-                self.left_out.append(f"{named}: it is tied to a body that is left out")
-                continue
-            if len(set(carriers)) < 2:
-                self.left_out.append(f"{named}: all its points are on one body")
-                continue
-            carriers = [self._origins[carrier] for carrier in carriers]
-            places = [_place(self._data.site_xpos[s] - at) for s, (_, at) in zip(sites, carriers, strict=True)]
-            yield number, tuple(BodyPoint(body, place) for (body, _), place in zip(carriers, places, strict=True))
+            named, first = self._file.named("tendon", number), int(model.tendon_adr[number])
+            try:
+                path = tuple(self._path_element(part) for part in range(first, first + int(model.tendon_num[number])))
+                check_path(named, path)
+            except RangeError as error:
+                self.left_out.append(f"{named}: {error.message.removeprefix(f'{named}: ')}")
+            else:
+                yield number, path
+
+    def _path_element(self, part: int) -> PathElement:
+        """Return a part of a path; `RangeError` if we do not have it."""
+        model, data, kinds = self._model, self._data, self._file.mujoco.mjtWrap
+        kind, number, parameter = model.wrap_type[part], int(model.wrap_objid[part]), float(model.wrap_prm[part])
+        if kind == kinds.mjWRAP_JOINT:
+            raise RangeError("it has a joint", field="tendon")
+        if kind == kinds.mjWRAP_PULLEY:
+            return TendonPulley(_rounded(parameter))
+        if kind == kinds.mjWRAP_SITE:
+            body, origin = self._carrier(model.site_bodyid[number])
+            return BodyPoint(body, _place(data.site_xpos[number] - origin))
+        body, origin = self._carrier(model.geom_bodyid[number])
+        side = None
+        if parameter >= 0:
+            if self._carrier(model.site_bodyid[int(parameter)])[0] != body:
+                raise RangeError(f"the side of its surface on {body} is on another body", field="tendon")
+            side = _place(data.site_xpos[int(parameter)] - origin)
+        surface = _rounded(model.geom_size[number, 0]), _place(data.geom_xpos[number] - origin), side
+        if kind == kinds.mjWRAP_SPHERE:
+            return WrapSphere(body, *surface)
+        return WrapCylinder(body, *surface, tuple(map(_rounded, data.geom_xmat[number][2::3])))
+
+    def _carrier(self, body: int) -> tuple[str, Floats]:
+        """Return the name of a body and the place of its origin; `RangeError` for one that is left out."""
+        carrier = int(self._model.body_weldid[body])
+        if carrier not in self._origins:
+            raise RangeError("it is tied to a body that is left out", field="tendon")
+        return self._origins[carrier]
 
     def _note_rest(self) -> None:
         """Note elements that act on neither the masses nor the passive forces."""

@@ -173,7 +173,7 @@ def with_control(scenario: RobotScenario, angles: tuple[float, ...], folder: Pat
 def extent(lines: Outline) -> tuple[np.ndarray, float]:
     """Middle and size [m] of an outline."""
     points = np.concatenate([*lines.bodies, *lines.muscles.values()])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     return (low + high) / 2, float(np.max(high - low)) or 1.0
 
 
@@ -304,7 +304,8 @@ class _Page:
                 self.tube(start, end, 0.015, "#aab4bd")
             for name, points in posed.lines.muscles.items():
                 for start, end in itertools.pairwise(points):
-                    self.tube(start, end, 0.01, shades[name])
+                    if not np.isnan([start, end]).any():
+                        self.tube(start, end, 0.01, shades[name])
             if shape is not None:
                 self.ellipsoid(shape)
         self.force.text = "" if shape is None else f"Ellipsoid: displacement under {shape.force:g} N."

@@ -47,7 +47,7 @@ def test_unpaced_and_ideal_it_is_the_simulation(scenario, tmp_path):
     assert ran.outcome.completed and ran.outcome.vented_after < 0.2
     for name in ("angle", "pressure", "command", "stiffness", "desired_angle", "force", "stiffness_estimate"):
         np.testing.assert_allclose(ran.result[name], simulated[name], rtol=1e-7, atol=1e-9, err_msg=name)
-    unknown = {"coupling"}  # a rig has no second run without the last step
+    unknown = {"coupling", "air"}  # a rig has no second run without the last step; noise
     for name, value in simulated.metrics.items():
         assert name not in unknown or np.isnan(ran.result.metrics[name]).all()
         if name in unknown:

@@ -28,7 +28,10 @@ def usual_variation(scenario: StudiedScenario) -> tuple[tuple[str, ...], tuple[s
             masses.append(parameter)
         if parameter.part == "robot" and parameter.name.endswith(".strength"):
             names.append(parameter.name)
-    names = names or [f"joint.muscle{number}.strength" for number in (1, 2)]
+    if not names:
+        muscles = scenario.joint.muscles  # type: ignore[attr-defined]  # of no robot
+        pulling = [number for number, muscle in enumerate(muscles, 1) if muscle.law.pulls]
+        names = [f"joint.muscle{number}.strength" for number in pulling]
     strengths = tuple(f"{name}=+-10 %" for name in names)
     return strengths, tuple(f"{mass.name}=+-20 %" for mass in masses)
 

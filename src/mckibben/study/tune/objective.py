@@ -99,7 +99,7 @@ class TuningProblem:
             swept = sweep_parameters(scenarios[0], over)
         elif all(isinstance(text, str) for text in swept):
             swept = parse_ranges(swept, scenarios[0])
-        cost = cost if isinstance(cost, Cost) else parse_cost(cost)
+        cost = cost if isinstance(cost, Cost) else parse_cost(cost, scenarios[0].joint_type)
         names = [tuned.name for tuned in swept]
         drawn = {name: np.asarray(column) for name, column in (conditions or {}).items()}
         if both := [name for name in names if name in drawn]:
