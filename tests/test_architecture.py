@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3460,
     "statics": 570,
     "storage": 600,
-    "study": 3940,
+    "study": 3950,
     "web": 3050,
 }
 
