@@ -91,7 +91,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 992,
+    "top": 1040,
     "actuator": 1060,
     "calibration": 1770,
     "catalog": 230,
@@ -105,23 +105,23 @@ BUDGET = {
     "experiment_design": 720,
     "export": 2570,
     "identification": 3760,
-    "joint": 1360,
+    "joint": 1380,
     "robot": 80,
-    "mechanism": 2020,
+    "mechanism": 2030,
     "muscle": 1610,
     "numerics": 810,
     "paper": 1180,
     "plant": 770,
     "reachability": 1150,
-    "report": 2040,
+    "report": 2050,
     "rig": 4940,
     "scenario": 2250,
     "serial_protocol": 180,
-    "simulation": 3460,
+    "simulation": 3490,
     "statics": 570,
     "storage": 600,
-    "study": 3950,
-    "web": 3050,
+    "study": 3990,
+    "web": 3070,
 }
 
 MOST_ANY = 700  # uses of `Any`

@@ -42,7 +42,7 @@ def test_a_mass_between_spring_and_linear_muscle_oscillates_in_closed_form(incli
 
 
 def test_a_muscle_that_lifts_a_weight_moves_as_by_scipy():
-    joint = mk.AntagonisticJoint(Slide(1.0, 165 * mm), no_muscle(), REAL)
+    joint = mk.AntagonisticJoint(Slide(rest_length2=165 * mm), no_muscle(), REAL)
     run = released(joint, SlidingMass(5 * kg, 200.0, 90 * deg), 4 * bar, 0.0)
 
     tension_at = jax.jit(lambda position: REAL.tension((15 * mm + position) / (180 * mm), 4 * bar))
@@ -66,10 +66,10 @@ joint:
 load: {class: sliding_mass, mass: 2 kg, damping: 100 N*s/m}
 valve: {time_constant: 20 ms}
 sensors: {encoder: 0.01 mm, pressure_noise: 0 kPa}
-friction: {torque: 2 N, presliding: 0.1 mm}
+friction: {force: 2 N, presliding: 0.1 mm}
 controller: {position: {kp: 0.06 bar/mm, ki: 2.5 bar/(mm*s), kd: 0.002 bar*s/mm}}
-reference: {angle: {class: sine, amplitude: 4 mm, frequency: 0.5 Hz, phase: 90 deg}}
-start: {angle: 4 mm}
+reference: {position: {class: sine, amplitude: 4 mm, frequency: 0.5 Hz, phase: 90 deg}}
+start: {position: 4 mm}
 duration: 1 s
 control_period: 1 ms
 """
@@ -82,14 +82,21 @@ def test_a_file_has_the_units_of_a_slide():
     assert (axis.sensors.encoder, axis.friction.torque, axis.friction.presliding) == (1e-5, 2.0, 1e-4)
     assert mk.Scenario.parse(axis.dumps()) == axis
     assert axis.replace(start={"angle": "3 mm"}).start.angle == 3 * mm
-    for written in ("amplitude: 4 mm", "kp: 0.06 bar/mm", "torque: 2 N", "encoder: 0.01 mm"):
-        assert written in axis.dumps()
+    for text in (
+        "amplitude: 4 mm",
+        "kp: 0.06 bar/mm",
+        "force: 2 N",
+        "position: 4 mm",
+        "position: {class: sine",
+        "encoder: 0.01 mm",
+    ):
+        assert text in axis.dumps()
 
 
 @pytest.mark.parametrize(
     ("old", "new", "field"),
     [
-        ("amplitude: 4 mm", "amplitude: 4 deg", "reference.angle.amplitude"),
+        ("amplitude: 4 mm", "amplitude: 4 deg", "reference.position.amplitude"),
         ("{class: sliding_mass, mass: 2 kg, damping: 100 N*s/m}", "{class: pendulum, mass: 2 kg, length: 1 m}", "load"),
         ("reference: {", "reference: {stiffness: 10 N/mm, ", "reference.stiffness"),
         ("start: {", "start: {stiffness: 10 N/mm, ", "start.stiffness"),
@@ -110,3 +117,9 @@ def test_a_load_that_turns_is_refused_on_a_slide():
     with pytest.raises(RangeError) as error:
         mk.JointPlant(joint, mk.PendulumLoad(1.0, 0.3), mk.IdealValve())
     assert error.value.field == "load"
+
+
+def test_only_a_muscle_that_is_not_there_needs_no_length():
+    with pytest.raises(RangeError) as error:
+        mk.AntagonisticJoint(Slide(rest_length2=165 * mm), SPRING, REAL)
+    assert error.value.field == "geometry.rest_length1"

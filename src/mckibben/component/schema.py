@@ -53,7 +53,7 @@ from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, read_text, validated
 from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
-from mckibben.units import SYMBOLS, BoundedInt, Quantity
+from mckibben.units import HINGE, SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
 
@@ -489,7 +489,8 @@ def write(component: object, field: ComponentField | None = None, *, context: Ma
             values[name] = plain(value)
     explicit_none = [name for name, value in values.items() if value is None]
     for alias, (first, *others) in getattr(kind, "aliases", {}).items():
-        if first in values and all(same(values.get(other), values[first]) for other in others):
+        own = others or context.get("joint_type", HINGE).words(first) == alias  # one field has another name on a slide
+        if own and first in values and all(same(values.get(other), values[first]) for other in others):
             values[alias] = values.pop(first)
             values = {name: value for name, value in values.items() if name not in others}
     model = section_of(kind, field.units)

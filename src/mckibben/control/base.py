@@ -41,6 +41,8 @@ class Reference(Component):
     Each is a signal, another function of time by `jax.numpy`, or a plain number, which is a constant.
     """
 
+    aliases: ClassVar = {"position": ("angle",)}
+
     angle: Annotated[Signal | Any, Units(signal=Angle)] = eqx.field(converter=as_signal)
     stiffness: Annotated[Signal | Any, Units(signal=Stiffness)] = eqx.field(converter=as_signal, default=None)
 

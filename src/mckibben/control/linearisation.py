@@ -76,6 +76,7 @@ class LinearisingControl(StatePrediction[LinearisedState]):
     lead: int = eqx.field(kw_only=True, static=True, default=0)  # control periods within the delay
 
     def with_period(self, period: float) -> Self:
+        self.feedback.check_period(period)
         prepared = super().with_period(period)
         if self.preview is None:
             return prepared

@@ -42,6 +42,9 @@ class Geometry(Component):
         """Range of angles [rad] for which the geometry is defined."""
         return -math.inf, math.inf
 
+    def check_muscles(self, muscles: tuple[Muscle, Muscle]) -> None:
+        """Raise `RangeError` for muscles that it lacks the length of."""
+
     def span(self, muscles: tuple[Muscle, Muscle]) -> tuple[float, float]:
         """Return the angles [rad] between which muscles may hold a load, in whole degrees."""
         return -80 * deg, 80 * deg

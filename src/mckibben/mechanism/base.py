@@ -92,6 +92,15 @@ class Mechanism(abc.ABC):
         """Return the numbers of a position: the angles [rad] of all joints, then those of a base [m], [rad]."""
         return self.by_joint(position)
 
+    def routes_over(self, position: PyTree, joint: int) -> Callable[[ArrayLike], Sequence[Route]]:
+        """Return the routes as a function of the angle [rad] of one joint, by its number; the others are held."""
+        held = self.by_joint(position)
+
+        def routes(angle: ArrayLike) -> Sequence[Route]:
+            return self.routes(self.like_joints((*held[:joint], angle, *held[joint + 1 :]), position))
+
+        return routes
+
     @abc.abstractmethod
     def routes(self, position: PyTree) -> Sequence[Route]:
         """Return all muscles with their paths in a position."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -55,6 +55,8 @@ class JointFriction(Component):
     >>> [round(float(friction.resisting_torque(state, angle * deg)), 3) for angle in (10, 9, 0)]
     [0.3, -0.072, -0.3]
     """
+
+    aliases: ClassVar = {"force": ("torque",)}
 
     torque: FrictionTorque
     presliding: PreslidingAngle = 0.5 * jnp.pi / 180

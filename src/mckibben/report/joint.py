@@ -32,7 +32,7 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, StiffnessTests
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, MotionTests, StiffnessTests
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
@@ -352,7 +352,7 @@ def felt_stiffness(result: FeltStiffness) -> Figure:
 
 @styled
 def stiffness(tests: StiffnessTests) -> Figure:
-    """Stiffness [N*m/rad] over the amplitude of a motion [deg].
+    """Stiffness [N*m/rad] over the amplitude of a motion [deg], in a row for each joint.
 
     First panel: at constant pressures and with closed valves, by the closed forms (lines), simulated at the lowest and
     the highest rate (circles and crosses), and without friction (dashed). Further panels: tests that depend on the rate
@@ -364,43 +364,63 @@ def stiffness(tests: StiffnessTests) -> Figure:
     tests
         Result of `mckibben.study.stiffness.stiffness_tests`.
     """
-    varied = [name for name in tests.tests if name not in (HELD, CLOSED)]
-    figure = blank(DOUBLE, 2.9)
-    first, *others = figure.subplots(1, 1 + len(varied))
-    forms = ((HELD, tests.secant, tests.isobaric, BLUE), (CLOSED, tests.closed_secant, tests.closed_valve, VERMILLION))
-    amplitudes = tests.amplitude / deg
+    names = list(next(iter(tests.motions.values())).tests)
+    varied = [name for name in names if name not in (HELD, CLOSED)]
+    count = len(tests.motions)
+    figure = blank(DOUBLE, 2.3 * count + 0.6)
+    grid = figure.subplots(count, 1 + len(varied), squeeze=False)
+    for row, (joint, motion) in enumerate(tests.motions.items()):
+        _over_amplitude(grid[row, 0], motion)
+        _over_rates(list(grid[row, 1:]), motion, varied)
+        titles = "constant pressures, closed valves", *(SHOWN[name] for name in varied)
+        for i, (axes, title) in enumerate(zip(grid[row], titles, strict=True)):
+            letter(axes, row * len(titles) + i, f"{joint}: {title}" if joint else title)
+            axes.set_xscale("log")
+            plain_numbers(axes.xaxis)
+    for axes in grid[-1]:
+        axes.set_xlabel("amplitude [deg]")
+    legend_above(figure, grid[0, 0], grid[0, -1], columns=4)
+    return figure
+
+
+def _over_amplitude(axes: Axes, motion: MotionTests) -> None:
+    """Draw the tests that do not depend on the rate [N*m/rad] over the amplitude [deg]."""
+    forms = (
+        (HELD, motion.secant, motion.isobaric, BLUE),
+        (CLOSED, motion.closed_secant, motion.closed_valve, VERMILLION),
+    )
+    amplitudes = motion.amplitude / deg
     for name, secant, slope, color in forms:
-        first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
+        axes.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
         label = f"{SHOWN[name]}, without friction"
-        first.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
-        test = tests.tests[name]
+        axes.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
+        test = motion.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
             look: Look = {"color": color, "linestyle": "", "marker": marker}
             look |= {"markersize": size, "fillstyle": "none"}
-            first.plot(amplitudes, test.stiffness[row], label=label, **look)
-        for axes in others:
+            axes.plot(amplitudes, test.stiffness[row], label=label, **look)
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel(_STIFFNESS)
+
+
+def _over_rates(panels: Sequence[Axes], motion: MotionTests, names: Sequence[str]) -> None:
+    """Draw tests [N*m/rad] over the amplitude [deg], one curve per rate; the controller's on a logarithmic axis."""
+    amplitudes, shades = motion.amplitude / deg, pressure_colours()
+    for axes, name in zip(panels, names, strict=True):
+        for secant, color in ((motion.secant, BLUE), (motion.closed_secant, VERMILLION)):
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
-    letter(first, 0, "constant pressures, closed valves")
-    shades = pressure_colours()
-    for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
-        test = tests.tests[name]
+        test = motion.tests[name]
         values = test.magnitude if name == CONTROLLED else test.stiffness
         for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
             color = shades(k / max(len(test.frequency) - 1, 1))
             axes.plot(amplitudes, row, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
-        letter(axes, i + 1, SHOWN[name])
-    for axes in (first, *others):
-        axes.set(xscale="log", xlabel="amplitude [deg]")
-        plain_numbers(axes.xaxis)
-        axes.set_ylim(bottom=0.0)
-    others[-1].set_ylim(auto=True)
-    others[-1].set_yscale("log")
-    plain_numbers(others[-1].yaxis)
-    first.set_ylabel(_STIFFNESS)
-    others[-1].set_ylabel("magnitude [N·m/rad]")
-    legend_above(figure, first, others[-1], columns=4)
-    return figure
+        if name == CONTROLLED:
+            axes.set_yscale("log")
+            plain_numbers(axes.yaxis)
+            axes.set_ylabel("magnitude [N·m/rad]")
+        else:
+            axes.set_ylim(bottom=0.0)
 
 
 def _box(axes: Axes, angles: Sequence[float], stiffness: Sequence[float], label: str) -> None:

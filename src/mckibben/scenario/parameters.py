@@ -84,7 +84,7 @@ class _Parameters:
         shared: set[str] = set()
         for alias, keys in type(part.component).aliases.items():
             first, *others = (getattr(part.component, key) for key in keys)
-            if all(other == first for other in others):
+            if others and all(other == first for other in others):
                 shared.update(keys)
                 self._add_part(_Part(first, part.units, f"{part.name}.{alias}", part.within(*keys), part.listed))
         for key, form in field_types(type(part.component), part.units).items():

@@ -360,9 +360,11 @@ class RobotScenario(StudiedScenario):
         """Return angles [rad] and stiffness [N*m/rad] of the joints at the start."""
         first = {name: reference(0.0) for name, reference in self.references().items()}
         given = {} if isinstance(self.reference, PointReference) else self.start.angles
-        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | given
+        angles = {name: float(setpoint.angle) for name, setpoint in first.items() if name not in given}
+        free = [joint.name for joint in self.robot.joints if joint.locked is None]
+        self.robot.check_angles({name: angle for name, angle in angles.items() if name in free}, "reference")
         stiffness = [float(first[name].stiffness) for name in self.joint_names]
-        return self.robot.posture_angles(wanted), stiffness
+        return self.robot.posture_angles(angles | given), stiffness
 
     def _start(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.

@@ -18,6 +18,7 @@ from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     Field,
     SerializationInfo,
     ValidationInfo,
@@ -339,7 +340,7 @@ class StudiedScenario(RunSettings):
 class Start(ConfigModel):
     """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (default: the middle of the attainable range)."""
 
-    angle: Angle = 0.0
+    angle: Angle = Field(default=0.0, validation_alias=AliasChoices("angle", "position"))
     stiffness: Stiffness | None = None
 
 
@@ -446,6 +447,8 @@ class Scenario(StudiedScenario):
         if info.context is not None:
             info.context["joint_type"] = self.joint.joint_type
         written = _with_steps_once(handler(self))
+        if isinstance(written.get("start"), dict):
+            written["start"] = {self.joint_type.words(key): value for key, value in written["start"].items()}
         usual = {"sensors": write(PerfectSensors(), ComponentField(Sensors)), "disturbance": "none"}
         return {key: value for key, value in written.items() if usual.get(key) != value}
 
@@ -538,4 +541,12 @@ def errors_of(scenario: StudiedScenario, source: str) -> Iterator[None]:
     except McKibbenError as error:
         own = getattr(error, "field", "") or ""
         field = own if own.partition(".")[0] in type(scenario).model_fields else "start"  # all else has been checked
-        raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
+        problem = Problem.of(error, _line_of(source, field), field)
+        raise ScenarioError(source or scenario.name, [problem]) from error
+
+
+def _line_of(source: str, field: str) -> int | None:
+    """Line of a field in a file; None without a file or the field."""
+    if not Path(source).is_file():
+        return None
+    return read_document(Path(source).read_text(encoding="utf-8")).line(tuple(field.split(".")))
