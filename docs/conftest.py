@@ -6,6 +6,7 @@ import pytest
 
 SLOW = {
     "batches.md",
+    "control.md",
     "export-simulators.md",
     "extending.md",
     "laws.md",

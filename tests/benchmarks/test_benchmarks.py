@@ -12,6 +12,7 @@ import pytest
 
 from mckibben.numerics.compiled import numeric
 from mckibben.simulation.loop import compiled_episode
+from mckibben.units import deg
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -111,3 +112,16 @@ def test_the_arm_of_the_benchmark_is_that_of_soromox(bench, tmp_path):
     theirs, ours = importlib.import_module("umarm").umarm(tmp_path, quick=True).rows
     assert theirs.seconds and ours.seconds
     assert ours.deviation < 1e-12
+
+
+@pytest.mark.slow
+def test_the_arm_of_the_documentation_follows_in_a_foreign_plant(monkeypatch, tmp_path):
+    """Its exported C, with friction, mass, payload, delay, strength and noise that are not those of the file."""
+    pytest.importorskip("mujoco")
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    arm = importlib.import_module("foreign_arm")
+    errors = arm.errors_of(arm.CASES, tmp_path)
+    assert len(errors) == 8
+    assert max(found.max() for found in errors.values()) < 0.3 * deg
+    unlike = np.array([errors["as in the file"], errors["all at once"]])
+    assert (unlike[1, 1:] > 1.1 * unlike[0, 1:]).all()  # the cases reach the plant

@@ -255,6 +255,7 @@ def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
             runs.scenario(name, int(other)).check_start()
     result = compare(again.model_copy(update={"evaluation": EvaluationSettings(runs=8)}))
     assert result.metric("scenario", "angle_rmse").shape == (result.started.sum(),) and set(result.margins)
+    assert set(result.changed) == set(result.batches) and "payload +50 %" in result.changed["PID"].changes
     with pytest.raises(ScenarioError) as caught:
         RobotSuite.parse(suite.dumps().replace("kp: ", "kpp: ", 1))
     assert caught.value.problems[0].field.startswith("controllers.PID.controllers.knee.position")

@@ -217,7 +217,11 @@ def test_where_no_gains_have_the_margin_the_best_are_returned_with_what_limits_t
     assert tuned.least_disk == pytest.approx(extremes_of(tuned.scenarios[0]), rel=0.1) and tuned.least_disk < 0.5
     assert all(word in tuned.limit for word in (" s in the loop of the angle at ", "Hz", "joint.muscle1.strength"))
     assert tuned.cost < UNSTABLE_COST and not tuned.keeps_margin
-    assert any(name in tuned.change for name in extremes(uncertainty(LIGHT)))
+    assert any(name in tuned.change for name in (*extremes(uncertainty(LIGHT)), "valve.time_constant"))
+    assert float(tuned.change.split()[-1]) > tuned.least_disk
+    problem = TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, {name: RANGES[name]}), Cost(TERMS))
+    slow = replace(problem, scenarios=(with_values(LIGHT, {"valve.time_constant": 0.2}),))
+    assert "valve.time_constant 100 ms" in slow.change_needed(np.array([1 * bar]))
 
 
 @pytest.mark.slow

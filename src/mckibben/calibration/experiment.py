@@ -28,7 +28,7 @@ from mckibben.control import Multisine, OpenLoopControl, Reference, Sine, Sum
 from mckibben.dataset import Recipe
 from mckibben.dataset.reading import read_signals
 from mckibben.errors import ParameterError, StoppedError
-from mckibben.joint import AntagonisticJoint, Load, Measurement, ScaledArms
+from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.attainable import stiffness_range
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import MaxwellCreep

@@ -102,11 +102,16 @@ class CompareResult(Result):
     def verdict(self) -> str:
         """Return the controller of the least median cost, and its angle error against that of the first."""
         best, first = self.order[0], next(iter(self.batches))
-        ratio = ratio_of_errors([self], best, [self]).ratio
         runs = f"{len(self.batches)} controllers on {self.runs.count} runs"
         if not self.usable(best):
             return f"{runs}: none has a disk margin of {LEAST_DISK_MARGIN:g}, so that none is to be used"
-        return f"{runs}: {best} is best, with {ratio:.3g} x the angle RMSE of {first}"
+        if best == first:
+            others = "".join(f"; {name} has {self._ratio(name):.3g} x its angle RMSE" for name in self.order[1:2])
+            return f"{runs}: {best} is best{others}"
+        return f"{runs}: {best} is best, with {self._ratio(best):.3g} x the angle RMSE of {first}"
+
+    def _ratio(self, controller: str) -> float:
+        return ratio_of_errors([self], controller, [self]).ratio
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on margins, severe for the best controller, missing starts, narrow ranges, and too much air."""

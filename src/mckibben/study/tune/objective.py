@@ -20,6 +20,7 @@ from mckibben.scenario import (
     batched,
     find_parameters,
     followed_names,
+    list_parameters,
     valid_rows,
     with_values,
 )
@@ -214,20 +215,25 @@ class TuningProblem:
         return float(margins[place][draw]), f"{limit} of {scenario.name}, with {plant}"
 
     def change_needed(self, values: Vector) -> str:
-        """Return which of the drawn parameters has to be nominal, at values [SI], for the largest disk margin."""
+        """Return the change of the worst plant that gives values [SI] the largest disk margin, as text.
+
+        One of the drawn parameters is nominal, or the valves have half of their lag or delay.
+        """
         margins = [self._disk_margins(i, values[None])[:, 0] for i in range(len(self.scenarios))]
         place = int(np.argmin([column.min() for column in margins]))
         scenario, draw = self.scenarios[place], int(np.argmin(margins[place]))
-        draws = {name: column[draw] for name, column in self._draws[place].items()}
-        parameters = find_parameters(scenario, draws)
-        worst = {name: np.full(len(draws), value) for name, value in draws.items()}
-        for number, parameter in enumerate(parameters):
-            worst[parameter.name][number] = parameter.nominal or 0.0
+        drawn = {name: column[draw].item() for name, column in self._draws[place].items()}
+        times = [p for p in list_parameters(scenario) if p.part == "valve" and p.unit == "s" and p.nominal]
+        lags = {p.name: float(p.nominal or 0.0) for p in times if p.name not in {*drawn, *self.space.names}}
+        parameters = find_parameters(scenario, [*drawn, *lags])
+        changes = [lags[p.name] / 2 if p.name in lags else p.nominal or 0.0 for p in parameters]
+        worst = {name: np.full(len(changes), value) for name, value in (drawn | lags).items()}
+        for number, (parameter, change) in enumerate(zip(parameters, changes, strict=True)):
+            worst[parameter.name][number] = change
         good, many = self._batch(scenario, values[None], worst)
         after = np.where(good, np.nan_to_num(many.disk_margins(4), nan=-np.inf), -np.inf)
-        best = parameters[int(np.argmax(after))]
-        shown = best.show(best.nominal or 0.0)
-        return f"with {best.name} {shown} in this plant, it would be {max(float(after.max()), 0.0):.2g}"
+        best, change = parameters[int(np.argmax(after))], changes[int(np.argmax(after))]
+        return f"with {best.name} {best.show(change)} in this plant, it would be {max(float(after.max()), 0.0):.2g}"
 
     def _with_margin(self, values: Vector) -> Vector:
         """Rows of values, then the rows with gains larger by the gain margin, inside the ranges of their fields."""

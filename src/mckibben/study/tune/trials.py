@@ -70,7 +70,7 @@ class Trials:
         missing = np.array(list(new))
         for start in range(0, len(missing), self._batch):
             some = missing[start : start + self._batch]
-            trials = self._compute(self._padded(self._space.values(some))).trials(some)
+            trials = self._compute(filled(self._space.values(some), self._batch)).trials(some)
             numbered = enumerate(trials, start=len(self._by_point))
             self._job.add({number: json.dumps(trial._asdict()).encode() for number, trial in numbered})
             self._by_point |= {trial.point: trial for trial in trials}
@@ -80,9 +80,14 @@ class Trials:
         """Return the costs at points."""
         return np.array([trial.cost for trial in self.at(points)])
 
-    def _padded(self, rows: Vector) -> Vector:
-        """Rows padded with the last one, for one compiled program."""
-        return np.concatenate([rows, np.repeat(rows[-1:], self._batch - len(rows), axis=0)])
+
+def filled(rows: Vector, count: int) -> Vector:
+    """Return rows, filled up with the last one to a number for which there is a compiled program.
+
+    >>> filled(np.array([[1.0], [2.0]]), 4).ravel().tolist()
+    [1.0, 2.0, 2.0, 2.0]
+    """
+    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
 
 
 def first_runs(

@@ -26,7 +26,7 @@ from mckibben.study.tune.cost import Cost, parse_cost
 from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
 from mckibben.study.tune.result import TuneResult
 from mckibben.study.tune.search import SEARCHES, Search, Vector, by_cma
-from mckibben.study.tune.trials import Trial, Trials
+from mckibben.study.tune.trials import Trial, Trials, filled
 
 FORMAT = "mckibben tuning"
 COST: Mapping[str, Any] = {
@@ -154,7 +154,7 @@ def tune(
         first = problem.space.point(problem.space.nominal)
         trials.costs(first[None])  # compiles the programs
         begun_at = time.monotonic()
-        problem.evaluate(np.repeat(problem.space.nominal[None], batch, axis=0))
+        problem.evaluate(filled(problem.space.nominal[None], batch))
         seconds = timedelta(seconds=round(iterations * (time.monotonic() - begun_at)))
         report(f"searching {iterations} x {batch} points, about {seconds}", 0.0)
         search(trials.costs, first, population=population, generations=iterations, seed=seed, progress=step)
@@ -185,9 +185,9 @@ def _result(asked: TuningProblem, problem: TuningProblem, trials: Trials, batch:
     """Return the best trial, with values of six digits unless that raises the cost by 0.1 %, or above the first one."""
     space = problem.space
 
-    def cost_of(values: Vector) -> float:
-        same = np.repeat(values[None], batch, axis=0)  # as many as in the search: one program
-        return float(problem.run_costs(same)[0])
+    def costs_of(*rows: Vector) -> list[float]:
+        some = [np.stack(rows[start : start + batch]) for start in range(0, len(rows), batch)]
+        return np.concatenate([problem.run_costs(filled(own, batch))[: len(own)] for own in some]).tolist()
 
     if trials.best.cost >= FAILED_COST:
         raise ParameterError(
@@ -196,9 +196,9 @@ def _result(asked: TuningProblem, problem: TuningProblem, trials: Trials, batch:
             remedy="search other ranges, by another method or with another cost",
         )
     best, margin, limit = _with_margin(problem, trials, batch)
-    values, before = space.values(np.array([best.point]))[0], cost_of(space.nominal)
-    rounded, cost = space.rounded(values), cost_of(values)
-    after = cost_of(rounded)
+    values = space.values(np.array([best.point]))[0]
+    rounded = space.rounded(values)
+    before, cost, after = costs_of(space.nominal, values, rounded)
     if after <= min(1.001 * cost, max(before, cost) if before > cost * (1 - 1e-9) else np.inf):
         values, cost = rounded, after
     named = dict(zip(space.names, values.tolist(), strict=True))
