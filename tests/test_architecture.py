@@ -111,7 +111,7 @@ BUDGET = {
     "muscle": 1590,
     "numerics": 810,
     "paper": 1180,
-    "plant": 780,
+    "plant": 770,
     "reachability": 1140,
     "report": 1990,
     "rig": 4940,

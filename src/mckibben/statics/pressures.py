@@ -175,9 +175,9 @@ def held_joint_stiffness(setting: HeldPosture, stiffness: Sequence[float | None]
     for _, number in rows:
         check_positive("stiffness", "N*m/rad", stiffness=number)
     offset, slopes = setting.stiffness()
-    places, wanted = [place for place, _ in rows], np.array([number for _, number in rows], float)
-    factors = slopes[places, places] / wanted[:, None]
-    return _solved(setting, factors, 1 - offset[places, places] / wanted)
+    places, desired = [place for place, _ in rows], np.array([number for _, number in rows], float)
+    factors = slopes[places, places] / desired[:, None]
+    return _solved(setting, factors, 1 - offset[places, places] / desired)
 
 
 def _solved(
