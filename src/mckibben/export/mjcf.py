@@ -348,11 +348,8 @@ def _joint(plant: JointPlant, start: PyTree) -> Assembly:
     assembly = Assembly(plant, start, [base, limb], [hinge], [0])
     assembly.add_pair(lambda plant: plant.joint, ("muscle1", "muscle2"), 0, 0)
     assembly.left_out += [*_presliding([hinge]), *point.assumed]
-    assembly.gravity, assembly.position, assembly.velocity = (
-        -Z.scaled(gravity_of(plant.load)),
-        [start.angle],
-        [start.velocity],
-    )
+    assembly.gravity = -Z.scaled(gravity_of(plant.load))
+    assembly.position, assembly.velocity = [start.angle], [start.velocity]
     return assembly
 
 
