@@ -100,7 +100,7 @@ BUDGET = {
     "component": 1030,
     "config": 570,
     "contract": 660,
-    "control": 2650,
+    "control": 2630,
     "dataset": 4050,
     "experiment_design": 720,
     "export": 2580,

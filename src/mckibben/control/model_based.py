@@ -379,7 +379,7 @@ class StatePrediction(DiscreteTimeSystem[State]):
         air: Sequence[AirVolume | None] = (None,) * len(muscles)
         if valve.holds_air:
             dead = [muscle.attached_volume for muscle in valves]
-            air = air_volumes(self.mechanics.routes(at.angles), at.rates, at.pressures, dead_volumes=dead)
+            air = air_volumes(self.mechanics.routes_at(at.angles), at.rates, at.pressures, dead_volumes=dead)
         ranges = [actuator.command_range(muscle.domain) for actuator, muscle in zip(valves, muscles, strict=True)]
         commands = tuple(tuple(map(floating, limits)) for limits in zip(*ranges, strict=True))
         return Valves(valve, at.pressures, at.actuators, air, commands)
@@ -399,7 +399,7 @@ class StatePrediction(DiscreteTimeSystem[State]):
             return SlipStates()
         joints = zip(self.mechanics.frictions, angles, strict=True)
         return SlipStates(
-            tuple(state._replace(creep=()) for state in init_states(self.mechanics.routes(angles), pressures)),
+            tuple(state._replace(creep=()) for state in init_states(self.mechanics.routes_at(angles), pressures)),
             tuple(() if friction is None else friction.initial(angle) for friction, angle in joints),
         )
 
@@ -408,7 +408,7 @@ class StatePrediction(DiscreteTimeSystem[State]):
         torques: list[Any] = [jnp.zeros_like(angle) for angle in angles]
         if not self.friction_compensation:
             return slips, tuple(torques)
-        routes, joints = self.mechanics.routes(angles), []
+        routes, joints = self.mechanics.routes_at(angles), []
         for route, pressure, state in zip(routes, pressures, slips.muscles, strict=True):
             if state.friction:
                 force = route.forces(pressure, state, None)[0] - route.tension(pressure)

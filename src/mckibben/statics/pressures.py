@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -29,9 +29,6 @@ from mckibben.mechanism.robot import Robot
 from mckibben.result import Column, Result, TableColumns, column
 from mckibben.statics.posture import EXACT, HeldPosture, check_affine
 from mckibben.units import bar, deg
-
-if TYPE_CHECKING:
-    pass
 
 _STARTS, _MARGIN = 8, 0.1
 """Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
