@@ -7,6 +7,7 @@ file are held at 0 deg by computed torque.
 """
 
 import argparse
+import re
 import subprocess
 import sys
 import tempfile
@@ -32,7 +33,7 @@ LONGEST = 400
 def held(text, folder, **stiffness):
     """The scenario of a robot that is held at 0 deg, each joint with its stiffness [N*m/rad]."""
     joints = ", ".join(f"{name}: {{angle: 0 deg, stiffness: {value} N*m/rad}}" for name, value in stiffness.items())
-    text = text.replace(VALVE, "") + VALVE + HOLDING + f"reference: {{{joints}}}\n"
+    text = re.sub("^valve:.*\n", "", text, flags=re.MULTILINE) + VALVE + HOLDING + f"reference: {{{joints}}}\n"
     return mk.Scenario.parse(text, folder=folder)
 
 
@@ -72,7 +73,7 @@ COMMANDS = {
     "tune": ["tune", "--iterations", "1", "--out", "OUT"],
     "sweep": ["sweep", "--over", "command_delay=0..4 ms", "--samples", "4", "--out", "OUT"],
     "rig control": ["rig", "control", "--unpaced", "--out", "OUT"],
-    "calibrate": ["calibrate", "--duration", "30 s", "--angles", "-2..2 deg", "--limb", "weighed", "--out", "OUT"],
+    "calibrate": ["calibrate", "--duration", "30 s", "--angles", "ANGLES", "--limb", "weighed", "--out", "OUT"],
     **{f"export --to {target}": ["export", "--to", target, "--out", "OUT"] for target in ("c", "js", "mjcf")},
     "export --to firmware": ["export", "--to", "firmware", "--hardware", HOST, "--out", "OUT"],
     **{f"export --to {target}": ["export", "--to", target, "--out", "OUT"] for target in ("fmu", "fmu-controller")},
@@ -83,6 +84,10 @@ PYTHON = {
     "env.step(env.action_space.sample())",
     "page Run": "from pathlib import Path; from mckibben.web.workbench import compute; compute(scenario, Path())",
 }
+
+
+ANGLES = {"linear axis": "-0.4..0.4 deg"}
+"""Angles of the calibration, where they are not those of all others: the radian of the axis is a metre."""
 
 
 def tried(words, folder):
@@ -98,19 +103,22 @@ def tried(words, folder):
     return lines[-1] if "Traceback" in done.stderr else " ".join(done.stderr.split())
 
 
-def answers(scenario):
-    """The answer of each capability for a scenario, tried in a folder of its own."""
+def answers(robot, names=(*COMMANDS, *PYTHON)):
+    """The answers of capabilities of a name for a robot, tried in a folder of its own."""
     folder = Path(tempfile.mkdtemp())
-    scenario.to_yaml(folder / "scenario.yaml")
+    SCENARIOS[robot]().to_yaml(folder / "scenario.yaml")
     found = {}
-    for number, (name, words) in enumerate(COMMANDS.items()):
-        words = [f"out{number}" if word == "OUT" else word for word in words]
-        place = 2 if words[0] == "rig" else 1
-        command = [sys.executable, "-m", "mckibben", *words[:place], "scenario.yaml", *words[place:]]
-        found[name] = tried(command, folder)
-    for name, code in PYTHON.items():
-        code = f"import mckibben as mk; scenario = mk.Scenario.read('scenario.yaml'); {code}"
-        found[name] = tried([sys.executable, "-c", code], folder)
+    for number, name in enumerate(names):
+        if name in PYTHON:
+            code = f"import mckibben as mk; scenario = mk.Scenario.read('scenario.yaml'); {PYTHON[name]}"
+            found[name] = tried([sys.executable, "-c", code], folder)
+        else:
+            filled = {"OUT": f"out{number}", "ANGLES": ANGLES.get(robot, "-5..5 deg")}
+            words = [filled.get(word, word) for word in COMMANDS[name]]
+            place = 2 if words[0] == "rig" else 1
+            command = [sys.executable, "-m", "mckibben", *words[:place], "scenario.yaml", *words[place:]]
+            found[name] = tried(command, folder)
+        print(f"{robot}: {name}: {found[name]}", file=sys.stderr)
     return found
 
 
@@ -130,7 +138,7 @@ def main():
     parser.add_argument("names", nargs="*", choices=[[], *SCENARIOS], help="joints and robots; default: all")
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
-    text = page({name: answers(SCENARIOS[name]()) for name in asked.names or SCENARIOS})
+    text = page({name: answers(name) for name in asked.names or SCENARIOS})
     head = f"# What works for which robot\n\nMade on {date.today()} by `python benchmarks/capabilities.py`.\n\n"
     if asked.out:
         asked.out.write_text(head + text, encoding="utf-8")

@@ -32,7 +32,7 @@ def smaller(suite, runs, starts, **searches):
     tuning, evaluation = suite.tuning, suite.evaluation
     changes = {name: number for name, number in searches.items() if number is not None}
     if starts:
-        changes |= {"starts": min(tuning.starts, starts), "starts_of": dict.fromkeys(tuning.starts_of, starts)}
+        changes |= {"starts": min(tuning.starts, starts)}
     if runs:
         evaluation = evaluation.model_copy(update={"runs": runs})
     return suite.model_copy(update={"tuning": tuning.model_copy(update=changes), "evaluation": evaluation})

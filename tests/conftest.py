@@ -36,6 +36,7 @@ from mckibben.plant import JointPlant
 from mckibben.simulation import Batch, Metrics, Outcome, batch
 from mckibben.simulation.engine import run_alone
 from mckibben.simulation.outcome import OUTCOMES
+from mckibben.study.compare.changes import Changed
 
 FILES = itertools.count(1)  # with tests, of this process
 gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage took a fifth of the time of tracing
@@ -390,6 +391,8 @@ def simulating_nothing():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mckibben.study.compare.runs.simulate_group", invented)
         patch.setattr("mckibben.scenario.Scenario.margins", without_margins)
+        comparison = importlib.import_module("mckibben.study.compare.compare")
+        patch.setattr(comparison, "on_changed_plants", lambda *_: Changed((), None, None))
         patch.setattr(
             "mckibben.study.compare.tuning.ControllerTuning._least_margins", lambda _, table, count: np.ones(count)
         )

@@ -91,41 +91,41 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 983,
-    "actuator": 1000,
-    "calibration": 1780,
+    "top": 1038,
+    "actuator": 1060,
+    "calibration": 1770,
     "catalog": 230,
     "cli": 1540,
     "codegen": 2580,
     "component": 1030,
     "config": 570,
     "contract": 660,
-    "control": 2630,
+    "control": 2650,
     "dataset": 4050,
     "experiment_design": 720,
-    "export": 2580,
-    "identification": 3730,
-    "joint": 1260,
+    "export": 2570,
+    "identification": 3760,
+    "joint": 1380,
     "robot": 80,
-    "mechanism": 2010,
-    "muscle": 1590,
+    "mechanism": 2030,
+    "muscle": 1610,
     "numerics": 810,
     "paper": 1180,
     "plant": 770,
-    "reachability": 1140,
-    "report": 1990,
+    "reachability": 1150,
+    "report": 2050,
     "rig": 4940,
-    "scenario": 2180,
-    "serial_protocol": 170,
-    "simulation": 3420,
+    "scenario": 2250,
+    "serial_protocol": 180,
+    "simulation": 3490,
     "statics": 570,
     "storage": 600,
-    "study": 3820,
+    "study": 3990,
     "web": 3070,
 }
 
 MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 457  # numbers at module level, to come to 500
+MOST_CONSTANTS = 458  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

@@ -49,7 +49,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias, TypeVar, datac
 from mckibben.binding import call
 from mckibben.errors import McKibbenError, ParameterError, Suggesting, printable
 from mckibben.storage.files import check_free, json_ready, make_folder, remove_results, write_json
-from mckibben.units import factor
+from mckibben.units import HINGE, JointType, factor
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,6 +99,17 @@ class Column:
     def size(self) -> float:
         """Factor of the unit in tables to the unit of the values."""
         return factor(self.shown_unit, self.unit) if self.shown_unit else 1.0
+
+    def for_joint(self, joint_type: JointType) -> Self:
+        """Return the column for a joint of a type, from that of a hinge.
+
+        >>> Column("N*m/rad", "stiffness at the angle").for_joint(SLIDE)
+        Column(unit='N/m', title='stiffness at the position', shown='N/mm', digits=4, dims=())
+        """
+        if joint_type is HINGE:
+            return self
+        unit, shown = joint_type.unit(self.unit), joint_type.shown(self.shown_unit)
+        return dataclasses.replace(self, unit=unit, title=joint_type.words(self.title), shown=shown)
 
     def cell(self, value: object) -> str:
         """Return a value [SI] as text in the shown unit, without the unit.

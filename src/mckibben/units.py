@@ -214,6 +214,68 @@ def show(value: float, unit: str, digits: int = 6) -> str:
     return number if unit == "1" else f"{number} {unit}"
 
 
+@dataclass(frozen=True)
+class JointType:
+    """How a joint moves, on which the units of its quantities depend: they are declared for a hinge.
+
+    >>> SLIDE.unit("N*m/rad"), SLIDE.shown("N*m/rad"), SLIDE.words("torque at the angle")
+    ('N/m', 'N/mm', 'force at the position')
+    """
+
+    name: str
+    replacements: tuple[tuple[str, str], ...] = ()  # of parts of units
+    nouns: tuple[tuple[str, str], ...] = ()
+    scale: float = 1.0
+    """Displacement [m, rad] of the joint that corresponds to one radian of a hinge, for thresholds."""
+
+    def unit(self, unit: str) -> str:
+        """Return the SI unit of a quantity, from that of a hinge."""
+        return functools.reduce(lambda text, pair: text.replace(*pair), self.replacements, unit)
+
+    def shown(self, unit: str) -> str:
+        """Return the unit in files and tables, from that of a hinge."""
+        return self.unit(unit.replace("rad", "deg") if self.replacements else unit)
+
+    def words(self, text: str) -> str:
+        """Return a text without numbers, from that on a hinge."""
+        return functools.reduce(lambda text, pair: re.sub(rf"\b{pair[0]}", pair[1], text), self.nouns, text)
+
+    def size(self, unit: str) -> float:
+        """Return the size in SI of the unit of files, tables and figures, from that of a hinge."""
+        return factor(self.shown(unit))
+
+    def label(self, text: str, unit: str) -> str:
+        """Return the label of an axis, from that of a hinge.
+
+        >>> SLIDE.label("stiffness", "N*m/rad"), HINGE.label("torque", "N*m")
+        ('stiffness [N/mm]', 'torque [N·m]')
+        """
+        return f"{self.words(text)} [{self.shown(unit)}]".replace("*", "·")
+
+    def show(self, value: float, unit: str, digits: int = 6) -> str:
+        """Return an SI value as text; `unit` is the one in which that of a hinge is shown."""
+        return show(value, self.shown(unit), digits)
+
+    def span(self, ends: tuple[float, float], unit: str, digits: int = 4) -> str:
+        """Return two SI values as a range, as for `show`.
+
+        >>> SLIDE.span((-0.004, 0.01), "deg")
+        '-4..10 mm'
+        """
+        low, high = (f"{end / self.size(unit):.{digits}g}" for end in ends)
+        return f"{low}..{high} {self.shown(unit)}"
+
+
+HINGE = JointType("hinge")
+SLIDE = JointType(
+    "slide",
+    (("kg*m^2", "kg"), ("N*m", "N"), ("deg", "mm"), ("rad", "m")),
+    (("angular ", ""), ("angle", "position"), ("torque", "force")),
+    mm / deg,
+)
+JOINT_TYPES = {kind.name: kind for kind in (HINGE, SLIDE)}
+
+
 def justified(text: str, error: float = math.nan) -> str:
     """A quantity to two digits of its standard error [SI], but at least two of its own; to six without an error.
 
@@ -306,6 +368,10 @@ class Quantity:
         text = f"{Decimal(value) / Decimal(factor(self.shown, self.unit)):.20g} {self.shown}"
         return text if quantity(text, self.unit) == value else show(value, self.unit, 17)
 
+    def for_joint(self, joint_type: JointType) -> Quantity:
+        """Return the quantity for a joint of a type."""
+        return self
+
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
         """Both ends of the range in SI, included or not."""
@@ -333,6 +399,38 @@ class Quantity:
 
     def _fail(self, message: str, value: object, remedy: str = "") -> NoReturn:
         raise UnitError(message, value=value, unit=self.shown, remedy=remedy or f"write it like {self.example}")
+
+
+class JointQuantity(Quantity):
+    """Quantity of the motion of a joint: unit and range of a hinge, from which those of a slide follow.
+
+    A document reads and writes it in the units of the `joint_type` in its context.
+
+    >>> angle = JointQuantity("rad", "deg", -90, 90)
+    >>> angle.for_joint(HINGE).read("10 deg") == 10 * deg, angle.for_joint(SLIDE).read("10 mm")
+    (True, 0.01)
+    """
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        def of(info: Any) -> Quantity:
+            return self.for_joint((info.context or {}).get("joint_type", HINGE))
+
+        return core_schema.with_info_before_validator_function(
+            lambda value, info: of(info).read(value),
+            core_schema.float_schema(),
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda value, info: of(info).write(value), info_arg=True, when_used="json"
+            ),
+        )
+
+    def for_joint(self, joint_type: JointType) -> Quantity:
+        if joint_type is HINGE:
+            return self
+        unit, shown = joint_type.unit(self.unit), joint_type.shown(self.shown)
+        lower, upper = (limit / factor(shown, unit) for limit in self.limits)
+        return Quantity(unit, shown, lower, upper, self.open_lower, self.open_upper)
 
 
 @dataclass(frozen=True)
@@ -437,29 +535,29 @@ Conductance = Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4, open_
 Volume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
 HeatConductance = Annotated[float, Quantity("W/K", "W/K", 0, 1e3)]
 PressureNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e5)]
-AngleStep = Annotated[float, Quantity("rad", "deg", 0, 10)]
-Torque = Annotated[float, Quantity("N*m", "N*m", -1e6, 1e6)]
+AngleStep = Annotated[float, JointQuantity("rad", "deg", 0, 10)]
+Torque = Annotated[float, JointQuantity("N*m", "N*m", -1e6, 1e6)]
 Share = Annotated[float, Quantity("1", "1", 0, 100)]
 Strength = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
 Delay = Annotated[float, Quantity("1", "1", 0, 1)]
-Angle = Annotated[float, Quantity("rad", "deg", -360, 360)]
-Accuracy = Annotated[float, Quantity("rad", "rad", 1e-12, 1.0)]
-Stiffness = Annotated[float, Quantity("N*m/rad", "N*m/rad", -1e6, 1e6)]
+Angle = Annotated[float, JointQuantity("rad", "deg", -360, 360)]
+Accuracy = Annotated[float, JointQuantity("rad", "rad", 1e-12, 1.0)]
+Stiffness = Annotated[float, JointQuantity("N*m/rad", "N*m/rad", -1e6, 1e6)]
 Phase = Annotated[float, Quantity("rad", "deg", -720, 720)]
-AngleScale = Annotated[float, Quantity("rad", "deg", 0, 1e6, open_lower=True)]
-StiffnessScale = Annotated[float, Quantity("N*m/rad", "N*m/rad", 0, 1e6, open_lower=True)]
+AngleScale = Annotated[float, JointQuantity("rad", "deg", 0, 1e6, open_lower=True)]
+StiffnessScale = Annotated[float, JointQuantity("N*m/rad", "N*m/rad", 0, 1e6, open_lower=True)]
 PressureScale = Annotated[float, Quantity("Pa", "bar", 1e-3, 1e3)]
 PressureRate = Annotated[float, Quantity("Pa/s", "bar/s", 1e-3, 1e6)]
 Rate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6)]
 Bandwidth = Annotated[float, Quantity("rad/s", "rad/s", 0, 1e6, open_lower=True)]
-AngularVelocity = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e6, open_lower=True)]
-AngularAcceleration = Annotated[float, Quantity("rad/s^2", "rad/s^2", 0, 1e6, open_lower=True)]
+AngularVelocity = Annotated[float, JointQuantity("rad/s", "deg/s", 0, 1e6, open_lower=True)]
+AngularAcceleration = Annotated[float, JointQuantity("rad/s^2", "rad/s^2", 0, 1e6, open_lower=True)]
 PoleDamping = Annotated[float, Quantity("1", "1", 2, 3)]
 Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 Count = Annotated[int, BoundedInt(1, 1000)]
 Ratio = Annotated[float, Quantity("1", "1", 1, 1e6, open_lower=True)]
 
-AngleGain = Annotated[float, Quantity("Pa/rad", "bar/rad", -1e6, 1e6)]
+AngleGain = Annotated[float, JointQuantity("Pa/rad", "bar/rad", -1e6, 1e6)]
 SignalValue = Annotated[float, Quantity("signal")]
 Gain = Annotated[float, Quantity("gain")]
 IntegralGain = Annotated[float, Quantity("integral_gain")]

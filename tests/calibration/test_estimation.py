@@ -148,38 +148,67 @@ def test_a_model_that_is_right_keeps_its_stiffness():
     assert np.all(np.abs(after - before) < 1.96 * deviation) and np.all(deviation < 0.5 * wide)
 
 
-@pytest.mark.slow
-def test_stiffness_of_rigs_of_another_law():
-    """Rigs whose law, friction, creep and valves are no model's, 15 s each slow and fast, bare and with 2 kg."""
-    law, load, count = knee().muscle1.law, LOAD, 4
+WEIGHTS = 0.4, 2.0  # kg
+
+
+@pytest.fixture(scope="module")
+def foreign_rigs():
+    """Rigs whose law, friction, creep and valves are no model's, 15 s each slow and fast, bare and with each weight.
+
+    Of each: recordings by weight, the measured angles and pressures of some samples, and their true stiffness.
+    """
+    law, count = knee().muscle1.law, 8
     force = lambda e, p: np.asarray(law.force(e, p))  # noqa: E731
-    inertia, moment, hanging = map(float, (load.total_inertia, load.gravity_moment, load.hanging_angle))
+    inertia, moment, hanging = map(float, (LOAD.total_inertia, LOAD.gravity_moment, LOAD.hanging_angle))
     rng = np.random.default_rng(2)
     length = float(knee().muscle1.specimen.initial_length)
     rigs = foreign.draw(rng, count, force, length, 0.9 * length, 0.03, inertia, moment, hanging)
-    parts = foreign.Parts(np.array([0, 0, 2.0, 2.0]), np.array([0, 1, 0, 1], bool))
+    masses = np.repeat([0.0, *WEIGHTS], 2)
+    parts = foreign.Parts(masses, np.tile([False, True], 3))
     mean = 4.9e5, 0.6e5
     amplitude = foreign.adapted(rigs, parts, 0.0, mean)
     time, angles, pressures = foreign.simulate(rigs, parts, 0.0, mean, amplitude)
-    assert np.all((np.abs(angles[:, :, parts.fast]).max(axis=0) > 6 * deg) & (np.abs(angles).max() < 16 * deg))
-    errors, before, inside = [], [], []
+    angle, both = np.moveaxis(angles[::1000], 0, 1), np.moveaxis(pressures[::1000], 0, 1)
+    true = rigs.stiffness(angle.reshape(count, -1), both.reshape(count, -1, 2), step=1 * deg).reshape(angle.shape)
+    found = []
     for rig in range(count):
-        recordings = []
-        for part, mass in enumerate(parts.mass):
+        recordings = {}
+        for part, mass in enumerate(masses):
             read = foreign.measured(rng, angles[:, rig, part], pressures[:, rig, part], rigs.zero[rig, 0])
-            recordings.append(JointRecording(time, *read, None, mass, parts.distance, mass * 0.02**2))
-        found = calibrate_joint(knee(), load, recordings, JointPrior(mass=0.02, inertia=0.05))
+            own = JointRecording(time, *read, None, mass, parts.distance, mass * 0.02**2)
+            recordings.setdefault(mass, []).append(own)
+        at = (angle + rigs.zero[:, :, None])[rig], (both[rig, ..., 0], both[rig, ..., 1])
+        found.append((recordings, at, true[rig]))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mass", "most"), list(zip(WEIGHTS, (0.05, 0.04), strict=True)))
+def test_stiffness_of_rigs_of_another_law(foreign_rigs, mass, most):
+    errors, before, inside, distances = [], [], [], []
+    for recordings, at, true in foreign_rigs:
+        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[mass]], JointPrior(mass=0.02, inertia=0.05))
         assert found.unexplained < 0.1
-        angle, both = angles[::1000, rig].ravel(), pressures[::1000, rig].reshape(-1, 2)
-        at = angle + rigs.zero[rig, 0], (both[:, 0], both[:, 1])
-        own = np.broadcast_to(angle, (count, angle.size)), np.broadcast_to(both, (count, *both.shape))
-        true = rigs.stiffness(*own, step=1 * deg)[rig]
+        distances += [each.distance for each in found.quantities.values() if each.expected is not None]
         (value, deviation), (prior, _) = found.stiffness(*at), found.prior_stiffness(*at)
         errors.append(np.mean(np.square(value - true)) / true.mean() ** 2)
         before.append(np.mean(np.square(prior - true)) / true.mean() ** 2)
         inside.append(np.mean(np.abs(value - true) < 1.96 * deviation))
-    assert np.sqrt(np.mean(errors)) < 0.05 < 0.5 * np.sqrt(np.mean(before)) + 0.01
+    assert np.sqrt(np.mean(errors)) < most < 0.5 * np.sqrt(np.mean(before)) + 0.01
     assert np.mean(inside) > 0.85
+    assert np.sqrt(np.mean(np.square(distances))) < 1.4  # 1 for priors that are right
+
+
+@pytest.mark.slow
+def test_a_weight_that_is_not_the_stated_one_is_named(foreign_rigs):
+    """It gives the scale of the stiffness, and motion whose inertia is known contradicts another one."""
+    named = 0
+    for recordings, _, _ in foreign_rigs[:4]:
+        heavier = [dataclasses.replace(one, added_mass=1.15 * one.added_mass) for one in recordings[2.0]]
+        prior = JointPrior(mass=0.02, inertia=0.05)
+        remarks = calibrate_joint(knee(), LOAD, [*recordings[0], *heavier], prior).remarks()
+        named += bool({"added_mass", "distance"} & {remark.field for remark in remarks})
+    assert named >= 3
 
 
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
@@ -258,7 +287,7 @@ def test_a_misfit_is_remarked_and_widens_all_deviations(recorded, with_weight):
     wrong = [dataclasses.replace(one, added_mass=0.5 - one.added_mass) for one, _, _ in recorded]
     found = calibrate_joint(knee(), LOAD, wrong)
     assert found.residual > 3 * with_weight.residual
-    assert {"residual", *(name for name, *_ in [found.doubted or ("",)])} & {r.field for r in found.remarks()}
+    assert {"residual", "added_mass"} & {remark.field for remark in found.remarks()}
     pair = (np.array([4.8e5]), np.array([4.5e5]))
     assert found.stiffness(0.0, pair)[1] > 2 * with_weight.stiffness(0.0, pair)[1]
 
@@ -345,7 +374,7 @@ def test_a_robot_of_one_hinge_gives_what_the_joint_gives(recorded):
         calibrate_robot(robot_of(knee(), LOAD), recordings, prior),
     )
     at = np.array([-0.1, 0.0, 0.1]), (np.full(3, 4.8e5), np.full(3, 4.5e5))
-    np.testing.assert_allclose(robot.stiffness(*at)[0], joint.stiffness(*at)[0], rtol=5e-3)  # of mass2, of the shank
+    np.testing.assert_allclose(robot.stiffness(*at)[0], joint.stiffness(*at)[0], rtol=1e-2)  # of mass2, of the shank
     assert robot.quantities["knee.zero"].value == pytest.approx(joint.quantities["zero"].value, abs=0.2 * deg)
     with pytest.raises(IdentificationError):
         calibrate_robot(robot_of(knee(), LOAD), [recorded[1][0]], prior)

@@ -87,7 +87,7 @@ def test_commands_and_options_stay_few():
     commands = options_of(typer.main.get_command(app))
     shared = {"--details", "--json", "--out", "--force"}
     assert len(commands) <= 24
-    assert len(shared) + sum(len(flags - shared) for flags in commands.values()) <= 90
+    assert len(shared) + sum(len(flags - shared) for flags in commands.values()) <= 91
     assert sum(map(len, commands.values())) <= 154
 
 
@@ -187,7 +187,7 @@ def test_a_log_gets_lines_of_progress_with_the_time_left(monkeypatch, capsys):
         for part in range(101):
             report("tuning", part / 100)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "3 % after 0:00:12, about 0:06:28 left: tuning"
+    assert lines[:2] == ["tuning", "3 % after 0:00:12, about 0:06:28 left: tuning"]
     assert 8 < len(lines) < 20
 
 

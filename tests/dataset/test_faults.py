@@ -128,6 +128,17 @@ def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     assert "is stuck" in data.table.attrs["preprocessing"]
 
 
+def test_a_pressure_that_is_set_at_once_while_the_force_is_stuck_is_no_jump():
+    samples = Samples()
+    samples.pressure = np.round(samples.pressure / bar) * bar + np.random.default_rng(0).normal(
+        0, 300, len(samples.time)
+    )
+    stuck(samples, "force", 0.2, 40)
+    with pytest.warns(McKibbenWarning, match="force is stuck"):
+        points = samples.record().plateaus()
+    assert right(points.dataset) and 30 <= len(points.dataset) <= 36
+
+
 def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
     samples = Samples(noise=0.0, steps=FINE)
     stuck(samples, "force", 0.55, 40)

@@ -204,6 +204,28 @@ def test_usual_weights_give_law_and_friction_and_no_severe_remark(masses):
     assert smooth.friction.half_width == pytest.approx(found.friction.half_width, rel=1e-3)
 
 
+def soft_muscle(contraction, pressure):
+    """A braid whose ends stay cylindrical at low pressures, and soft rubber [N]."""
+    moved = contraction * (1 + 0.2 * np.exp(-pressure / bar))
+    braid = (pressure / bar) ** 1.05 * bar * np.pi * (12 * mm) ** 2 / 4 * (15 * (1 - 1.1 * moved) ** 2 - 6)
+    return braid - 90 * contraction - 900 * contraction**3
+
+
+@pytest.mark.slow
+def test_a_heaviest_load_that_two_others_do_not_predict_is_only_not_determined():
+    """The exponential of Eq. 2 is that of the one muscle that is nearly as long as without pressure."""
+    data = swept_weights(soft_muscle, lambda p: 4.0, 9.80665 * np.array([2, 4, 8]), length=180 * mm, seed=8)
+    found = identify_with_friction(ExponentialLaw, data)
+    predicted, spread = found.leave_one_pressure_out, np.std(data.force)
+    assert max(predicted.by_level.values()) > spread > 10 * predicted.rmse
+    severity = {remark.field: remark.severity for remark in found.remarks()}
+    assert severity["leave_one_pressure_out"] is Severity.WARNING
+    assert Severity.SEVERE not in severity.values()
+    inside, beyond = (found.force_intervals(at, 4 * bar).confidence for at in (0.235, 0.15))
+    assert inside.contains(soft_muscle(0.235, 4 * bar)) and inside.upper - inside.lower < 5
+    assert beyond.contains(soft_muscle(0.15, 4 * bar))  # 199 N
+
+
 def test_many_points_that_stick_are_a_question_that_a_form_answers():
     """Short sweeps, in which the heavy loads hardly move before the highest pressures."""
     data = swept_weights(plain_muscle, lambda p: 20.0, np.array([250, 350, 450, 550]), length=200 * mm, every=10)

@@ -1,5 +1,6 @@
-"""One muscle against a return spring: torque, stiffness, attainable set; a linear axis; files."""
+"""One muscle against a return spring: torque, stiffness, attainable set; files."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -41,16 +42,6 @@ def test_a_torque_has_one_stiffness(side):
     np.testing.assert_allclose(joint.attainable_stiffness(0.05, torque), (stiffness, stiffness), rtol=1e-9)
 
 
-def test_a_linear_axis_is_a_pulley_of_1_m():
-    """Metres for radians, newtons for newton metres, kilograms for kg*m^2."""
-    joint = AntagonisticJoint(PairedPaths(Pulley(1.0, 150 * mm), Pulley(1.0, 155 * mm)), SPRING, MUSCLE)
-    pressures = joint.pressures_for(0.0, 0.0, None)
-    extension = 150 * mm - FREE_LENGTH
-    assert float(joint.tensions(0.0, pressures)[1]) == pytest.approx(RATE * extension)
-    muscle = MUSCLE.slope(MUSCLE.specimen.contraction_at(155 * mm), pressures[1]) / MUSCLE.specimen.initial_length
-    assert float(joint.stiffness(0.0, pressures)) == pytest.approx(RATE - float(muscle))
-
-
 def test_what_is_no_joint_is_refused():
     with pytest.raises(RangeError):
         AntagonisticJoint(PairedPaths(PATHS[1], PATHS[2]), SPRING, SPRING)
@@ -62,3 +53,10 @@ def test_what_is_no_joint_is_refused():
         assert old in text
         with pytest.raises(ScenarioError):
             Scenario.parse(text.replace(old, new))
+
+
+def test_a_spring_of_another_rate_has_no_pressure_either():
+    joint = dataclasses.replace(JOINTS[1], muscle1=dataclasses.replace(SPRING, strength=1.1))
+    pressures = joint.pressures_for(0.05, 1.0, None)
+    assert float(pressures[0]) == 0
+    assert float(joint.torque(0.05, pressures)) == pytest.approx(1.0, abs=1e-9)

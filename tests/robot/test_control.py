@@ -118,6 +118,33 @@ def test_mistakes_are_named(text, field):
     assert caught.value.problems[0].remedy
 
 
+SINE = "{class: sine, amplitude: 5 deg, frequency: 0.5 Hz}"
+EXTRA = """    - name: extra
+      through: [{body: thigh, place: [0 mm, 0 mm, 180 mm]}, POINTS]
+      muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+valve:"""
+ON_THE_AXIS = "{body: shank, place: [0 mm, 0 mm, 0 mm]}"
+TWICE = "{body: thigh, place: [0 mm, 0 mm, 0 mm]}, {body: shank}, {body: shank, place: [30 mm, 0 mm, 0 mm]}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        (f"angle: {SINE}", "angle: 30 deg", "reference.knee"),
+        ("40 rad/s", "4000 rad/s", "controller.feedback.bandwidth"),
+        ("valve:", EXTRA.replace("POINTS", ON_THE_AXIS), "robot.muscles[1]"),
+        ("valve:", EXTRA.replace("POINTS", TWICE), "robot.muscles[1]"),
+    ],
+    ids=["beyond a stop", "above the Nyquist frequency", "without an arm", "points that coincide"],
+)
+def test_what_no_run_can_have_is_named_with_its_line(old, new, field, tmp_path):
+    (tmp_path / "one.yaml").write_text((ONE + TORQUE).replace(old, new))
+    with pytest.raises(ScenarioError) as caught:
+        RobotScenario.read(tmp_path / "one.yaml").run_once(source=str(tmp_path / "one.yaml"))
+    (problem,) = caught.value.problems
+    assert problem.field == field and problem.line is not None and problem.remedy
+
+
 @pytest.mark.slow
 def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     scenario = RobotScenario.read(FULL)

@@ -11,11 +11,15 @@ import pytest
 from mckibben.actuator import IdealValve, PressureRegulator
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
+from mckibben.mechanism.dynamics import joint_load
 from mckibben.muscle import MaxwellSlip
 from mckibben.muscle.friction import polygon
 from mckibben.plant import JointFriction, JointPlant
+from mckibben.plant.robot_plant import RobotPlant
+from mckibben.robot import RobotScenario
 from mckibben.simulation import closed_valves, dynamic_stiffness
 from mckibben.units import bar, deg, mm, ms
+from tests.robot.test_control import ONE, TORQUE
 
 SLIP = MaxwellSlip(7.5, 0.5 * mm)
 AMPLITUDES = np.array([0.01, 0.3, 3.0]) * deg
@@ -119,3 +123,52 @@ def test_what_does_not_fit_is_refused(held, start):
         assert refused.value.field == field
     with pytest.raises(RangeError):
         dynamic_stiffness(held, start, 1 * deg, 1.0, setpoint=Setpoint(jnp.asarray(0.0), jnp.asarray(15.0)))
+
+
+@pytest.mark.slow
+def test_a_joint_of_a_robot_has_the_stiffness_of_the_joint_alone():
+    """With friction of muscles and joint, and a motion of the size of both."""
+    robot = RobotScenario.parse(ONE + TORQUE).robot
+    pair, friction = robot.pair(0), JointFriction(0.2, 0.05 * deg)
+    muscle = dataclasses.replace(pair.muscle1, friction=SLIP)
+    robot = dataclasses.replace(
+        robot,
+        muscles=(dataclasses.replace(robot.muscles[0], muscle1=muscle, muscle2=muscle),),
+        joints=(dataclasses.replace(robot.joints[0], friction=friction),),
+    )
+    joint = dataclasses.replace(pair, muscle1=muscle, muscle2=muscle)
+    load, options = joint_load(robot, (0.0,), 0, 9.81), {"substeps": 2, "cycles": 2}
+    plants = RobotPlant(robot, IdealValve()), JointPlant(joint, load, IdealValve(), friction=friction)
+    starts = plants[0].init_state((0.0,), (3e5, 3e5)), plants[1].init_state(0.0, (3e5, 3e5))
+    motion = np.array([0.1, 3.0]) * deg, (1.0, FAST)
+    found, alone = (dynamic_stiffness(*pair, *motion, **options) for pair in zip(plants, starts, strict=True))
+    np.testing.assert_allclose(found.stiffness, alone.stiffness, rtol=1e-9)
+    np.testing.assert_allclose(found.loss, alone.loss, rtol=1e-9)
+    expected = np.asarray(secant(joint, (3e5, 3e5), motion[0])) + 0.2 / motion[0]
+    np.testing.assert_allclose(found.stiffness[0, 1], expected[1], rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_muscles_over_several_joints_stiffen_each_of_them():
+    """At constant pressures, in small motion, it is the isobaric stiffness of that joint with the other held."""
+    robot = RobotScenario.read("examples/robot/neck.yaml").robot
+    plant, count = RobotPlant(robot, IdealValve()), len(robot.all_muscles)
+    angles, pressures = (0.05, -0.03), np.linspace(2e5, 3e5, count)
+    state = plant.init_state(angles, tuple(pressures))
+    expected = jax.jit(robot.stiffness)(angles, tuple(pressures))
+    for joint, stiffness in enumerate(expected):
+        found = dynamic_stiffness(plant, state, 1e-3 * deg, FAST, joint=joint, substeps=1, cycles=1)
+        assert found.stiffness[0, 0] == pytest.approx(float(stiffness), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_the_stiffness_of_a_motion_of_a_robot_has_the_friction_of_its_muscles():
+    robot = RobotScenario.parse(ONE + TORQUE).robot
+    muscle = dataclasses.replace(robot.pair(0).muscle1, friction=SLIP)
+    robot = dataclasses.replace(robot, muscles=(dataclasses.replace(robot.muscles[0], muscle1=muscle, muscle2=muscle),))
+    plant = RobotPlant(robot, IdealValve())
+    state = plant.init_state((0.0,), (3e5, 3e5))
+    found = plant.mechanism.statics(state.position, state.velocity, state.pressures, state.muscles, 1 * deg)
+    joint = dataclasses.replace(robot.pair(0), muscle1=muscle, muscle2=muscle)
+    assert float(found.stiffness[0]) == pytest.approx(float(secant(joint, (3e5, 3e5), 1 * deg)), rel=1e-9)
+    assert float(found.stiffness[0]) > float(robot.stiffness((0.0,), (3e5, 3e5))[0]) + 5

@@ -12,7 +12,7 @@ from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics
 from mckibben.storage.store import STUDY
 from mckibben.study.compare import CompareResult, Suite, compare, draw, evaluate
-from mckibben.study.compare.runs import controller_of
+from mckibben.study.compare.runs import controller_of, started
 from mckibben.study.compare.tuning import ControllerTuning, error_at_air
 from mckibben.study.tune import Trial, read_trials
 from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST
@@ -112,6 +112,20 @@ def test_gains_without_the_margin_cost_more_than_any_with_it_and_are_not_on_a_fr
     found = task.evaluate(np.array([[2e5], [2e5], [2e5]]))
     assert found.costs[0] < UNSTABLE_COST and found.costs[1:].tolist() == pytest.approx([1.5e5, 3e5])
     assert [metrics is None for metrics in found.metrics] == [False, True, True]
+
+
+@pytest.mark.slow
+def test_noise_that_moves_the_valves_costs(monkeypatch):
+    """Beyond ten times the travel with ideal sensors; without noise the cost is the mean of the runs."""
+    monkeypatch.setattr(ControllerTuning, "_least_margins", lambda _, table, count: np.ones(count))
+    for sensors, share in (("pressure_noise: 60 kPa", 1.5), ("pressure_noise: 0.001 kPa", 1.0)):
+        one = changed(*ALONE, ("encoder: 0.022 deg, pressure_noise: 4 kPa", sensors))
+        runs = draw(one, 8, 99)
+        task = ControllerTuning(one, "PID 3", SearchSpace(one.tuned_over("PID 3")), runs)
+        batch = evaluate(runs, "PID 3", {KP: [2e5]}, metrics=("angle_rmse", "stiffness_rmse"))
+        mean = one.cost(batch.metrics)[started(batch)].mean()
+        (cost,) = task.evaluate(np.array([[2e5]])).costs
+        assert cost == pytest.approx(mean, rel=1e-6) if share == 1 else cost > share * mean
 
 
 @pytest.mark.slow

@@ -161,6 +161,16 @@ def test_the_best_is_a_loop_with_a_margin_and_a_low_margin_is_severe_where_none_
     assert severities.count(Severity.SEVERE) == 1 and f"{best} is best" not in none.verdict()
 
 
+def test_the_headline_of_setups_is_of_a_loop_with_a_margin_in_each(contest):
+    low = replace(contest, margins=contest.margins | {SECOND: loop(0.12)})
+    pooled = PooledResult("both", {"a": contest, "b": low})
+    assert pooled.ok and SECOND not in pooled.verdict()
+    (remark,) = pooled.remarks()
+    assert (remark.field, remark.severity) == ("disk_margin", Severity.WARNING) and SECOND in remark.text
+    none = replace(contest, margins=dict.fromkeys(contest.order, loop(0.12)))
+    assert not PooledResult("both", {"a": contest, "b": none}).ok
+
+
 def test_a_front_has_the_trials_with_the_least_error_for_their_air():
     best, stiff, diverged = trial(1.0, 0.2, 0.3), trial(6.0, 0.1, 0.05, stiffness=1.2), Trial((7.0,), FAILED_COST)
     others = [trial(2.0, 0.4, 0.2), trial(3.0, 0.9, 0.1), trial(4.0, 0.3, 0.4), trial(5.0, 0.5, 0.25)]

@@ -17,10 +17,11 @@ WARM = Path(__file__).parents[2] / "examples" / "stiffness" / "warm.yaml"
 @pytest.mark.slow
 def test_closed_valves_have_a_storage_and_a_loss_part_that_depend_on_the_rate():
     """The simulated tests against the linearised air, in motion in which friction is a spring."""
-    found = stiffness_tests(Scenario.read(WARM), np.array([0.01, 0.02]) * deg, np.array([0.25, 10.0]))
-    simulated, valve = found.tests[CLOSED], found.scenario.valve
+    result = stiffness_tests(Scenario.read(WARM), np.array([0.01, 0.02]) * deg, np.array([0.25, 10.0]))
+    (found,), scenario = result.motions.values(), result.scenario
+    simulated, valve = found.tests[CLOSED], scenario.valve
     rates = simulated.frequency
-    joint, held = found.scenario.joint, (found.angle, found.pressures)
+    joint, held = scenario.joint, (found.angle, found.pressures)
     indices = [
         effective_index(valve.wall_conductance, p + ATMOSPHERE, m.specimen.volume(e) + valve.dead_volume, rates)
         for m, e, p in zip(joint.muscles, joint.contractions(*held), found.pressures, strict=True)
@@ -31,6 +32,6 @@ def test_closed_valves_have_a_storage_and_a_loss_part_that_depend_on_the_rate():
     np.testing.assert_allclose(simulated.stiffness[:, 0], closed.real + friction, rtol=2e-4)
     np.testing.assert_allclose(simulated.loss[:, 0], closed.imag, atol=0.005)
     assert closed.imag[0] > 1.0 > closed.imag[1] > 0.0 and closed.real[1] > closed.real[0] + 2
-    assert "held at" in found.verdict() and found.to_text()
-    drawn = stiffness(found).axes[0].lines
+    assert "held at" in result.verdict() and result.to_text()
+    drawn = stiffness(result).axes[0].lines
     assert any(np.array_equal(line.get_ydata(), found.closed_secant) for line in drawn)

@@ -3,9 +3,9 @@
 from mckibben.actuator.air_actuator import AirActuator
 from mckibben.actuator.air_valve import AirValve, FlowValve, PressureRegulator, SwitchingValves
 from mckibben.actuator.base import Actuator, AirState, AirVolume
+from mckibben.actuator.muscle_valves import MuscleValves, UnequalValves, ValveGroup, ValvesByMuscle
 from mckibben.actuator.second_order_valve import SecondOrderValve
 from mckibben.actuator.tube import Tube
-from mckibben.actuator.unequal_valves import UnequalValves
 from mckibben.actuator.valve import FirstOrderValve, IdealValve, Valve
 
 __all__ = [
@@ -17,10 +17,13 @@ __all__ = [
     "FirstOrderValve",
     "FlowValve",
     "IdealValve",
+    "MuscleValves",
     "PressureRegulator",
     "SecondOrderValve",
     "SwitchingValves",
     "Tube",
     "UnequalValves",
     "Valve",
+    "ValveGroup",
+    "ValvesByMuscle",
 ]

@@ -215,6 +215,10 @@ class Actuator(Labelled, Component):
         """Return the actuator of a muscle, numbered from 0."""
         return self
 
+    def for_muscles(self, names: Sequence[str]) -> Actuator:
+        """Return the actuator of muscles with names, in their order; `RangeError` if one has none."""
+        return self
+
     @property
     def attached_volume(self) -> ArrayLike:
         """Volume [m^3] of tube and fittings that has the pressure of the muscle."""

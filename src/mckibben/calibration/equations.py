@@ -26,7 +26,7 @@ from mckibben.calibration.recordings import (
 )
 from mckibben.codegen.engine import compiled
 from mckibben.errors import IdentificationError
-from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, SpringLaw, adjusted_law
+from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, adjusted_law
 from mckibben.muscle.friction import smooth_limit
 from mckibben.muscle.muscle import warn_outside
 from mckibben.units import mm
@@ -231,7 +231,7 @@ def problem_of(
 
 def is_spring(muscle: Muscle) -> bool:
     """Whether a muscle is a return spring, of which nothing is estimated."""
-    return isinstance(muscle.law, SpringLaw)
+    return muscle.law.is_passive
 
 
 def paths_of(model: Moved, angle: Floats) -> list[Floats]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import warnings
 from collections import OrderedDict
@@ -19,13 +18,11 @@ from jaxtyping import Array, ArrayLike, PyTree
 from scipy import sparse
 
 from mckibben.calibration.equations import (
-    OF_MUSCLE,
     RATE,
     CalibrationProblem,
     Recorded,
     corrected,
     creep_stiffness,
-    is_difference,
     is_spring,
     linearised,
     names_of,
@@ -51,10 +48,6 @@ _UNEXPLAINED = 0.2
 _LEAST = 0.02
 """Least error of a model, relative to the torques that move the joint."""
 _DETERMINED = 20.0  # parameters, at the first variance
-_EXPLAINED = 0.75
-"""Share of the residual to which it falls if a stated prior is wrong."""
-_WIDE = {"mass": 0.3, "inertia": 0.3, "added_mass": 0.3, "distance": 0.1, "arm_scale": 0.1}
-"""Deviations of priors that nobody has measured."""
 _LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm is estimated
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 _UNITS |= {"damping": "N*m*s/rad", "inertia": "kg*m^2"}
@@ -75,8 +68,6 @@ class JointCalibration(Calibration):
         The model with the estimates.
     recordings, held_out
         Those that were fitted, and those that were not.
-    doubted
-        Quantity whose stated prior contradicts the recordings, its factor, and the residual [N*m] with that.
     residual
         Root mean square of the error of the equations of motion [N*m], low-pass filtered. Deviations contain it.
     unexplained
@@ -86,7 +77,6 @@ class JointCalibration(Calibration):
     model: Any  # Moved
     recordings: tuple[JointRecording, ...]
     held_out: tuple[JointRecording, ...] = field(default=(), kw_only=True)
-    doubted: tuple[str, float, float] | None = field(default=None, kw_only=True)
     _problem: CalibrationProblem
     _posterior: LocalMinimum
     residual: float = column("N*m", "residual torque", digits=2)
@@ -182,10 +172,6 @@ class JointCalibration(Calibration):
         if self.unexplained > _UNEXPLAINED:
             text = f"the recordings contradict the model: {self.unexplained:.0%} of the torque is unexplained"
             remarks.append(Remark.warning("residual", text, f"{_CHECK}, and which recordings had the weight"))
-        if self.doubted is not None:
-            name, factor, left = self.doubted
-            text = f"{name} contradicts its prior: with {factor:.0%} of it the residual falls to {left:.2g} N*m"
-            remarks.append(Remark.warning(name, text, "measure it again, or give it a wider prior"))
         if self.held_out and not self.predicts:
             text = "the model before predicts the recordings that were held out better, and is kept in the files"
             remarks.append(Remark.warning("held_out", text, _CHECK))
@@ -272,29 +258,7 @@ def calibrate_model(
     unexplained = residual / root_mean_square([swings_of(model, recorded)])
     quantities = quantities_of(problem, posterior)
     parts = quantities, after, tuple(recordings), problem, posterior, residual, unexplained
-    return JointCalibration(*parts, doubted=_doubted(problem, recorded, prior, residual))
-
-
-def _doubted(
-    problem: CalibrationProblem, recorded: Sequence[Recorded], prior: JointPrior, residual: float
-) -> tuple[str, float, float] | None:
-    """Quantity that contradicts its prior, its factor, and the residual with wide priors; None if that is not far less.
-
-    A wrong prior leaves a residual, which the deviations contain, so that the estimate does not leave the prior.
-    """
-    wide = dataclasses.replace(prior, **{name: max(getattr(prior, name), width) for name, width in _WIDE.items()})
-    free = problem_of(problem.model, recorded, wide)
-    posterior, errors = _solve(free, recorded)
-    left = root_mean_square([errors])
-    if left > _EXPLAINED * residual:
-        return None
-    names, tail = names_of(problem.model), posterior.z[OF_MUSCLE * len(problem.scales) :]
-    moved = [
-        0.0 if is_difference(name) else abs(z)
-        for name, z in zip(names, tail * free.others / problem.others, strict=True)
-    ]
-    number = int(np.argmax(moved))
-    return names[number], float(1 + tail[number] * free.others[number]), left
+    return JointCalibration(*parts)
 
 
 def predicted_deviation(
@@ -307,8 +271,9 @@ def predicted_deviation(
     recorded = [samples_of(model, recording) for recording in recordings]
     problem = problem_of(model, recorded, prior)
     slopes = _rows(problem, np.zeros(problem.size), recorded)[1]
-    least = error / _LEAST * _least_errors(problem, recorded)
-    posterior = _posterior(np.zeros(problem.size), slopes, np.zeros(slopes.shape[:2]), least)
+    squares = (error / _LEAST * _least_errors(problem, recorded)) ** 2
+    variance = _variance(slopes, squares, squares * len(slopes) / _DETERMINED)
+    posterior = _posterior(np.zeros(problem.size), slopes, np.zeros(slopes.shape[:2]), variance)
     fit = JointCalibration({}, model, tuple(recordings), problem, posterior, 0.0, 0.0)
     value, deviation = fit.stiffness_along()[1]
     return float(np.sqrt(np.mean(deviation**2)) / value.mean())
@@ -418,51 +383,68 @@ def _rows(
     return errors, slopes
 
 
-def _solve(
-    problem: CalibrationProblem, recorded: Sequence[Recorded], *, steps: int = 16, firm: int = 4, longest: float = 3.0
-) -> tuple[LocalMinimum, Floats]:
-    """Posterior, and errors of the torques, shape (samples, joints), by Gauss-Newton steps.
+def _solve(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> tuple[LocalMinimum, Floats]:
+    """Posterior, and errors of the torques, shape (samples, joints).
 
-    The equations are nearly linear in the parameters, so that there is one minimum. The first steps are `firm`, as
-    errors far from it would count as the model's, and muscles that the model has slack are let push, as they may be
-    taut. Steps have at most a length in prior standard deviations, which shrinks, as slack muscles would let them
-    oscillate.
+    What the recordings leave where they may move all parameters, as if the model had its least error, is the error of
+    the model. That of the estimate itself contains the pull of the prior: if it were the deviation of the samples, they
+    would determine less, the estimate would move towards the prior, and the error would grow until nothing is
+    determined.
     """
-    z, joints = np.zeros(problem.size), len(problem.model.joint_names)
     least = _least_errors(problem, recorded)
-    posterior = _prior(problem)
+    firm = least**2 * (_rows(problem, np.zeros(problem.size), recorded)[0].shape[0] / _DETERMINED)
+    free = _minimum(problem, recorded, np.zeros(problem.size), firm, pushing=4)
+    errors, slopes = _rows(problem, free.z, recorded)
+    variance = _variance(slopes, np.maximum(np.mean(errors**2, axis=0), least**2), firm)
+    posterior = _minimum(problem, recorded, free.z, variance)
+    return posterior, _rows(problem, posterior.z, recorded)[0][:, : len(problem.model.joint_names)]
+
+
+def _minimum(
+    problem: CalibrationProblem,
+    recorded: Sequence[Recorded],
+    z: Floats,
+    variance: Floats,
+    *,
+    pushing: int = 0,
+    steps: int = 16,
+    longest: float = 3.0,
+) -> LocalMinimum:
+    """Posterior by Gauss-Newton steps from parameters, with a variance of the samples of each group.
+
+    The equations are nearly linear in the parameters, so that there is one minimum. In a number of first steps muscles
+    that the model has slack are let push, as they may be taut. Steps have at most a length in prior standard
+    deviations, which shrinks, as slack muscles would let them oscillate.
+    """
+    posterior = LocalMinimum(z, np.eye(z.size))
     for number in range(steps):
-        first = number < firm
-        errors, slopes = _rows(problem, z, recorded, pushing=float(first))
-        posterior = _posterior(z, slopes, errors, least, stages=1 if first else 20)
+        errors, slopes = _rows(problem, z, recorded, pushing=float(number < pushing))
+        posterior = _posterior(z, slopes, errors, variance)
         step = posterior.z - z
         length = float(np.linalg.norm(step))
-        if length < 0.01 and not first:
+        if length < 0.01 and number >= pushing:
             break
         z, longest = z + step * min(1.0, longest / length), 0.85 * longest
-    return posterior, _rows(problem, posterior.z, recorded)[0][:, :joints]
+    return posterior
 
 
-def _posterior(z: Floats, slopes: Floats, errors: Floats, least: Floats, *, stages: int = 20) -> LocalMinimum:
-    """Posterior of parameters by errors linearised at z, shape (samples, groups), with a standard normal prior.
+def _posterior(z: Floats, slopes: Floats, errors: Floats, variance: Floats) -> LocalMinimum:
+    """Posterior of parameters by errors linearised at z, shape (samples, groups), with a standard normal prior."""
+    weighted = slopes / variance[:, None]
+    covariance = np.linalg.inv(np.eye(z.size) + np.einsum("sgi,sgj->ij", weighted, slopes))
+    return LocalMinimum(z - covariance @ (z + np.einsum("sgi,sg->i", weighted, errors)), covariance)
+
+
+def _variance(slopes: Floats, squares: Floats, firm: Floats) -> Floats:
+    """Variance of the samples of each group, with the mean square of the model's error, and a variance to begin with.
 
     All n samples of a group count as the k independent ones that determine as many parameters, so that their variance
     is e^2 n/k: the error of the model repeats with the motion. Whitened residuals would all shrink towards zero with
-    the torques, as an error of an equation has no determinant of its Jacobian in the likelihood. The variance is found
-    in stages from the least error of a model up: a smaller one would let the torques shrink, a large one determines
-    nothing.
+    the torques, as an error of an equation has no determinant of its Jacobian in the likelihood.
     """
-    information = np.einsum("sgi,sgj->gij", slopes, slopes)
-    gradient = np.einsum("sgi,sg->gi", slopes, errors)
-    squares, floor = (errors**2).sum(axis=0), least**2 * len(errors)
-    variance, step, covariance = floor / _DETERMINED, np.zeros(z.size), np.eye(z.size)
-    for _ in range(stages):
-        scaled = information / variance[:, None, None]
-        covariance = np.linalg.inv(np.eye(z.size) + scaled.sum(axis=0))
-        step = -covariance @ (z + (gradient / variance[:, None]).sum(axis=0))
-        left = squares + 2 * gradient @ step + np.einsum("gij,i,j->g", information, step, step)
-        variance = np.maximum(left, floor) / np.maximum(np.einsum("ij,gji->g", covariance, scaled), 1.0)
-    return LocalMinimum(z + step, covariance)
+    information = np.einsum("sgi,sgj->gij", slopes, slopes) / firm[:, None, None]
+    covariance = np.linalg.inv(np.eye(slopes.shape[2]) + information.sum(axis=0))
+    return squares * len(slopes) / np.maximum(np.einsum("ij,gji->g", covariance, information), 1.0)
 
 
 def _least_errors(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> Floats:

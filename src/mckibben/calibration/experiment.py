@@ -28,7 +28,7 @@ from mckibben.control import Multisine, OpenLoopControl, Reference, Sine, Sum
 from mckibben.dataset import Recipe
 from mckibben.dataset.reading import read_signals
 from mckibben.errors import ParameterError, StoppedError
-from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, Measurement, ScaledArms
+from mckibben.joint import AntagonisticJoint, Load, Measurement, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import MaxwellCreep
@@ -193,7 +193,7 @@ class Sweeps:
             remedy="give wider --angles, or a smaller weight",
         )
 
-    def _weighted(self, load: Load, mass: float) -> GeneralLoad:
+    def _weighted(self, load: Load, mass: float) -> Load:
         """Return a load with the weight."""
         loaded = jax.tree.map(float, _loaded((load, mass, self.distance)))
         return replace(loaded, inertia=loaded.inertia + (self.weight_inertia if mass else 0.0))
@@ -214,7 +214,7 @@ class Sweeps:
 
 
 @compiled
-def _loaded(shared: tuple[Load, Array, Array], _: None) -> GeneralLoad:
+def _loaded(shared: tuple[Load, Array, Array], _: None) -> Load:
     return shared[0].with_weight(*shared[1:])
 
 

@@ -15,7 +15,6 @@ from mckibben.cli.options import (
     parse_quantity,
     results_folder,
 )
-from mckibben.errors import ParameterError
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
@@ -63,24 +62,26 @@ def envelope(scenario: ScenarioFile, *, progress: Progress = None) -> Envelope:
 @command
 def stiffness(
     scenario: ScenarioFile,
-    motion: str = _MOTION,
+    motion: str | None = None,
     push: str | None = None,
     *,
     progress: Progress = None,
 ) -> FeltStiffness:
-    """Measure the stiffness that a push of each joint feels at the setpoint held by the controller; of a single joint
-    also over amplitude and rate of a motion.
+    """Measure the stiffness that a push of each joint feels at the setpoint held by the controller, and that over
+    amplitude and rate of a motion.
 
     Of a robot one joint after the other is pushed, and the controller holds the others.
 
     Parameters
     ----------
     motion : RANGES
-        Amplitudes and rates of the motion.
+        Amplitudes and rates of the motion, by default 0.01..10 deg, 0.1..10 Hz; of a robot only if given, as it takes
+        minutes.
     push : TORQUE
         Amplitude of the push (default: a tenth of half the range of torque that the joint attains).
     """
-    first, second = parse_pair("--motion", motion, _MOTION)
+    torque = None if push is None else parse_quantity("--push", push, "N*m", positive=True)
+    first, second = parse_pair("--motion", _MOTION if motion is None else motion, _MOTION)
     amplitudes, rates = parse_limits("--motion", first, "rad"), parse_limits("--motion", second, "Hz")
     import numpy as np
 
@@ -88,16 +89,13 @@ def stiffness(
 
     check_positive("--motion", "rad", amplitude=amplitudes[0])
     check_positive("--motion", "Hz", rate=rates[0])
-    torque = None if push is None else parse_quantity("--push", push, "N*m", positive=True)
 
     from mckibben.scenario import Scenario
     from mckibben.study.felt import felt_stiffness
     from mckibben.study.stiffness import FeltStiffness, stiffness_tests
 
     read = Scenario.read(scenario)
-    if not isinstance(read, Scenario):
-        if motion != _MOTION:
-            raise ParameterError("--motion is of a single joint", remedy="leave it out: a robot is pushed")
+    if read.joint_names and motion is None:
         return FeltStiffness(read, felt_stiffness(read, torque=torque, progress=progress))
     grid = np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5))
     return stiffness_tests(read, *grid, torque=torque, progress=progress)

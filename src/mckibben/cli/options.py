@@ -148,11 +148,13 @@ def _bar(stack: ExitStack, width: int) -> Callable[[str, float], None]:
 
 
 def _log_lines() -> Callable[[str, float], None]:
-    """Progress as lines on standard error, with an estimate of the time left."""
+    """Progress as lines on standard error: what begins, and an estimate of the time left."""
     lines: list[tuple[float, float]] = []  # time and part of the first report, then of each line
 
     def report(what: str, fraction: float) -> None:
         now = time.monotonic()
+        if not fraction:
+            echo(what, err=True)
         lines[:] = lines or [(now, fraction)]
         elapsed, done = now - lines[0][0], fraction - lines[0][1]
         if done > 0 and now - lines[-1][0] >= max(_LOG_INTERVAL, _LOG_SHARE * elapsed):

@@ -155,7 +155,7 @@ def tune(
     texts = [path.read_text(encoding="utf-8-sig") for path in scenarios]
     ranges = parse_ranges(over, read[0]) if over else None
     begun = begun_settings(out, FORMAT, resume=resume)
-    target = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
+    target = cost_of(read[0], begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
     if percentile is not None and len(read) == 1 and not (conditions or begun.get("conditions")):
         raise ParameterError("--percentile applies to conditions", remedy="add --conditions 'NAME=RANGE'")
     draws = begun.get("seed", 0) if seed is None else seed
@@ -282,7 +282,6 @@ def _quick(suite: ControllerSuite) -> ControllerSuite:
     fewer = {
         "generations": max(tuning.generations // 10, 1),
         "starts": 1,
-        "starts_of": {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()},
         "finalist_runs": min(tuning.finalist_runs, 100),
     }
     evaluation = suite.evaluation.model_copy(update={"runs": min(suite.evaluation.runs, 128)})

@@ -10,6 +10,7 @@ from typing import ClassVar, TypeVar, get_type_hints
 
 from mckibben.errors import ParameterError
 from mckibben.result import Column
+from mckibben.units import HINGE, JointType
 
 K = TypeVar("K", bound=type)
 
@@ -88,7 +89,7 @@ def _owner(kind: type) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
-def attributes(name: str) -> dict[str, str]:
+def attributes(name: str, joint_type: JointType = HINGE) -> dict[str, str]:
     """Return unit and meaning of a column as NetCDF attributes; of an unknown one, its name alone.
 
     >>> attributes("nobody_made_it")
@@ -97,4 +98,5 @@ def attributes(name: str) -> dict[str, str]:
     label = _LABELS.get(name)
     if label is None:
         return {"long_name": name.replace("_", " ")}
+    label = label.for_joint(joint_type)
     return {"units": label.unit, "long_name": label.title}

@@ -53,7 +53,7 @@ from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, read_text, validated
 from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
-from mckibben.units import SYMBOLS, BoundedInt, Quantity
+from mckibben.units import HINGE, SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
 
@@ -217,7 +217,7 @@ class ComponentField:
         )
 
     def _written(self, value: object, info: SerializationInfo) -> object:
-        return None if value is None else write(value, self, folder=(info.context or {}).get("folder") or Path())
+        return None if value is None else write(value, self, context=info.context)
 
     def read(self, value: object, info: ValidationInfo) -> Any:
         """Return the component of a section, of the name of a class or catalog entry, or of a path.
@@ -464,7 +464,7 @@ def independent(component: Any) -> Any:
     return _copied(component, changed) if changed or inherited_fields(component) else component
 
 
-def write(component: object, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:
+def write(component: object, field: ComponentField | None = None, *, context: Mapping[str, Any] | None = None) -> Any:
     """Return the section of a component in a file, as plain data with units.
 
         >>> from mckibben.actuator import FirstOrderValve
@@ -472,11 +472,13 @@ def write(component: object, field: ComponentField | None = None, *, folder: Pat
         {'time_constant': '20 ms'}
 
     It holds the fields that differ from the defaults of the class. A component that is unchanged since it was read
-    from a catalog or a file is its name or its path, relative to `folder`. Raises `McKibbenError` for a component that
-    no file can hold, such as one with a field of a type without a form in files.
+    from a catalog or a file is its name or its path, relative to the `folder` of the context, which has the
+    `joint_type`, too. Raises `McKibbenError` for a component that no file can hold, such as one with a field of a type
+    without a form in files.
     """
+    context = context or {}
     if origin := origin_of(component):
-        return relative_path(Path(origin), folder) if origin.endswith(ENDINGS) else origin
+        return relative_path(Path(origin), context.get("folder") or Path()) if origin.endswith(ENDINGS) else origin
     kind = type(component)
     field = ComponentField(kind) if field is None else field
     values: Fields = {}
@@ -487,14 +489,15 @@ def write(component: object, field: ComponentField | None = None, *, folder: Pat
             values[name] = plain(value)
     explicit_none = [name for name, value in values.items() if value is None]
     for alias, (first, *others) in getattr(kind, "aliases", {}).items():
-        if first in values and all(same(values.get(other), values[first]) for other in others):
+        own = others or context.get("joint_type", HINGE).words(first) == alias  # one field has another name on a slide
+        if own and first in values and all(same(values.get(other), values[first]) for other in others):
             values[alias] = values.pop(first)
             values = {name: value for name, value in values.items() if name not in others}
     model = section_of(kind, field.units)
     named = None if kind is default_class(field.base) else name_in_files(field.base, kind)
     try:
         section = model.model_construct(class_=named, **values).model_dump(
-            mode="json", by_alias=True, exclude_none=True, context={"folder": folder}
+            mode="json", by_alias=True, exclude_none=True, context=context
         )
     except PydanticSerializationError as error:
         raise McKibbenError(f"this {kind.__name__} cannot be written to a file: {error}") from None
@@ -510,7 +513,7 @@ def write_text(component: object, *, folder: Path = Path(), base: type | None = 
     Paths are relative to `folder`; with a `base` the class is named unless it is the default of the base. Errors are as
     for `write`.
     """
-    section = write(component, None if base is None else ComponentField(base), folder=folder)
+    section = write(component, None if base is None else ComponentField(base), context={"folder": folder})
     return to_text(section if isinstance(section, dict) else {"from": section})
 
 

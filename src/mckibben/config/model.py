@@ -84,7 +84,7 @@ class DocumentModel(ConfigModel):
             remedy = f"to read a file, write {name}.read({args[0]!r:.60})"
             raise CallError(f"{name} takes its fields by name", remedy=remedy)
         try:
-            super().__init__(**fields)
+            self.__pydantic_validator__.validate_python(fields, self_instance=self, context={})
         except ValidationError as error:
             raise ScenarioError(type(self).__name__, _problems(error, Document(fields))) from None
 

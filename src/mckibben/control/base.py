@@ -36,17 +36,20 @@ class Setpoint(NamedTuple):
 
 
 class Reference(Component):
-    """Reference of the joint's angle [rad] and stiffness [N*m/rad] over time.
+    """Reference of the joint's angle [rad] and stiffness [N*m/rad] over time; of a single muscle the angle alone.
 
     Each is a signal, another function of time by `jax.numpy`, or a plain number, which is a constant.
     """
 
+    aliases: ClassVar = {"position": ("angle",)}
+
     angle: Annotated[Signal | Any, Units(signal=Angle)] = eqx.field(converter=as_signal)
-    stiffness: Annotated[Signal | Any, Units(signal=Stiffness)] = eqx.field(converter=as_signal)
+    stiffness: Annotated[Signal | Any, Units(signal=Stiffness)] = eqx.field(converter=as_signal, default=None)
 
     def __call__(self, time: ArrayLike) -> Setpoint:
-        """Setpoint at each time [s]."""
-        return Setpoint(self.angle(time), self.stiffness(time))
+        """Setpoint at each time [s]; NaN for no stiffness."""
+        angle = self.angle(time)
+        return Setpoint(angle, jnp.full_like(angle, jnp.nan) if self.stiffness is None else self.stiffness(time))
 
 
 JointModel = Annotated[AntagonisticJoint, Inherited(lambda scope: scope["joint"])]

@@ -1,7 +1,9 @@
 """Feedback from angle error to acceleration: pole placement and sliding mode."""
 
 import abc
-from typing import Annotated, Generic
+import math
+from numbers import Real
+from typing import Annotated, Any, Generic
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.control.base import State
+from mckibben.errors import RangeError
 from mckibben.numerics.elementary import floating
 from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, Quantity
 
@@ -27,6 +30,9 @@ class Feedback(Component, Generic[State]):
 
     default_class = "poles"
     lag: eqx.AbstractVar[ArrayLike]
+
+    def check_period(self, period: float) -> None:
+        """Raise `RangeError` for a bandwidth that no loop with a control period [s] has."""
 
     @abc.abstractmethod
     def init(self, error: ArrayLike) -> State:
@@ -99,6 +105,14 @@ class PolePlacement(Feedback[Scalar]):
     bandwidth: Bandwidth = 80.0
     integral: bool = eqx.field(static=True, default=False)
     damping: PoleDamping = 3.0
+
+    def check_period(self, period: float) -> None:
+        if isinstance(self.bandwidth, Real) and self.bandwidth > (nyquist := math.pi / period):
+            message = f"a bandwidth of {float(self.bandwidth):.4g} rad/s is above the Nyquist frequency of the control "
+            message += f"period, {nyquist:.4g} rad/s"
+            details: dict[str, Any] = {"value": float(self.bandwidth), "upper": nyquist, "unit": "rad/s"}
+            remedy = "give a bandwidth that is lower by a factor of ten or so, or a shorter period"
+            raise RangeError(message, field="controller.feedback.bandwidth", remedy=remedy, **details)
 
     @property
     def lag(self) -> ArrayLike:  # pyrefly: ignore[bad-override]

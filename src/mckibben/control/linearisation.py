@@ -17,7 +17,6 @@ from mckibben.control.mechanics import Scalars
 from mckibben.control.model_based import Estimates, StatePrediction, Valves
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.mechanism.terms import JointTerms
-from mckibben.muscle import SpringLaw
 from mckibben.numerics.elementary import exp
 
 # No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
@@ -77,6 +76,7 @@ class LinearisingControl(StatePrediction[LinearisedState]):
     lead: int = eqx.field(kw_only=True, static=True, default=0)  # control periods within the delay
 
     def with_period(self, period: float) -> Self:
+        self.feedback.check_period(period)
         prepared = super().with_period(period)
         if self.preview is None:
             return prepared
@@ -155,7 +155,7 @@ class LinearisingControl(StatePrediction[LinearisedState]):
                 feedback.append(held)
             torques = [torque + row[i] * acceleration for torque, row in zip(torques, equations.matrix, strict=True)]
         stiffness = [to.stiffness - added for to, added in zip(expected.setpoints, ahead.added_stiffness, strict=True)]
-        limits = lower, upper, [isinstance(muscle.law, SpringLaw) for muscle in self.mechanics.muscles]
+        limits = lower, upper, [muscle.law.is_passive for muscle in self.mechanics.muscles]
         if self.mechanics.is_paired:
             allocation = allocate_pairs(terms, torques, stiffness, *limits)
         else:

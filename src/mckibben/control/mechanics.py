@@ -19,7 +19,6 @@ from mckibben.mechanism.hinge import Hinge
 from mckibben.mechanism.robot_tree import Tree
 from mckibben.mechanism.terms import JointTerms, Row, joint_terms
 from mckibben.mechanism.tree import Equations
-from mckibben.muscle import SpringLaw
 from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import total
@@ -128,7 +127,7 @@ class TreeMechanics(Tree):
         terms, lowest, highest = joint_terms(self.robot, angles), [], []
         for muscle, (offset, gain) in zip(self.muscles, terms.tension, strict=True):
             limits: Any = floating(muscle.domain.pressure_min), floating(muscle.domain.pressure_max)
-            if not isinstance(muscle.law, SpringLaw):
+            if not muscle.law.is_passive:
                 low = jnp.clip((minimum_tension - offset) / gain, *limits)
                 limits = low, jnp.clip((muscle.specimen.force_limit - offset) / gain, low, limits[1])
             lowest.append(limits[0])

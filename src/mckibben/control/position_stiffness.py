@@ -15,15 +15,15 @@ from mckibben.component.calls import user_level
 from mckibben.component.columns import Label
 from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
-from mckibben.errors import McKibbenWarning
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint.geometry import Pair
-from mckibben.units import AngleGain, AngleScale, Quantity, StiffnessScale, Tension
+from mckibben.units import AngleGain, AngleScale, JointQuantity, StiffnessScale, Tension
 
-AngleIntegralGain = Annotated[float, Quantity("Pa/(rad*s)", "bar/(rad*s)", -1e6, 1e6)]
-AngleDerivativeGain = Annotated[float, Quantity("Pa*s/rad", "bar*s/rad", -1e6, 1e6)]
-StiffnessGain = Annotated[float, Quantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6, 1e6)]
-StiffnessIntegralGain = Annotated[float, Quantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
-StiffnessDerivativeGain = Annotated[float, Quantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
+AngleIntegralGain = Annotated[float, JointQuantity("Pa/(rad*s)", "bar/(rad*s)", -1e6, 1e6)]
+AngleDerivativeGain = Annotated[float, JointQuantity("Pa*s/rad", "bar*s/rad", -1e6, 1e6)]
+StiffnessGain = Annotated[float, JointQuantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6, 1e6)]
+StiffnessIntegralGain = Annotated[float, JointQuantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
+StiffnessDerivativeGain = Annotated[float, JointQuantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
 
 Scalar = Float[Array, ""]
 
@@ -64,12 +64,14 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
     """Position loop on the differential pressure pd, stiffness loop on the co-contraction pc (Fig. 5 of the paper).
 
     p1 = pc - pd and p2 = pc + pd, within the limits of each muscle's domain; both loops track the achieved output. The
-    stiffness is estimated from the measured angle and pressures by the controller's own model of the joint.
+    stiffness is estimated from the measured angle and pressures by the controller's own model of the joint. A muscle
+    alone, against a spring or a weight, has no co-contraction, and the position loop alone.
 
     Parameters
     ----------
     position, stiffness
-        Loops from angle [rad] to differential pressure, and from stiffness [N*m/rad] to co-contraction [Pa].
+        Loops from angle [rad] to differential pressure, and from stiffness [N*m/rad] to co-contraction [Pa], which a
+        muscle alone has not.
     model
         Controller's model of the joint; not the same object as the plant's.
     minimum_tension
@@ -91,13 +93,18 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
     }
 
     position: Annotated[Loop, _ANGLE_LOOP]
-    stiffness: Annotated[Loop, _STIFFNESS_LOOP]
+    stiffness: Annotated[Loop | None, _STIFFNESS_LOOP] = None
     model: JointModel = eqx.field(kw_only=True)
     minimum_tension: Tension | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         super().__check_init__()
+        if (self.stiffness is None) != any(self.model.springs):
+            text, remedy = "two muscles need a stiffness loop", "give `stiffness` its gains"
+            if self.stiffness is not None:
+                text, remedy = "one muscle alone has no stiffness to control", "leave the stiffness loop out"
+            raise RangeError(f"PositionStiffnessControl: {text}", field="stiffness", remedy=remedy)
         pid = vars(self.position).get("base", self.position)  # `getattr` would look for a similar name
         gains = [vars(pid).get(name) for name in ("kp", "ki", "kd")]
         if all(isinstance(gain, Real) for gain in gains) and 0 < max(abs(float(gain)) for gain in gains) < _LEAST_GAIN:
@@ -119,9 +126,10 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
         estimate = self.model.stiffness_for(angle, measurement.pressures, self.stiffness_amplitude)
         differential = (pressure2 - pressure1) / 2 - feedforward.differential
         cocontraction = (pressure1 + pressure2) / 2 - feedforward.cocontraction
+        held = cocontraction if self.stiffness is None else self.stiffness.init(estimate, estimate, cocontraction)
         return PositionStiffnessState(
             position=self.position.init(angle - feedforward.path, angle - feedforward.path, differential),
-            stiffness=self.stiffness.init(estimate, estimate, cocontraction),
+            stiffness=held,
             estimate=estimate,
             saturated=jnp.asarray(False),
         )
@@ -139,13 +147,16 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
         estimate = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
         target, measured = setpoint.angle - feedforward.path, angle - feedforward.path
         position, differential = self.position.step(state.position, target, measured, period)
-        stiffness, cocontraction = self.stiffness.step(state.stiffness, setpoint.stiffness, estimate, period)
+        stiffness = cocontraction = state.stiffness
+        if self.stiffness is not None:
+            stiffness, cocontraction = self.stiffness.step(state.stiffness, setpoint.stiffness, estimate, period)
 
         targets = differential + feedforward.differential, cocontraction + feedforward.cocontraction
         commands, saturated = limit_commands(self.model, self.minimum_tension, angle, *targets)
         given_differential, given_mean = achieved(self.model, commands, targets[1])
         position = self.position.track(position, differential, given_differential - feedforward.differential, period)
-        stiffness = self.stiffness.track(stiffness, cocontraction, given_mean - feedforward.cocontraction, period)
+        if self.stiffness is not None:
+            stiffness = self.stiffness.track(stiffness, cocontraction, given_mean - feedforward.cocontraction, period)
         return PositionStiffnessState(position, stiffness, estimate, saturated), commands
 
     def telemetry(self, state: PositionStiffnessState) -> dict[str, Scalar]:
@@ -155,6 +166,7 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
                 ("position", self.position, state.position),
                 ("stiffness", self.stiffness, state.stiffness),
             )
+            if loop is not None
             for key, value in loop.telemetry(part).items()
         }
         return {"stiffness_estimate": state.estimate, "saturated": state.saturated, **loops}

@@ -270,7 +270,7 @@ class Sum(Signal):
         return total
 
 
-def as_signal(value: Signal | ArrayLike) -> Signal:
+def as_signal(value: Signal | ArrayLike | None) -> Signal:
     """Signal of a number (or one per run), or the signal itself."""
     if isinstance(value, str):
         known_numbers("Reference", "signal", value)

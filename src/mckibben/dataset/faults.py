@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from itertools import chain, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -228,9 +228,10 @@ class RecordedSignals:
         taut, most = force.min() + SLACK * np.ptp(force), 0.02 * np.ptp(force)
         for name in _MOVES.keys() & self.values.keys():
             values, others = self.values[name], [other for other in self.values if other != name]
-            lost = [end for span in self.stuck[name] for end in (span.start, span.stop)]
             jumps = np.flatnonzero((np.abs(np.diff(values)) > _MOVES[name]) & ~self.gaps) + 1
-            for at in jumps[~np.isin(jumps, lost)][:listed]:
+            for span in chain.from_iterable(self.stuck.values()):
+                jumps = jumps[(jumps < span.start) | (jumps > span.stop)]
+            for at in jumps[:listed]:
                 near = [slice(max(at - 3 * self.size, 0), at), slice(at, at + 3 * self.size)]
                 level = {key: [part[rows].mean() for rows in near] for key, part in self.values.items()}
                 stays = all(abs(np.diff(level[other])[0]) < {**_RESTS, "force": most}[other] for other in others)

@@ -29,6 +29,7 @@ from mckibben.rig.compiled import rated_commands, starting_state, vented_state
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.serial_protocol import (
+    DESCRIBED,
     LONGEST,
     VERSION,
     CommandSource,
@@ -37,6 +38,7 @@ from mckibben.serial_protocol import (
     Hello,
     MessageKind,
     Sample,
+    pack_numbers,
 )
 from mckibben.version import __version__
 
@@ -50,17 +52,17 @@ _OF_A_JOINT = "angle", "pressure1", "pressure2", "valve1", "valve2"
 """Parts of a joint without a name."""
 
 
-def link_files() -> dict[str, str]:
-    """Codec of the serial protocol as C99."""
+def link_files(longest: int = LONGEST) -> dict[str, str]:
+    """Codec of the serial protocol as C99, for messages with bodies of up to a number of bytes."""
     enums = [{"prefix": prefix, "members": list(members)} for prefix, members in _ENUMS.items()]
-    return _filled(("link.h", "link.c"), {"protocol": VERSION, "longest": LONGEST, "enums": enums})
+    return _filled(("link.h", "link.c"), {"protocol": VERSION, "longest": longest, "enums": enums})
 
 
 def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, hardware: Hardware) -> Exported:
     """Project of a board: a sketch of its Arduino core, or C with simulated joints for this computer.
 
-    A muscle without air, such as a spring, needs neither sensor nor valve. Raises `ExportError` for a missing part, for
-    angle sensors that share an address, and for more channels than a message has.
+    A muscle without air, such as a spring, needs neither sensor nor valve. Raises `ExportError` for a missing part, and
+    for angle sensors that share an address.
     """
     plant, names = scenario.plant(), Channels.of(scenario)
     air = [high > 0 for _, high in rated_commands(plant)]
@@ -80,16 +82,8 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
         [(channel, "Pa") for channel in names.valves],
         [*((angle, "rad") for angle in angles), *((one, "N*m/rad") for one in names.by_joint("stiffness"))],
     )
-    most = (LONGEST - len(Sample(0, 0, 0, 0, 0, 0, ()).pack())) // 4
-    if (count := len(channels) + len(names.muscles)) > most:
-        remedy = "use a board for each of its limbs"
-        raise ExportError(
-            f"a sample of {count} channels is longer than a message",
-            field="robot",
-            value=count,
-            upper=most,
-            remedy=remedy,
-        )
+    sample = Sample(0, 0, 0, 0, 0, 0, (0.0,) * (len(channels) + len(names.muscles)))
+    longest = max(DESCRIBED, len(sample.pack()), len(pack_numbers((0.0,) * len(hello.setpoints))))
     step = find_function(module.functions, "step").arguments
     measured, setpoints = (
         [element.partition(".")[2] for element in element_names(part, step[part])]
@@ -114,7 +108,7 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
         "measurements": [channel for channel, _ in channels],
         "hello": list(map(list, hello.pack())),
     }
-    files = {"controller.h": program.header, "controller.c": program.source, **link_files()}
+    files = {"controller.h": program.header, "controller.c": program.source, **link_files(longest)}
     files |= _filled(("firmware.h", "firmware.c"), values)
     left_out = ["force on the foot: measured as 0"] * ("ground_force" in measured and plant.mechanism.has_contacts)
     if hardware.board == "host":

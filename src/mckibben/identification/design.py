@@ -6,6 +6,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.checks import force_plane, residuals_of
+from mckibben.dataset.preprocessing import held_loads
 from mckibben.dataset.schema import format_range
 from mckibben.errors import IdentificationError
 from mckibben.identification.summary import CONTRACTION_NOISE
@@ -17,9 +18,9 @@ def check_design(points: IsobaricDataset) -> None:
 
     The force of a muscle falls with contraction at a constant pressure and rises with pressure at a constant
     contraction, the more the less it is. Points show this if the product of both is neither a function of the pressure
-    nor affine in the contraction, to its noise, and if the plane through their forces has these slopes, significantly
-    (95 %), and explains most of the variance of the force. A test at one load, one pressure or one length does not, nor
-    do two lines in the plane of contraction and pressure.
+    nor affine in the contraction, to its noise, and if the plane through their forces, or through the contractions at
+    which loads were held, has these slopes, significantly (95 %), and explains most of the variance. A test at one
+    load, one pressure or one length does not, nor do two lines in the plane of contraction and pressure.
 
     Parameters
     ----------
@@ -64,7 +65,10 @@ def check_design(points: IsobaricDataset) -> None:
             field="contraction",
             remedy=remedy,
         )
-    plane = force_plane(contraction, pressure, force)
+    if (held := held_loads(points.table)) is None:
+        plane = force_plane(contraction, pressure, force)
+    else:  # it is the contraction that was measured, and falls with the load
+        plane = force_plane(held, pressure, contraction)
     if min(plane.falls, plane.rises) <= 1 or plane.share <= 1 / 2:
         raise IdentificationError(
             f"the force ({format_range(force)} N) does not fall with contraction ({contractions}) and rise with "

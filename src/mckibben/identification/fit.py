@@ -25,7 +25,7 @@ from mckibben.identification.estimator import (
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.regression import ForceIntervals, Regression, RobustErrors
 from mckibben.identification.storage import read_fields, write_fit
-from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier, hull_distance
+from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier, hull_distance, load_distance
 from mckibben.muscle import ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw, number, table
@@ -198,7 +198,11 @@ class Fit(Result, metaclass=CheckedCalls):
             domain = self.law.domain
             places = np.column_stack([np.ravel(values) for values in np.broadcast_arrays(contraction, pressure)])
             side = (places[:, 1] > domain.pressure_max).astype(int) - (places[:, 1] < domain.pressure_min)
-            unseen, few = lopo.misfit(hull_distance(domain, places), side)
+            distance = hull_distance(domain, places)
+            if held_loads(regression.points.table) is not None:
+                force = regression.points.force
+                distance = np.maximum(distance, load_distance(np.ravel(value), force) / np.ptp(force))
+            unseen, few = lopo.misfit(distance, side)
             of_law.append((np.maximum(unseen - lopo.noise**2, 0.0), few))
             free_residuals = np.where(unseen > square, np.minimum(few, free_residuals), free_residuals)
             square = np.maximum(square, unseen)

@@ -34,6 +34,7 @@ from mckibben.identification.summary import (
     domain_of,
     hull_distance,
     left_out,
+    load_distance,
     off_levels,
     places_of,
     size_remarks,
@@ -141,7 +142,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         text = f"between {count} contractions the error of the law is not known, and not in the prediction interval"
         notes.append(Remark.note("contraction", text, f"measure at {_CONTRACTIONS} or more"))
     law = dataclasses.replace(problem.law(solution.values), domain=domain_of(points, means))
-    notes += _severe_remarks(law, lopo, float(np.std(points.force)))
+    notes += _severe_remarks(law, lopo, points)
     return Fit(
         law=law,
         standard_errors={p.name: float(error) for p, error in zip(parameters, errors, strict=True)},
@@ -295,15 +296,22 @@ def _friction_remarks(points: IsobaricDataset, residuals: Floats) -> Iterator[Re
         yield Remark.warning("friction", text, remedy)
 
 
-def _severe_remarks(law: ForceLaw, lopo: LeaveOnePressureOut | None, spread: float) -> Iterator[Remark]:
-    """Remarks on a law that no muscle has, or that predicts worse than the mean of forces with a deviation `spread`.
+def _severe_remarks(law: ForceLaw, lopo: LeaveOnePressureOut | None, points: IsobaricDataset) -> Iterator[Remark]:
+    """Remarks on a law that no muscle has, or that predicts worse than the mean of all forces.
 
-    Beyond the points, as between the lowest load and the corner of the box, it is only not determined.
+    Beyond the points, as at the highest load or between the lowest and the corner of the box, it is only not
+    determined.
     """
     remedy = "look for wrong units and columns, measure at more pressures, or use a law with fewer parameters"
+    spread = float(np.std(points.force))
+    held, unit = ("pressures", "bar") if held_loads(points.table) is None else ("loads", "N")
     if lopo is not None and lopo.rmse > spread:
-        text = f"pressures left out are predicted worse ({show(lopo.rmse, 'N', 3)}) than by the mean of all forces"
+        text = f"{held} left out are predicted worse ({show(lopo.rmse, 'N', 3)}) than by the mean of all forces"
         yield Remark.severe("leave_one_pressure_out", text, remedy)
+    elif lopo is not None and max(lopo.by_level.values()) > spread:
+        level = max(lopo.by_level, key=lambda level: lopo.by_level[level])
+        text = f"without {show(level, unit, 3)} the law is another there: the {held} do not determine it beyond them"
+        yield Remark.warning("leave_one_pressure_out", text, f"measure at more {held}, or stay within them")
     if wrong := unphysical(law, measured=True):
         yield Remark.severe("law", f"the law is not that of a muscle: {wrong}", remedy)
     elif wrong := unphysical(law):
@@ -316,7 +324,10 @@ _NO_CROSS_VALIDATION = "there is no cross-validation by pressure, and the misfit
 
 
 def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut | None, str]:
-    """Cross-validation errors, or the reason why there are none."""
+    """Cross-validation errors, or the reason why there are none.
+
+    An end of the levels that is predicted worse than by the mean of all forces is no error inside of them.
+    """
     points = regression.points
     loads = held_loads(points.table)
     levels, reason = pressure_blocks(points) if loads is None else (loads, "")
@@ -328,10 +339,19 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
         block = show(float(error.block), "bar" if loads is None else "N")
         return None, f"without the points at {block} {error.reason}: {_NO_CROSS_VALIDATION}"
     by_level = {float(level): error for level, error in cross.by_block.items()}
-    places, box, ends = places_of(points), domain_of(points), [levels == end for end in (levels.min(), levels.max())]
-    reach = [float(hull_distance(box, places[out], places[~out]).max()) or np.inf for out in ends]
+    ends = [levels == end for end in (levels.min(), levels.max())]
+    places, box = places_of(points), domain_of(points)
+    if loads is None:
+        reach = [float(hull_distance(box, places[out], places[~out]).max()) or np.inf for out in ends]
+    else:
+        reach = [
+            float(load_distance(points.force[out], points.force[~out]).max() / np.ptp(points.force)) for out in ends
+        ]
     rates = by_level[float(levels.min())] / reach[0], by_level[float(levels.max())] / reach[1]
     if loads is not None:  # the sides of the pressure are not those of the load
         rates = max(rates), max(rates)
-    noise = neighbours_apart(cross.residuals, points)
-    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_level, rates, noise), ""
+    far = [out for out in ends if by_level[float(levels[out][0])] > np.std(points.force)]
+    inside = ~np.any(far, axis=0) if 0 < len(far) < len(by_level) else np.ones(len(points), bool)
+    residuals = cross.residuals[inside]
+    rmse, noise = np.sqrt(np.mean(residuals**2)), neighbours_apart(residuals, points.select(inside))
+    return LeaveOnePressureOut(float(rmse), float(np.abs(residuals).max()), by_level, rates, noise), ""

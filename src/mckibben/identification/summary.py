@@ -32,11 +32,12 @@ class LeaveOnePressureOut:
     Attributes
     ----------
     rmse, max_error
-        Errors over all points [N].
+        Errors over all points [N], but for those of an end that the other levels do not determine.
     by_level
         RMSE [N] by pressure [Pa] or load [N].
     rates
-        RMSE at the lowest and the highest level, per distance from the hull of the other points [N].
+        RMSE at the lowest and the highest level, per distance from the hull of the other points, or from the range of
+        the other loads, relative to that of all [N].
     noise
         Part of the RMSE that neighbours along a path do not share [N].
     """
@@ -51,7 +52,8 @@ class LeaveOnePressureOut:
         """Mean square error of a point [N^2] at distances from the hull of the points, and its degrees of freedom.
 
         Inside of the hull it is that of all levels, each left out. Outside it is at least the square of the distance
-        (`hull_distance`) times the rate: the first on side -1, the second on side 1, else the larger one. One level
+        (`hull_distance`, `load_distance`) times the rate: the first on side -1, the second on side 1, else the larger
+        one. One level
         says little about another: with `edge_freedom` degrees of freedom, 95 % of the blocks beyond the data are
         covered in the sets of the catalog (docs/results/intervals.md).
 
@@ -205,6 +207,11 @@ def hull_distance(domain: Domain, places: Floats, corners: Floats | None = None)
     corners = (corners - low) / (high - low) if len(corners) else np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
     sides = _hull(corners).equations  # of unit normals
     return np.maximum(np.max((places - low) / (high - low) @ sides[:, :2].T + sides[:, 2], axis=1), 0.0)
+
+
+def load_distance(force: Floats, loads: Floats) -> Floats:
+    """Distance of forces from the range of loads; 0 inside. All in N."""
+    return np.maximum(np.maximum(loads.min() - force, force - loads.max()), 0.0)
 
 
 def _hull(points: Floats) -> ConvexHull:

@@ -3,8 +3,9 @@
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
 from mckibben.joint.build import joint, make_callable
 from mckibben.joint.geometry import Geometry, KneeGeometry, ScaledArms
-from mckibben.joint.load import GeneralLoad, KneeLoad, Load, PendulumLoad
+from mckibben.joint.load import GeneralLoad, KneeLoad, Load, PendulumLoad, SlidingMass
 from mckibben.joint.paths import Cam, MusclePath, PairedPaths, Pulley, TabulatedPath, TwoBonePath
+from mckibben.joint.slide import Slide
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
@@ -24,6 +25,8 @@ __all__ = [
     "RigidTendon",
     "ScaledArms",
     "SeriesSpring",
+    "Slide",
+    "SlidingMass",
     "TabulatedPath",
     "Tendon",
     "TorqueStiffnessMap",

@@ -16,16 +16,23 @@ from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, printable
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
-from mckibben.joint.route import Route, init_states, pair_routes, update_states
+from mckibben.joint.load import Load
+from mckibben.joint.route import (
+    Route,
+    closed_valve_stiffness,
+    init_states,
+    pair_routes,
+    secant_stiffness,
+    update_states,
+)
 from mckibben.joint.tendon import RigidTendon, Tendon
-from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
-from mckibben.muscle.air import ATMOSPHERE
+from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.muscle import CHECK_LAW, warn_outside
-from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.result import Remark
-from mckibben.units import deg
+from mckibben.units import SLIDE, JointType, deg
 
 SMALL_MOTION = 0.1 * deg
 """Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
@@ -136,6 +143,7 @@ class AntagonisticJoint(Component):
         super().__check_init__()
         if all(self.springs):
             raise RangeError("AntagonisticJoint: two springs and no muscle", remedy="make one of them a muscle")
+        self.geometry.check_muscles(self.muscles)
         for muscle in self.muscles:
             muscle.check_pressure_limit()
         if not isinstance(self.tendon, RigidTendon):  # the rate of the length is not a function of the state
@@ -200,8 +208,30 @@ class AntagonisticJoint(Component):
 
     @property
     def springs(self) -> tuple[bool, bool]:
-        """Whether muscle 1 and muscle 2 are return springs."""
-        return isinstance(self.muscle1.law, SpringLaw), isinstance(self.muscle2.law, SpringLaw)
+        """Whether muscle 1 and muscle 2 are return springs, or none: the other one is alone."""
+        return self.muscle1.law.is_passive, self.muscle2.law.is_passive
+
+    @property
+    def joint_type(self) -> JointType:
+        """How the joint moves: a slide's angles are positions [m], its torques forces [N]."""
+        return self.geometry.joint_type
+
+    def check_setpoint(self, stiffness: object) -> None:
+        """Raise `RangeError` for a setpoint of the stiffness of a single muscle, or None for that of two."""
+        if any(self.springs) and stiffness is not None:
+            what = self.joint_type.words("angle")
+            message = f"one muscle alone has no stiffness of its own choice: {what} and load determine it"
+            raise RangeError(message, field="reference.stiffness", remedy="leave it out")
+        if not any(self.springs) and stiffness is None:
+            remedy = "give one, which `mckibben envelope` shows"
+            raise RangeError("two muscles need a stiffness", field="reference.stiffness", remedy=remedy)
+
+    def check_load(self, load: Load) -> None:
+        """Raise `RangeError` for a load that moves in another way."""
+        if load.joint_type is not self.joint_type:
+            message = f"a {type(load).__name__} loads a {load.joint_type.name}, not a {self.joint_type.name}"
+            remedy = "give `class: sliding_mass`" if self.joint_type is SLIDE else "give one that turns, as a pendulum"
+            raise RangeError(message, field="load", remedy=remedy)
 
     @property
     def has_creep(self) -> bool:
@@ -342,30 +372,8 @@ class AntagonisticJoint(Component):
         V is the muscle's volume plus a dead volume [m^3], such as tubing and fittings. The index may be one for each
         muscle; a complex one, of air with a temperature (`muscle.air.effective_index`), gives K' + i K''.
         """
-        pressure1, pressure2 = pressure_pair(pressures)
-        index1, index2 = polytropic_index if isinstance(polytropic_index, tuple) else (polytropic_index,) * 2
-        path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
-        path1, path2 = self.geometry.path_lengths(angle)
-
-        def tension_slope(
-            muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: ArrayLike
-        ) -> Array:
-            """Derivative of one muscle's tension with respect to the angle, valve closed."""
-            pressure = floating(pressure)
-            contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
-            by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
-            volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = index * (pressure + ATMOSPHERE) * -volume_slope / (volume + dead_volume)  # dp / d contraction
-            pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
-            isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
-            by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
-            return path_slope * (isobaric + by_air * pressure_slope)
-
-        (arm1, arm2), (arm_slope1, arm_slope2) = value_and_derivative(self.geometry.moment_arms, angle)
-        tension1, tension2 = self.tensions(angle, pressures)
-        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressure1, index1)
-        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2, index2)
-        return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
+        indices = polytropic_index if isinstance(polytropic_index, tuple) else (polytropic_index,) * 2
+        return closed_valve_stiffness(self.routes(angle), 0, pressure_pair(pressures), indices, dead_volume)
 
     def secant_stiffness(
         self,
@@ -406,34 +414,8 @@ class AntagonisticJoint(Component):
         Array([118.1,  94.3,  81.1], dtype=float64)
         """
         check_positive("secant_stiffness", "rad", amplitude=amplitude)
-        pressure1, pressure2 = pressure_pair(pressures)
-        angle, amplitude = floating(angle), floating(amplitude)
-        states = self.init_state(angle, pressures)
-        paths = self.geometry.path_lengths(angle)
-
-        def pressure_at(muscle: Muscle, state: MuscleState, start: Array, path: Array, pressure: ArrayLike) -> Array:
-            """Pressure [Pa] of the air that a closed valve held at the path length `start` [m]."""
-            pressure, index = floating(pressure), polytropic_index
-            if index is None:
-                return pressure
-
-            def expansion(path: Array, pressure: Array) -> Array:
-                """Absolute pressure [Pa] times V^n."""
-                volume = muscle.specimen.volume(self.tendon.contraction(muscle, path, pressure, state)) + dead_volume
-                return (pressure + ATMOSPHERE) * volume**index
-
-            held = expansion(start, pressure)
-            return bracketed_root(lambda p: expansion(path, p) / held - 1, -ATMOSPHERE, 9 * (pressure + ATMOSPHERE))
-
-        def torque(angle: Array) -> Array:
-            path1, path2 = self.geometry.path_lengths(angle)
-            moved = (
-                pressure_at(self.muscle1, states[0], paths[0], path1, pressure1),
-                pressure_at(self.muscle2, states[1], paths[1], path2, pressure2),
-            )
-            return self.forces(angle, 0.0, moved, states).torque
-
-        return (torque(angle - amplitude) - torque(angle + amplitude)) / (2 * amplitude)
+        air: Any = {"polytropic_index": polytropic_index, "dead_volume": dead_volume}
+        return secant_stiffness(self.routes, 0, angle, pressure_pair(pressures), amplitude, **air)
 
     def stiffness_for(self, angle: ArrayLike, pressures: Pressures, amplitude: ArrayLike | None) -> Array:
         """Return `secant_stiffness`, or `stiffness` without a domain check if the amplitude is None."""

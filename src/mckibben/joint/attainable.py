@@ -29,7 +29,7 @@ from mckibben.muscle.muscle import CHECK_LAW
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit, jit_inline
 from mckibben.numerics.elementary import floating
-from mckibben.units import deg
+from mckibben.units import JointType
 
 _SCANNED = 401
 _SCANNED_FRICTION = 33
@@ -51,6 +51,9 @@ class Antagonistic(Protocol):
 
     @property
     def springs(self) -> tuple[bool, bool]: ...
+
+    @property
+    def joint_type(self) -> JointType: ...
 
     def contractions(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
 
@@ -144,20 +147,22 @@ def raise_unattainable(
     joint: Antagonistic, solution: StaticSolution, angle: float, torque: float, stiffness: float
 ) -> NoReturn:
     """Raise an error that says why a static state does not exist; a stiffness of NaN stands for any."""
-    where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
+    kind, unit = joint.joint_type, joint.joint_type.unit("N*m/rad")
+    where = f"at {kind.show(angle, 'deg', 4)} with {_a_torque(kind, torque)}"
     low, high = float(solution.lowest), float(solution.highest)
     if not low <= high:
         raise unattainable(joint, angle, torque)
-    attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
+    attainable = {"value": stiffness, "lower": low, "upper": high, "unit": unit}
     if low <= stiffness <= high:
         raise UnreachableError(
-            f"stiffness {stiffness:.4g} N*m/rad {where} lies in a gap of the attainable {low:.4g}..{high:.4g} "
-            "N*m/rad: it jumps where a spring meets its stop",
+            f"stiffness {kind.show(stiffness, 'N*m/rad', 4)} {where} lies in a gap of the attainable "
+            f"{kind.span((low, high), 'N*m/rad')}: it jumps where a spring meets its stop",
             remedy="choose another stiffness, preload or travel",
             **attainable,
         )
     raise UnreachableError(
-        f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
+        f"stiffness {kind.show(stiffness, 'N*m/rad', 4)} {where} is outside the attainable "
+        f"{kind.span((low, high), 'N*m/rad')}",
         remedy="leave the stiffness out: with a return spring the angle determines it"
         if any(joint.springs)
         else "choose a stiffness inside, or change the lengths of the geometry or muscles; `mckibben envelope` names "
@@ -176,25 +181,30 @@ def unattainable(
     """Return the error that says why a torque is not attainable at an angle, and which range it leaves."""
     if error := _outside_domain(joint, angle):
         return error
-    at = f"at {angle / deg:.4g} deg"
-    remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
+    kind = joint.joint_type
+    at, held = f"at {kind.show(angle, 'deg', 4)}", _a_torque(kind, torque)
+    remedy = f"choose a smaller {kind.words('angle')} or load, other lengths of the geometry, or a series spring"
     if pressure_limits is not None or minimum_tension:
         remedy += "; wider pressure_limits or a lower minimum_tension, if given"
     low, high = map(float, torque_range(joint, angle, pressure_limits, minimum_tension))
     if low <= high and not low <= torque <= high:
-        message = f"a torque of {torque + 0.0:.4g} N*m {at} is outside the attainable {low:.4g}..{high:.4g} N*m"
-        return UnreachableError(message, value=torque, lower=low, upper=high, unit="N*m", remedy=remedy)
-    message = f"no pressures and tensions within limits hold the joint {at} with a torque of {torque + 0.0:.4g} N*m"
+        message = f"{held} {at} is outside the attainable {kind.span((low, high), 'N*m')}"
+        return UnreachableError(message, value=torque, lower=low, upper=high, unit=kind.unit("N*m"), remedy=remedy)
+    message = f"no pressures and tensions within limits hold the joint {at} with {held}"
     if wrong := next(filter(None, (muscle.violation for muscle in joint.muscles)), ""):
         message, remedy = f"{message}, as {wrong}", CHECK_LAW
-    return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
+    return UnreachableError(message, value=angle, unit=kind.unit("rad"), remedy=remedy)
+
+
+def _a_torque(joint_type: JointType, torque: float) -> str:
+    return f"a {joint_type.words('torque')} of {joint_type.show(torque + 0.0, 'N*m', 4)}"
 
 
 def leaves_domain(joint: Antagonistic, angles: ArrayLike, unheld: ArrayLike) -> str:
     """Error text of a muscle that leaves its domain at the first infeasible angle [rad]; empty if there is none."""
     first = np.asarray(angles)[np.asarray(unheld)][:1]
     error = _outside_domain(joint, float(first[0])) if first.size else None
-    return f"at {first[0] / deg:.4g} deg, {error}" if error else ""
+    return f"at {joint.joint_type.show(first[0], 'deg', 4)}, {error}" if error else ""
 
 
 def _outside_domain(joint: Antagonistic, angle: float) -> RangeError | None:
@@ -399,6 +409,8 @@ def _tension_ranges(
         pressures = jnp.stack(jnp.broadcast_arrays(floating(low), floating(high)))
         tensions = jax.vmap(lambda pressure: joint.tendon.tension(muscle, path, pressure))(pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
+        if not muscle.law.pulls:
+            return tensions[0], tensions[0]
         # A muscle that is slack at the highest pressure leaves the feasible set empty.
         tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.force_limit), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)

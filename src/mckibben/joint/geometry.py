@@ -11,10 +11,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, check_within
+from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit_inline
 from mckibben.numerics.elementary import sincos
-from mckibben.units import Angle, Distance, Length, MomentArm, Strength
+from mckibben.units import HINGE, Angle, Distance, JointType, Length, MomentArm, Strength, deg
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
@@ -32,9 +33,21 @@ class Geometry(Component):
     default_class = "knee"
 
     @property
+    def joint_type(self) -> JointType:
+        """How the joint moves."""
+        return HINGE
+
+    @property
     def angle_range(self) -> tuple[float, float]:
         """Range of angles [rad] for which the geometry is defined."""
         return -math.inf, math.inf
+
+    def check_muscles(self, muscles: tuple[Muscle, Muscle]) -> None:
+        """Raise `RangeError` for muscles that it lacks the length of."""
+
+    def span(self, muscles: tuple[Muscle, Muscle]) -> tuple[float, float]:
+        """Return the angles [rad] between which muscles may hold a load, in whole degrees."""
+        return -80 * deg, 80 * deg
 
     @abc.abstractmethod
     def path_lengths(self, angle: ArrayLike) -> Pair:
@@ -141,6 +154,13 @@ class ScaledArms(Geometry):
     geometry: Geometry
     scale: Strength
     angle: Angle = 0.0
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.geometry.joint_type
+
+    def span(self, muscles: tuple[Muscle, Muscle]) -> tuple[float, float]:
+        return self.geometry.span(muscles)
 
     def remedy(self, number: int, *, longer: bool) -> str:
         return self.geometry.remedy(number, longer=longer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import equinox as eqx
@@ -11,14 +12,17 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
-from mckibben.numerics.elementary import sincos
+from mckibben.numerics.elementary import floating, sincos
 from mckibben.units import (
     GRAVITY,
+    HINGE,
+    SLIDE,
     Angle,
     Damping,
     Distance,
     Gravity,
     Inertia,
+    JointType,
     Length,
     Mass,
     PositiveMass,
@@ -27,6 +31,8 @@ from mckibben.units import (
 )
 
 PositiveInertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4, open_lower=True)]
+SlideDamping = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
+Incline = Annotated[float, Quantity("rad", "deg", -90, 90)]
 
 
 class Load(Component):
@@ -39,6 +45,8 @@ class Load(Component):
     """
 
     default_class = "knee"
+    joint_type: ClassVar[JointType] = HINGE
+    """Joints that it loads."""
     estimated_mass: ClassVar[str] = ""
     """Field with the mass [kg] that a calibration estimates; empty if none."""
 
@@ -56,7 +64,7 @@ class Load(Component):
     def gravity_moment(self) -> Float[Array, ""]:
         """G [N*m], the largest torque of gravity; negative for an inverted load."""
 
-    def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
+    def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> Load:
         """Return the load with an additional point mass [kg] on the limb, at a distance [m] from the axis.
 
         It acts on the side of the load's own mass: an inverted load becomes more inverted.
@@ -236,3 +244,53 @@ class GeneralLoad(Load):
     @property
     def gravity_moment(self) -> Float[Array, ""]:
         return self.greatest_gravity_torque  # type: ignore
+
+
+class SlidingMass(Load):
+    r"""A mass on a slide, whose weight acts along an inclined axis.
+
+    .. math:: m\ddot x + c\dot x = F - m g \sin\alpha
+
+    Parameters
+    ----------
+    mass, damping
+        m [kg], and c [N*s/m].
+    incline
+        alpha [rad], the angle of the axis above the horizontal, in the direction of growing positions: 90 deg if muscle
+        2 lifts the mass.
+    gravity
+        g [m/s^2].
+
+    Examples
+    --------
+    >>> from mckibben.units import deg
+    >>> lifted = SlidingMass(mass=2.0, damping=10.0, incline=90 * deg)
+    >>> round(float(lifted.acceleration(0.0, 0.1, 25.62)), 6)
+    2.5
+    """
+
+    short_name = "sliding_mass"
+    joint_type = SLIDE
+    estimated_mass = "mass"
+
+    mass: PositiveMass
+    damping: SlideDamping = 0.0
+    incline: Incline = 0.0
+    gravity: Gravity = GRAVITY
+
+    @property
+    def total_inertia(self) -> Float[Array, ""]:
+        return self.mass  # type: ignore
+
+    @property
+    def gravity_moment(self) -> Float[Array, ""]:
+        return jnp.zeros_like(floating(self.mass))  # the weight does not depend on the position
+
+    def gravity_torque(self, angle: ArrayLike) -> Float[Array, "..."]:
+        return jnp.full_like(floating(angle), -self.mass * self.gravity * sincos(self.incline)[0])
+
+    def gravity_stiffness(self, angle: ArrayLike) -> Float[Array, "..."]:
+        return jnp.zeros_like(floating(angle))
+
+    def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> SlidingMass:
+        return dataclasses.replace(self, mass=self.mass + mass)  # type: ignore

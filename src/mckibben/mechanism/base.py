@@ -12,6 +12,7 @@ from mckibben.component.base import Component
 from mckibben.joint.route import Route
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import Muscle, MuscleState
+from mckibben.units import HINGE, JointType
 
 Scalar = Float[Array, ""]
 
@@ -45,6 +46,11 @@ class Mechanism(abc.ABC):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints; none of a single joint without a name."""
         return ()
+
+    @property
+    def joint_type(self) -> JointType:
+        """How its joints move."""
+        return HINGE
 
     @property
     def muscle_names(self) -> tuple[str, ...]:
@@ -85,6 +91,15 @@ class Mechanism(abc.ABC):
     def coordinates_of(self, position: PyTree) -> tuple[Array, ...]:
         """Return the numbers of a position: the angles [rad] of all joints, then those of a base [m], [rad]."""
         return self.by_joint(position)
+
+    def routes_over(self, position: PyTree, joint: int) -> Callable[[ArrayLike], Sequence[Route]]:
+        """Return the routes as a function of the angle [rad] of one joint, by its number; the others are held."""
+        held = self.by_joint(position)
+
+        def routes(angle: ArrayLike) -> Sequence[Route]:
+            return self.routes(self.like_joints((*held[:joint], angle, *held[joint + 1 :]), position))
+
+        return routes
 
     @abc.abstractmethod
     def routes(self, position: PyTree) -> Sequence[Route]:

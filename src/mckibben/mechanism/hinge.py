@@ -1,4 +1,4 @@
-"""A joint with its load in closed form."""
+"""A joint with its load in closed form, a hinge or a slide."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mckibben.mechanism.base import Mechanism, Statics
 from mckibben.mechanism.joint_friction import JointFriction
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.batching import fusion_barrier
+from mckibben.units import JointType
 
 Scalar = Float[Array, ""]
 
@@ -30,6 +31,10 @@ class Hinge(Mechanism):
     @property
     def muscles(self) -> tuple[Muscle, Muscle]:
         return self.joint.muscles
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.joint.joint_type
 
     def components(self, kind: type) -> tuple[Component, ...]:
         return (self.joint,) if kind is AntagonisticJoint else ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,11 +11,11 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.component.base import Component
 from mckibben.muscle.friction import Elements, FrictionState, anchors, polygon, slip_forces
 from mckibben.numerics.elementary import floating
-from mckibben.units import Quantity
+from mckibben.units import JointQuantity
 
-PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
+PreslidingAngle = Annotated[float, JointQuantity("rad", "deg", 0, 360, open_lower=True)]
 
-FrictionTorque = Annotated[float, Quantity("N*m", "N*m", 1e-9, 1e6)]  # it is divided by
+FrictionTorque = Annotated[float, JointQuantity("N*m", "N*m", 1e-9, 1e6)]  # it is divided by
 
 
 class JointFriction(Component):
@@ -55,6 +55,8 @@ class JointFriction(Component):
     >>> [round(float(friction.resisting_torque(state, angle * deg)), 3) for angle in (10, 9, 0)]
     [0.3, -0.072, -0.3]
     """
+
+    aliases: ClassVar = {"force": ("torque",)}
 
     torque: FrictionTorque
     presliding: PreslidingAngle = 0.5 * jnp.pi / 180

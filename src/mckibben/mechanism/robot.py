@@ -185,6 +185,7 @@ class Robot(Component):
                 for index, column in zip(over, corners.T, strict=True):
                     angles[index] = column
             for name, routed in zip(unit.names, unit.routed(self._skeleton(self.held(angles))), strict=True):
+                _check_slopes(name, routed, f"muscles.{number}")
                 if isinstance(routed.tendon, RigidTendon):  # a spring takes up lengths beyond the range of the muscle
                     paths = jnp.broadcast_to(routed.path, (len(places),))
                     check_contractions(name, routed.muscle, paths, places, f"muscles.{number}")
@@ -294,10 +295,14 @@ class Robot(Component):
 
     def pair(self, index: int) -> AntagonisticJoint:
         """Return the pair of muscles of a joint; `RangeError` without one."""
+        return self.named_pair(index)[1]
+
+    def named_pair(self, index: int) -> tuple[tuple[str, ...], AntagonisticJoint]:
+        """Return the names of the pair of muscles of a joint, and the pair; `RangeError` without one."""
         name = self.joints[index].name
         for unit in self.muscles:
             if name in unit.joint_names and (pair := unit.pair) is not None:
-                return pair
+                return unit.names, pair
         remedy = "give it one (a muscle with `over` and `geometry`), or name a joint that has one"
         raise RangeError(f"{name}: it has no pair of muscles", field="muscles", remedy=remedy)
 
@@ -440,3 +445,14 @@ class Robot(Component):
             for number, pressure in enumerate(pressures, firsts[index]):
                 found[number] = float(pressure) if pressure.ndim == 0 else pressure
         return tuple(found[number] for number in range(count))
+
+
+def _check_slopes(name: str, routed: Route, field: str) -> None:
+    """Raise `RangeError` for a path without a direction, or of which no joint changes the length."""
+    slopes = [np.asarray(slope) for slope in routed.slopes.values()]
+    if any(np.isnan(slope).any() for slope in (np.asarray(routed.path), *slopes)):
+        remedy = "move one of them, or leave it out"
+        raise RangeError(f"{name}: two points of its path coincide", field=field, remedy=remedy)
+    if all(np.allclose(slope, 0.0) for slope in slopes):
+        remedy = "let it pass at a distance from an axis, or leave it out"
+        raise RangeError(f"{name}: no joint changes the length of its path", field=field, remedy=remedy)

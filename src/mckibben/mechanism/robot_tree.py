@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.base import Component
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.route import Route
+from mckibben.joint.route import Route, secant_stiffness
 from mckibben.mechanism.base import Mechanism, Statics
 from mckibben.mechanism.bodies import MOTIONS
 from mckibben.mechanism.dynamics import Contact, Posture, Velocity, acceleration, contacts, frames, joint_equations
@@ -112,7 +112,14 @@ class Tree(Mechanism):
             forces.append(force)
             contractions.append(contraction)
         torque = tuple(jnp.asarray(difference(0.0, own)) for own in resistance)
-        return Statics(torque, self.stiffness(position, pressures), tuple(forces), tuple(contractions))
+        stiffness = self.stiffness(position, pressures)
+        if amplitude is not None:
+            joints = enumerate(position.angles)
+            stiffness = tuple(
+                secant_stiffness(self.routes_over(position, joint), joint, angle, pressures, amplitude)
+                for joint, angle in joints
+            )
+        return Statics(torque, stiffness, tuple(forces), tuple(contractions))
 
     def acceleration(self, position: Posture, velocity: Velocity, torques: Sequence[Array]) -> Velocity:
         robot, stops = self.robot, self.stop_torques(position, velocity)

@@ -15,7 +15,7 @@ from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
 from mckibben.muscle.piecewise import PiecewiseLaw
 from mckibben.muscle.smooth import SmoothLaw
 from mckibben.muscle.specimen import Domain, Specimen
-from mckibben.muscle.spring import SpringLaw, return_spring
+from mckibben.muscle.spring import NoForce, SpringLaw, no_muscle, return_spring
 from mckibben.muscle.threshold import ThresholdLaw
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
@@ -64,6 +64,7 @@ __all__ = [
     "Muscle",
     "MuscleState",
     "NoCreep",
+    "NoForce",
     "NoFriction",
     "Parameter",
     "PiecewiseLaw",
@@ -80,6 +81,7 @@ __all__ = [
     "TsagarakisCaldwellLaw",
     "adjusted_law",
     "forces",
+    "no_muscle",
     "pressure_for",
     "return_spring",
 ]

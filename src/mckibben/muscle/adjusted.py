@@ -91,6 +91,10 @@ class AdjustedAffineLaw(PressureAffineLaw, AdjustedLaw):
         more, steeper = self.correction.terms(contraction)
         return offset + more, gain + steeper
 
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        of = AdjustedLaw if self.law.is_passive else PressureAffineLaw  # pressures do not move a spring
+        return of.pressure_for(self, force, contraction)
+
 
 def adjusted_law(
     law: ForceLaw, *, strength: ArrayLike | None = None, correction: ForceCorrection | None = None

@@ -69,6 +69,10 @@ class ForceLaw(Component):
     """All other parameters, each with finite bounds."""
     constants: ClassVar[tuple[Parameter, ...]] = ()
     """Fields that an identification sets but does not estimate."""
+    is_passive: ClassVar[bool] = False
+    """Whether it is a spring, or no muscle at all: nothing commands it."""
+    pulls: ClassVar[bool] = True
+    """Whether it has any force."""
     formula_domain: ClassVar[Domain] = Domain()
     """Domain of the formula for any parameters; `domain` is the domain of the data behind a law."""
 

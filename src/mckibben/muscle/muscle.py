@@ -77,14 +77,16 @@ class Muscle(Component):
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
-        """Return the section of a muscle for one of a return spring; `RangeError` for a fit."""
+        """Return the section of a muscle for one of a return spring, or of none; `RangeError` for a fit."""
         if isinstance(value, dict) and {"law"} <= value.keys() <= {"law", "equation", "version", "fit"}:
             remedy = "give the muscle a specimen, and the file as its law"
             raise RangeError("is a fit, the law of a muscle", remedy=remedy)
+        passive = {"domain": {"pressure_min": "0 bar", "pressure_max": "0 bar"}, "volume_terms": ("1 cm^3",)}
+        if value == "none":
+            return {"specimen": {"name": "no muscle", "initial_length": "1 m", **passive}, "law": "no_force"}
         if not isinstance(value, dict) or value.get("class") != "return_spring":
             return value
-        specimen = {"name": "return spring", "domain": {"pressure_min": "0 bar", "pressure_max": "0 bar"}}
-        specimen |= {"volume_terms": ("1 cm^3",), "initial_length": value.get("free_length", "")}
+        specimen = {"name": "return spring", "initial_length": value.get("free_length", ""), **passive}
         spring = {key: field for key, field in value.items() if key not in ("class", "free_length")}
         return {"specimen": specimen, "law": {"class": "spring", **spring}}
 

@@ -28,6 +28,7 @@ class SpringLaw(PressureAffineLaw):
     """
 
     short_name = "spring"
+    is_passive = True
 
     rate: SpringRate
     free_length: Annotated[Length, Inherited(lambda scope: scope["specimen"].initial_length)]
@@ -43,6 +44,32 @@ class SpringLaw(PressureAffineLaw):
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         """Return 0, the only pressure of a spring."""
         return jnp.zeros_like(jnp.asarray(force) - jnp.asarray(contraction))
+
+
+class NoForce(PressureAffineLaw):
+    """Law of a muscle that is not there, as that opposite one that a weight stretches."""
+
+    short_name = "no_force"
+    is_passive = True
+    pulls = False
+
+    domain: Domain = Domain(pressure_min=0.0, pressure_max=0.0)
+
+    equation = "F = 0"
+    source = "-"
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        nothing = jnp.zeros_like(jnp.asarray(contraction))
+        return nothing, nothing
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        return jnp.zeros_like(jnp.asarray(force) - jnp.asarray(contraction))
+
+
+def no_muscle() -> Muscle:
+    """Return what stands in place of a muscle of a joint that has only one, against a weight."""
+    law = NoForce()
+    return Muscle(Specimen("no muscle", 1.0, domain=law.domain, volume_terms=(_VOLUME,)), law)
 
 
 def return_spring(rate: float, free_length: float) -> Muscle:

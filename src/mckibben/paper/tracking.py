@@ -185,7 +185,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
     }
     return tune(
         scenarios,
-        gain_ranges(scenarios[0]),
+        gain_ranges(scenarios[0], 2.0),
         Cost.of(scales, gain_margin=_GAIN_MARGIN, disk_margin=0.0),
         method=_by_evolution,
         iterations=generations,

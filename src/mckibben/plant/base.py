@@ -188,10 +188,14 @@ class Plant(Component):
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6), and of creep, at the pressures of a state."""
         forces, velocity = self.forces(state), state.velocity
-        acceleration = self.mechanism.acceleration(state.position, velocity, forces.torques)
+        acceleration = self.acceleration(state, forces.torques)
         muscles = zip(self.muscles, state.muscles, forces.path_rates, state.pressures, strict=True)
         creep = tuple(muscle.state_rate(held, rate, pressure).creep for muscle, held, rate, pressure in muscles)
         return Motion(velocity, acceleration, creep)
+
+    def acceleration(self, state: PlantState, torques: Sequence[Array]) -> Any:
+        """Return the acceleration [rad/s^2, m/s^2] under torques [N*m] by joint, in the form of a velocity."""
+        return self.mechanism.acceleration(state.position, state.velocity, torques)
 
     def project(self, state: PlantState) -> PlantState:
         """Return the state after an integration step with updated internal states; no force changes by it."""

@@ -28,7 +28,6 @@ from mckibben.numerics.elementary import floating
 from mckibben.plant.base import Angles, Plant
 from mckibben.plant.sensors import PerfectSensors
 from mckibben.plant.state import PlantState
-from mckibben.units import deg
 
 Scalar = Float[Array, ""]
 
@@ -79,6 +78,7 @@ class JointPlant(Plant):
 
     def __check_init__(self) -> None:
         super().__check_init__()
+        self.joint.check_load(self.load)
         if self.valve.holds_air:
             for muscle in self.joint.muscles:
                 muscle.specimen.check_volume(f"a {type(self.valve).__name__} that fills the volume")
@@ -153,8 +153,8 @@ class JointPlant(Plant):
         if not solution.exists:
             if not solution.lowest <= solution.highest and solve_static(self.joint, angle, torque, math.nan).exists:
                 raise UnreachableError(
-                    f"the supply of the valves is too low to hold the joint at {float(angle) / deg:.4g} deg; the rated "
-                    "pressures would",
+                    "the supply of the valves is too low to hold the joint at "
+                    f"{self.joint.joint_type.show(angle, 'deg', 4)}; the rated pressures would",
                     field="supply",
                     remedy="raise the supply, or choose another angle",
                 )

@@ -27,7 +27,7 @@ from mckibben.mechanism.dynamics import (
 from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.robot_tree import Tree
-from mckibben.muscle import MuscleState, SpringLaw
+from mckibben.muscle import MuscleState
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import Plant
@@ -125,7 +125,7 @@ class RobotPlant(Plant):
         sideways = max((np.linalg.eigvalsh(mobility[:2, :2])[-1] for mobility in points), default=0.0)
         rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
-            muscles = (muscle for muscle in robot.all_muscles if not isinstance(muscle.law, SpringLaw))
+            muscles = (muscle for muscle in robot.all_muscles if not muscle.law.is_passive)
             volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
             rates["the air"] = self.valve.fastest_rate_in(min(volumes))
         return rates

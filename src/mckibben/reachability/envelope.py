@@ -73,8 +73,8 @@ class JointReach(NamedTuple):
 
     def nearest(self, amplitude: float) -> str:
         """Feasible changes of the reference: a constant stiffness, or a factor on the amplitude."""
-        changes = ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness or (0.0, 0.0))]
-        changes = changes * bool(self.stiffness)
+        constant = self.stiffness and self.static.joint_type.span(self.stiffness, "N*m/rad")
+        changes = [f"with a constant stiffness of {constant}"] * bool(constant)
         changes += [f"at {amplitude:.3g} of its amplitude"] * (amplitude > 0)
         return f"the reference would be feasible {', or '.join(changes)}" if changes else _NONE
 
@@ -89,13 +89,21 @@ class JointReach(NamedTuple):
             "angle": (Column("rad", shown="deg"), static.angles[at]),
             "gravity torque": (torque, static.torque[at] + 0.0),
         }
+        pressure, ends = Column("Pa", shown="bar", digits=3), (static.pressures_at_lowest, static.pressures_at_highest)
+        if static.one_muscle:
+            columns["stiffness"] = stiffness, bands.pop("stiffness")[1].lowest[at]
+            columns["pressure"] = pressure, np.round(ends[0].max(axis=0)[at]) + 0.0
+            ends = ()
         for name, (unit, band) in bands.items():
             columns |= {f"{end} {name}": (unit, edge[at]) for end, edge in zip(_ENDS, band, strict=True)}
-        unit = Column("Pa", shown="bar", digits=3)
-        for end, pressures in zip(_ENDS, (static.pressures_at_lowest, static.pressures_at_highest), strict=True):
-            columns |= {f"p{i} at {end}": (unit, np.round(row[at]) + 0.0) for i, row in enumerate(pressures, 1)}
+        for end, pressures in zip(_ENDS, ends, strict=False):
+            columns |= {f"p{i} at {end}": (pressure, np.round(row[at]) + 0.0) for i, row in enumerate(pressures, 1)}
         for end, names in zip(_ENDS, static.limits, strict=True):
             columns |= {f"{end} limited by": (Column(), np.array(names)[at])} if names else {}
+        columns = {
+            static.joint_type.words(name): (mark.for_joint(static.joint_type), values)
+            for name, (mark, values) in columns.items()
+        }
         return Listing(title, columns, detail)
 
 
@@ -316,6 +324,8 @@ def envelope(scenario: Scenario | RobotScenario, *, progress: Progress | None = 
 
 
 def _limits_of_pair(joint: AntagonisticJoint, muscles: Sequence[Muscle], static: StaticEnvelope) -> list[str]:
+    if any(joint.springs):  # the load determines the stiffness of one muscle
+        return []
     ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
     return active_limits(joint, muscles, static.angles[static.inside], ends)
 

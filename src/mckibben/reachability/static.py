@@ -27,7 +27,7 @@ from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
 from mckibben.statics.attainable import held_statics
 from mckibben.statics.posture import HeldPostures, holding_torques
-from mckibben.units import deg
+from mckibben.units import HINGE, JointType, deg
 
 Values = NDArray[np.float64]
 
@@ -69,6 +69,8 @@ class StaticEnvelope:
     small_motion: AttainableRange | None = None  # of motion by 0.1 deg at the ends of `stiffness`, with friction
     limits: tuple[Sequence[str], Sequence[str]] = ((), ())  # muscle and limit at the lowest and the highest stiffness
     obstacle: str = ""  # why no angle can be held
+    one_muscle: bool = False  # whose load determines the stiffness, so that both bounds are the same
+    joint_type: JointType = HINGE  # of a slide, angles are in m, torques in N and stiffnesses in N/m
 
     @property
     def limit_texts(self) -> list[str]:
@@ -84,9 +86,9 @@ class StaticEnvelope:
     def __repr__(self) -> str:
         if not self.exists:
             return "<StaticEnvelope: the load cannot be held at any angle>"
-        low, high = np.nanmin(self.stiffness.lowest), np.nanmax(self.stiffness.highest)
-        angles = f"{self.angle_min / deg:.4g}..{self.angle_max / deg:.4g} deg"
-        return f"<StaticEnvelope: {angles}, stiffness {low:.4g}..{high:.4g} N*m/rad>"
+        stiffness = np.nanmin(self.stiffness.lowest), np.nanmax(self.stiffness.highest)
+        angles, span = (self.angle_min, self.angle_max), self.joint_type.span
+        return f"<StaticEnvelope: {span(angles, 'deg')}, stiffness {span(stiffness, 'N*m/rad')}>"
 
     @property
     def exists(self) -> bool:
@@ -110,7 +112,7 @@ class StaticEnvelope:
     def table_rows(self) -> NDArray[np.int_]:
         """Indices of about ten whole angles [deg] of the static range, 0 deg among them; empty if there is none."""
         inside = np.flatnonzero(self.inside)
-        degrees = np.round(self.angles[inside] / deg, 6)
+        degrees = np.round(self.angles[inside] / self.joint_type.size("deg"), 6)
         return inside[degrees % max(math.ceil((np.ptp(degrees) if degrees.size else 0.0) / 10), 1) == 0]
 
 
@@ -129,7 +131,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0, angles: Values | N
     about
         An angle [rad] in the range of interest; if it is not static, the nearest static angle replaces it.
     angles
-        Angles [rad], ascending. Default: from -80 to 80 deg.
+        Angles [rad], ascending. Default: from -80 to 80 deg; of a slide, where a muscle is within its domain.
 
     Examples
     --------
@@ -155,8 +157,10 @@ def pair_envelope(
 
     `about` and `angles` are those of `static_envelope`; the domains of the muscles end at the supply.
     """
-    affine = is_affine(joint)
-    angles = np.linspace(-80 * deg, 80 * deg, 641 if affine else 161) if angles is None else angles
+    affine, kind = is_affine(joint), joint.joint_type
+    if angles is None:
+        first, last = joint.geometry.span(joint.muscles)
+        angles = np.linspace(first, last, round((last - first) / kind.size("deg")) * (4 if affine else 1) + 1)
     points = scan_points(affine)
 
     def stiffness_at(angles: Values) -> tuple[Array, ...]:
@@ -179,7 +183,7 @@ def pair_envelope(
     obstacle = ""
     if infeasible.all():
         torque = float(np.asarray(torque_at(np.array([about])))[0])
-        obstacle = f"at {about / deg:.4g} deg, {unattainable(joint, about, torque)}"
+        obstacle = f"at {kind.show(about, 'deg', 4)}, {unattainable(joint, about, torque)}"
     return StaticEnvelope(
         angles,
         np.asarray(torque_at(angles)),
@@ -191,6 +195,8 @@ def pair_envelope(
         AttainableRange(*map(np.asarray, stiffness_range(joint, *grid, None, 0.0))),
         small,
         obstacle=obstacle,
+        one_muscle=any(joint.springs),
+        joint_type=kind,
     )
 
 

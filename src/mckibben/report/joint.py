@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from mckibben.reachability import Envelope, JointReach, Selection, StaticEnvelope, static_envelope
-from mckibben.reachability.static import Values
+from mckibben.reachability.static import AttainableRange, Values
 from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
     DESIRED,
@@ -31,7 +32,7 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, StiffnessTests
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, MotionTests, StiffnessTests
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
@@ -66,12 +67,13 @@ def attainable_stiffness(
     figure = blank(DOUBLE, 3.1)
     grid = figure.subplots(1, len(joints), squeeze=False)[0]
     for i, (axes, (name, static)) in enumerate(zip(grid, joints.items(), strict=True)):
+        static = _shown(static)
         _band(axes, static, color="#BFD9EA", label="attainable in static equilibrium")
         curves = (references or {}).get(name, {})
         for (reference, result), color in zip(curves.items(), (BLACK, ORANGE, VERMILLION), strict=False):
             desired = result["desired_angle"] / deg, result["desired_stiffness"]
             axes.plot(*desired, color=color, linewidth=1.4, label=f"desired stiffness, {reference}", zorder=4)
-        first, last = static.angle_min / deg, static.angle_max / deg
+        first, last = static.angle_min, static.angle_max
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
@@ -101,21 +103,22 @@ def torque_stiffness_map(joints: Mapping[str, StaticEnvelope]) -> Figure:
     grid = figure.subplots(len(joints), 3, squeeze=False, sharey=True, sharex="row")
     titles = ("K_min", "K_max", "K_max − K_min")
     for i, (name, static) in enumerate(joints.items()):
+        static = _shown(static)
         ends = static.map_stiffness
         span = _levels(*ends)
         for j, (axes, value) in enumerate(zip(grid[i], (*ends, ends.width), strict=True)):
             filled = _contours(
                 axes, static, value, span if j < 2 else _levels(value), "viridis" if j < 2 else "cividis"
             )
-            axes.plot(static.angles / deg, static.torque, color="white", linewidth=2.6, zorder=4)
+            axes.plot(static.angles, static.torque, color="white", linewidth=2.6, zorder=4)
             look = {**DESIRED, "linewidth": 1.2, "zorder": 5}
-            axes.plot(static.angles / deg, static.torque, label="static torque of the load", **look)
+            axes.plot(static.angles, static.torque, label="static torque of the load", **look)
             axes.set_facecolor("#F3F3F3")
             if j:
                 label = _STIFFNESS if j == 1 else _RANGE
                 figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
             letter(axes, 3 * i + j, f"{name}: {titles[j]}" if j < 2 else titles[j])
-            axes.set_xlim(1.15 * static.map_angles.min() / deg, 1.15 * static.map_angles.max() / deg)
+            axes.set_xlim(1.15 * static.map_angles.min(), 1.15 * static.map_angles.max())
             axes.set(xlabel=_ANGLE, ylabel=_TORQUE if j == 0 else "")
     legend_above(figure, *grid.ravel())
     return figure
@@ -123,10 +126,52 @@ def torque_stiffness_map(joints: Mapping[str, StaticEnvelope]) -> Figure:
 
 def _contours(axes: Axes, static: StaticEnvelope, values: Values, levels: int | Values, cmap: str) -> ContourSet:
     """Filled contours of values over the attainable angles [deg] and torques [N*m]."""
-    filled = axes.contourf(static.map_angles / deg, static.map_torques, values, levels, cmap=cmap)
+    filled = axes.contourf(static.map_angles, static.map_torques, values, levels, cmap=cmap)
     filled.set_rasterized(True)
     axes.grid(False)
     return filled
+
+
+def _shown(static: StaticEnvelope) -> StaticEnvelope:
+    """Return a static envelope in the units that are drawn, of a hinge degrees."""
+    angle, stiffness = (static.joint_type.size(unit) for unit in ("deg", "N*m/rad"))
+
+    def band(values: AttainableRange) -> AttainableRange:
+        return AttainableRange(values.lowest / stiffness, values.highest / stiffness)
+
+    return dataclasses.replace(
+        static,
+        angles=static.angles / angle,
+        stiffness=band(static.stiffness),
+        angle_min=static.angle_min / angle,
+        angle_max=static.angle_max / angle,
+        map_angles=static.map_angles / angle,
+        map_stiffness=band(static.map_stiffness),
+        small_motion=static.small_motion and band(static.small_motion),
+    )
+
+
+def _shown_reach(reach: JointReach) -> JointReach:
+    """Return the reachability of a joint, with its reference, in the units that are drawn."""
+    static, reference = _shown(reach.static), reach.reference
+    if reference is not None:
+        angle, stiffness = (static.joint_type.size(unit) for unit in ("deg", "N*m/rad"))
+        reference = dataclasses.replace(
+            reference,
+            desired_angle=reference.desired_angle / angle,
+            desired_stiffness=reference.desired_stiffness / stiffness,
+            lowest=reference.lowest / stiffness,
+            highest=reference.highest / stiffness,
+        )
+    return reach._replace(static=static, reference=reference)
+
+
+def _angle_label(static: StaticEnvelope) -> str:
+    return static.joint_type.label("joint angle", "deg")
+
+
+def _stiffness_label(static: StaticEnvelope) -> str:
+    return static.joint_type.label("stiffness", "N*m/rad")
 
 
 def _levels(*values: Values) -> Values:
@@ -152,7 +197,7 @@ def envelope(envelope: Envelope) -> Figure:
     """
     if "" not in envelope.joints:
         return _of_joints(envelope.joints)
-    reach = envelope.only
+    reach = _shown_reach(envelope.only)
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
     _torque(figure, torque, reach)
@@ -161,7 +206,7 @@ def envelope(envelope: Envelope) -> Figure:
     _angle(angle, reach)
     titles = ("torque and stiffness range", "static stiffness", "stiffness along the reference", "angle")
     for i, (axes, title) in enumerate(zip(figure.axes, titles, strict=False)):
-        letter(axes, i, title)
+        letter(axes, i, reach.static.joint_type.words(title))
     legend_above(figure, torque, stiffness, over_time, angle, columns=3)
     return figure
 
@@ -172,8 +217,9 @@ def _of_joints(joints: Mapping[str, JointReach]) -> Figure:
     figure = blank(DOUBLE, 1.5 * len(joints) + 0.9)
     rows = figure.subplots(len(joints), 2 + timed, squeeze=False, sharex="col" if len(joints) == 1 else False)
     for row, (name, reach) in zip(rows, joints.items(), strict=True):
+        reach = _shown_reach(reach)
         static, inside = reach.static, reach.static.inside
-        angles, limits = static.angles[inside] / deg, [edge[inside] for edge in static.torque_range]
+        angles, limits = static.angles[inside], [edge[inside] for edge in static.torque_range]
         draw_band(row[0], angles, *limits, color=_STATIC, label="attainable, static")
         row[0].plot(
             angles, static.torque[inside], color=VERMILLION, linewidth=1.1, label="torque that balances gravity"
@@ -197,13 +243,16 @@ def _of_joints(joints: Mapping[str, JointReach]) -> Figure:
 def _torque(figure: Figure, axes: Axes, reach: JointReach) -> None:
     """Draw the torque [N*m] that balances gravity over the width of the stiffness range."""
     static = reach.static
-    angles, torque = static.angles[static.inside] / deg, static.torque[static.inside]
-    if static.map_angles.size:
+    angles, torque = static.angles[static.inside], static.torque[static.inside]
+    if static.one_muscle:
+        limits = (edge[static.inside] for edge in static.torque_range)
+        draw_band(axes, angles, *limits, color=_STATIC, label="attainable, static")
+    elif static.map_angles.size:
         drawn = _contours(axes, static, np.nan_to_num(static.map_stiffness.width), 10, "cividis")
-        figure.colorbar(drawn, ax=axes, label=_RANGE, pad=0.02)
+        figure.colorbar(drawn, ax=axes, label=static.joint_type.label("range of stiffness", "N*m/rad"), pad=0.02)
     axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
-    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label=_BALANCE)
-    axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
+    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label=static.joint_type.words(_BALANCE))
+    axes.set(xlabel=_angle_label(static), ylabel=static.joint_type.label("muscle torque", "N*m"))
 
 
 def _over_angle(axes: Axes, reach: JointReach) -> None:
@@ -216,8 +265,8 @@ def _over_angle(axes: Axes, reach: JointReach) -> None:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     desired = np.empty(0) if reference is None else reference.desired_stiffness
     if reference is not None:  # back and forth: no dashes
-        axes.plot(reference.desired_angle / deg, desired, color=BLACK, linewidth=0.9, zorder=3)
-    axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
+        axes.plot(reference.desired_angle, desired, color=BLACK, linewidth=0.9, zorder=3)
+    axes.set(xlabel=_angle_label(static), ylabel=_stiffness_label(static))
     if static.small_motion is None:
         _limits(axes, *(edge[inside] for edge in static.stiffness), desired)
     else:  # often many times the isobaric stiffness
@@ -228,7 +277,7 @@ def _over_angle(axes: Axes, reach: JointReach) -> None:
 def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None:
     """Shade the static stiffness range [N*m/rad] over the angle [deg]; dotted: small motion, with friction."""
     inside = static.inside
-    angles, low, high = static.angles[inside] / deg, static.stiffness.lowest[inside], static.stiffness.highest[inside]
+    angles, low, high = static.angles[inside], static.stiffness.lowest[inside], static.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
     for edge in (low, high):
         axes.plot(angles, edge, color=BLUE, linewidth=0.8)
@@ -242,8 +291,10 @@ def _over_time(axes: Axes, reach: JointReach) -> None:
     assert reference is not None
     times, desired = reference.times, reference.desired_stiffness
     draw_band(axes, times, reference.lowest, reference.highest, color=_STATIC, label="attainable, static")
+    if reach.static.one_muscle:
+        axes.plot(times, reference.lowest, color=BLUE, linewidth=0.8)
     axes.plot(times, desired, label="reference", **DESIRED)
-    axes.set(xlabel="time [s]", ylabel=_STIFFNESS, xlim=(times[0], times[-1]))
+    axes.set(xlabel="time [s]", ylabel=_stiffness_label(reach.static), xlim=(times[0], times[-1]))
     _limits(axes, reference.lowest, reference.highest, desired)
 
 
@@ -252,9 +303,9 @@ def _angle(axes: Axes, reach: JointReach) -> None:
     static, reference = reach.static, reach.reference
     assert reference is not None
     if static.angle_min <= static.angle_max:
-        axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
-    axes.plot(reference.times, reference.desired_angle / deg, label="reference", **DESIRED)
-    axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(reference.times[0], reference.times[-1]))
+        axes.axhspan(static.angle_min, static.angle_max, color=_STATIC, linewidth=0, zorder=0)
+    axes.plot(reference.times, reference.desired_angle, label="reference", **DESIRED)
+    axes.set(xlabel="time [s]", ylabel=_angle_label(static), xlim=(reference.times[0], reference.times[-1]))
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
@@ -301,7 +352,7 @@ def felt_stiffness(result: FeltStiffness) -> Figure:
 
 @styled
 def stiffness(tests: StiffnessTests) -> Figure:
-    """Stiffness [N*m/rad] over the amplitude of a motion [deg].
+    """Stiffness [N*m/rad] over the amplitude of a motion [deg], in a row for each joint.
 
     First panel: at constant pressures and with closed valves, by the closed forms (lines), simulated at the lowest and
     the highest rate (circles and crosses), and without friction (dashed). Further panels: tests that depend on the rate
@@ -313,43 +364,63 @@ def stiffness(tests: StiffnessTests) -> Figure:
     tests
         Result of `mckibben.study.stiffness.stiffness_tests`.
     """
-    varied = [name for name in tests.tests if name not in (HELD, CLOSED)]
-    figure = blank(DOUBLE, 2.9)
-    first, *others = figure.subplots(1, 1 + len(varied))
-    forms = ((HELD, tests.secant, tests.isobaric, BLUE), (CLOSED, tests.closed_secant, tests.closed_valve, VERMILLION))
-    amplitudes = tests.amplitude / deg
+    names = list(next(iter(tests.motions.values())).tests)
+    varied = [name for name in names if name not in (HELD, CLOSED)]
+    count = len(tests.motions)
+    figure = blank(DOUBLE, 2.3 * count + 0.6)
+    grid = figure.subplots(count, 1 + len(varied), squeeze=False)
+    for row, (joint, motion) in enumerate(tests.motions.items()):
+        _over_amplitude(grid[row, 0], motion)
+        _over_rates(list(grid[row, 1:]), motion, varied)
+        titles = "constant pressures, closed valves", *(SHOWN[name] for name in varied)
+        for i, (axes, title) in enumerate(zip(grid[row], titles, strict=True)):
+            letter(axes, row * len(titles) + i, f"{joint}: {title}" if joint else title)
+            axes.set_xscale("log")
+            plain_numbers(axes.xaxis)
+    for axes in grid[-1]:
+        axes.set_xlabel("amplitude [deg]")
+    legend_above(figure, grid[0, 0], grid[0, -1], columns=4)
+    return figure
+
+
+def _over_amplitude(axes: Axes, motion: MotionTests) -> None:
+    """Draw the tests that do not depend on the rate [N*m/rad] over the amplitude [deg]."""
+    forms = (
+        (HELD, motion.secant, motion.isobaric, BLUE),
+        (CLOSED, motion.closed_secant, motion.closed_valve, VERMILLION),
+    )
+    amplitudes = motion.amplitude / deg
     for name, secant, slope, color in forms:
-        first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
+        axes.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
         label = f"{SHOWN[name]}, without friction"
-        first.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
-        test = tests.tests[name]
+        axes.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
+        test = motion.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
             look: Look = {"color": color, "linestyle": "", "marker": marker}
             look |= {"markersize": size, "fillstyle": "none"}
-            first.plot(amplitudes, test.stiffness[row], label=label, **look)
-        for axes in others:
+            axes.plot(amplitudes, test.stiffness[row], label=label, **look)
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel(_STIFFNESS)
+
+
+def _over_rates(panels: Sequence[Axes], motion: MotionTests, names: Sequence[str]) -> None:
+    """Draw tests [N*m/rad] over the amplitude [deg], one curve per rate; the controller's on a logarithmic axis."""
+    amplitudes, shades = motion.amplitude / deg, pressure_colours()
+    for axes, name in zip(panels, names, strict=True):
+        for secant, color in ((motion.secant, BLUE), (motion.closed_secant, VERMILLION)):
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
-    letter(first, 0, "constant pressures, closed valves")
-    shades = pressure_colours()
-    for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
-        test = tests.tests[name]
+        test = motion.tests[name]
         values = test.magnitude if name == CONTROLLED else test.stiffness
         for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
             color = shades(k / max(len(test.frequency) - 1, 1))
             axes.plot(amplitudes, row, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
-        letter(axes, i + 1, SHOWN[name])
-    for axes in (first, *others):
-        axes.set(xscale="log", xlabel="amplitude [deg]")
-        plain_numbers(axes.xaxis)
-        axes.set_ylim(bottom=0.0)
-    others[-1].set_ylim(auto=True)
-    others[-1].set_yscale("log")
-    plain_numbers(others[-1].yaxis)
-    first.set_ylabel(_STIFFNESS)
-    others[-1].set_ylabel("magnitude [N·m/rad]")
-    legend_above(figure, first, others[-1], columns=4)
-    return figure
+        if name == CONTROLLED:
+            axes.set_yscale("log")
+            plain_numbers(axes.yaxis)
+            axes.set_ylabel("magnitude [N·m/rad]")
+        else:
+            axes.set_ylim(bottom=0.0)
 
 
 def _box(axes: Axes, angles: Sequence[float], stiffness: Sequence[float], label: str) -> None:
@@ -369,18 +440,18 @@ def selection(selection: Selection) -> Figure:
         Result of `mckibben.reachability.size`.
     """
     need, joint = selection.requirement, selection.best
-    static = static_envelope(joint.plant, about=need.middle)
+    static = _shown(static_envelope(joint.plant, about=need.middle))
     figure = blank(DOUBLE, 3.2)
     left, right = figure.subplots(1, 2)
     _band(left, static, color=_STATIC, label="attainable, static")
     if need.stiffness:
         _box(left, need.angles, need.stiffness, "required")
     inside = static.inside
-    angles, torque = static.angles[inside] / deg, static.torque[inside]
+    angles, torque = static.angles[inside], static.torque[inside]
     limits = (edge[inside] for edge in static.torque_range)
     draw_band(right, angles, *limits, color=_STATIC, label="attainable, static")
     right.plot(angles, torque, label="static torque of the load", **DESIRED)
-    moved = (static.angles[inside] >= need.angles[0]) & (static.angles[inside] <= need.angles[1])
+    moved = (angles >= need.angles[0] / deg) & (angles <= need.angles[1] / deg)
     for sign, label in ((-1, None), (1, "required, with motion and reserve")):
         right.plot(angles[moved], torque[moved] + sign * need.reserve, color=BLACK, linewidth=1.4, label=label)
     middle, half = need.middle / deg, _SHOWN_RANGE * need.amplitude / deg

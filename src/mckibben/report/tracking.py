@@ -29,13 +29,13 @@ from mckibben.report.style import (
 )
 from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
-from mckibben.units import bar, deg
+from mckibben.units import bar
 
 if TYPE_CHECKING:
     from mckibben.simulation import Margins
 
-TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
-_BAND = "attainable at the desired angle"
+TIME = "time [s]"
+_DEG, _STIFFNESS = "deg", "N*m/rad"  # of a hinge
 _SMALL = "small_motion_stiffness"
 
 
@@ -64,29 +64,29 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
         results = {"run": results}
     _same_reference(results)
     alone = len(results) == 1
-    small = {name: result[_SMALL] for name, result in results.items() if _SMALL in result.columns}
+    small = {name: _stiffness(result, _SMALL) for name, result in results.items() if _SMALL in result.columns}
     rows = 3 + alone + bool(small)
     figure = blank(DOUBLE, 1.8 + 1.3 * rows)
     grid = figure.subplots(rows, 1, sharex=True)
     looks = {name: {"color": MEASURED} for name in results} if alone else looks_of(results)
     first = next(iter(results.values()))
-    times = first.times
+    times, kind = first.times, first.joint_type
     draw_angle(grid[0], results, looks)
     grid[0].set_ylim(*robust_limits([line.get_ydata() for line in grid[0].lines]))
     errors = {name: _angle_error(result) for name, result in results.items()}
     for name, values in errors.items():
         grid[1].plot(times, values, **looks[name])
     grid[1].axhline(0, color="#444444", linewidth=0.7)
-    grid[1].set(ylabel="actual − desired\nangle [deg]")
+    grid[1].set(ylabel="actual − desired\n" + kind.label("angle", _DEG))
     grid[1].set_ylim(*robust_limits(list(errors.values()), floor=1e-3))
-    note_off_scale(grid[1], times, errors, "deg")
+    note_off_scale(grid[1], times, errors, kind.shown(_DEG))
     draw_stiffness(grid[2], results, looks)
     grid[2].set_ylim(*_stiffness_limits(results.values()))
-    note_off_scale(grid[2], times, {name: result["stiffness"] for name, result in results.items()}, "N·m/rad")
+    _note_stiffness(grid[2], results)
     for name, values in small.items():
         grid[3].plot(times, values, **looks[name])
     if small:
-        grid[3].set(ylabel="small-motion\n" + STIFFNESS)
+        grid[3].set(ylabel="small-motion\n" + kind.label("stiffness", _STIFFNESS))
         grid[3].set_ylim(*robust_limits(list(small.values())))
     if alone:
         draw_pressures(grid[-1], first)
@@ -114,15 +114,15 @@ def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figur
     upper, lower = grid[::2].ravel(), grid[1::2].ravel()
     looks = looks_of(name for name, _ in panels.values())
     results = [result for _, result in panels.values()]
-    angles = robust_limits([result[column] / deg for result in results for column in ("angle", "desired_angle")])
+    angles = robust_limits([_angle(result, column) for result in results for column in ("angle", "desired_angle")])
     for i, (above, below, (title, (name, result))) in enumerate(zip(upper, lower, panels.items(), strict=False)):
         draw_angle(above, {name: result}, looks)
         draw_stiffness(below, {name: result}, looks)
         letter(above, i, title)
         above.set_ylim(*angles)
         below.set(xlabel=TIME, ylim=_stiffness_limits(results))
-        note_off_scale(above, result.times, {name: result["angle"] / deg}, "deg", bottom=True)
-        note_off_scale(below, result.times, {name: result["stiffness"]}, "N·m/rad", bottom=True)
+        note_off_scale(above, result.times, {name: _angle(result)}, result.joint_type.shown(_DEG), bottom=True)
+        _note_stiffness(below, {name: result}, bottom=True)
     for axes in (*upper[len(panels) :], *lower[len(panels) :]):
         axes.remove()
     for axes in figure.axes:
@@ -135,20 +135,21 @@ def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figur
 def draw_angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
     """Draw the angle [deg] of runs, and their common reference."""
     first = next(iter(runs.values()))
-    axes.plot(first.times, first["desired_angle"] / deg, label="desired", **DESIRED)
+    axes.plot(first.times, _angle(first, "desired_angle"), label="desired", **DESIRED)
     for name, result in runs.items():
-        axes.plot(first.times, result["angle"] / deg, label=name, **looks[name])
-    axes.set(ylabel=ANGLE)
+        axes.plot(first.times, _angle(result), label=name, **looks[name])
+    axes.set(ylabel=first.joint_type.label("angle", _DEG))
 
 
 def draw_stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
     """Draw the stiffness [N*m/rad] of runs, their common reference, and the attainable range of the first one."""
     first = next(iter(runs.values()))
-    draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
+    low, high = (_stiffness(first, f"{end}_stiffness") for end in ("lowest", "highest"))
+    draw_band(axes, first.times, low, high, label=first.joint_type.words("attainable at the desired angle"))
     for name, result in runs.items():
-        axes.plot(first.times, result["stiffness"], label=name, **looks[name])
-    axes.plot(first.times, first["desired_stiffness"], label="desired", **DESIRED)
-    axes.set(ylabel=STIFFNESS)
+        axes.plot(first.times, _stiffness(result), label=name, **looks[name])
+    axes.plot(first.times, _stiffness(first, "desired_stiffness"), label="desired", **DESIRED)
+    axes.set(ylabel=first.joint_type.label("stiffness", _STIFFNESS))
 
 
 def draw_pressures(axes: Axes, result: SimulationResult) -> None:
@@ -162,8 +163,8 @@ def draw_pressures(axes: Axes, result: SimulationResult) -> None:
 
 def _stiffness_limits(results: Iterable[SimulationResult]) -> tuple[float, float]:
     """Axis limits around reference and stiffness, with space for the attainable range."""
-    curves = [result[column] for result in results for column in ("desired_stiffness", "stiffness")]
-    desired = max(float(np.abs(curve).max()) for curve in curves[::2])
+    curves = [_stiffness(result, column) for result in results for column in ("desired_stiffness", "stiffness")]
+    desired = np.nan_to_num(max(float(np.abs(curve).max()) for curve in curves[::2]))  # NaN of one muscle
     return robust_limits(curves, part=0.99, margin=0.7, floor=0.05 * desired)
 
 
@@ -177,7 +178,9 @@ def _same_reference(results: Mapping[str, SimulationResult]) -> None:
     first = next(iter(results.values()))
     for name, result in results.items():
         for column in ("time", "desired_angle", "desired_stiffness"):
-            if first[column].shape != result[column].shape or not np.allclose(first[column], result[column], rtol=1e-9):
+            if first[column].shape != result[column].shape or not np.allclose(
+                first[column], result[column], rtol=1e-9, equal_nan=True
+            ):
                 raise RangeError(
                     f"{name} and {next(iter(results))} differ in {column.replace('_', ' ')}",
                     remedy="draw runs with different references in separate figures",
@@ -267,12 +270,28 @@ def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[n
 
 def _angle_error(result: SimulationResult) -> NDArray[np.float64]:
     """Actual minus desired angle [deg], shape (samples,)."""
-    return (result["angle"] - result["desired_angle"]) / deg
+    return _angle(result) - _angle(result, "desired_angle")
 
 
 def _stiffness_error(result: SimulationResult) -> NDArray[np.float64]:
     """Actual minus desired stiffness [N*m/rad], shape (samples,)."""
-    return result["stiffness"] - result["desired_stiffness"]
+    return _stiffness(result) - _stiffness(result, "desired_stiffness")
+
+
+def _angle(result: SimulationResult, column: str = "angle") -> NDArray[np.float64]:
+    """A column of angles [deg], of a slide of positions [mm]."""
+    return result[column] / result.joint_type.size(_DEG)
+
+
+def _stiffness(result: SimulationResult, column: str = "stiffness") -> NDArray[np.float64]:
+    """A column of the stiffness [N*m/rad], of a slide [N/mm]."""
+    return result[column] / result.joint_type.size(_STIFFNESS)
+
+
+def _note_stiffness(axes: Axes, runs: Mapping[str, SimulationResult], *, bottom: bool = False) -> None:
+    first = next(iter(runs.values()))
+    curves = {name: _stiffness(result) for name, result in runs.items()}
+    note_off_scale(axes, first.times, curves, first.joint_type.label("", _STIFFNESS)[2:-1], bottom=bottom)
 
 
 _GAINS = {

@@ -13,6 +13,7 @@ from .scenario import Start as Start
 from .scenario import StudiedScenario as StudiedScenario
 from .scenario import run_scenario as run_scenario
 from .start import UNKNOWN as UNKNOWN
+from .start import axis_text as axis_text
 from .start import laboratory as laboratory
 from .start import starting_scenario as starting_scenario
 from .start import starting_stiffness as starting_stiffness

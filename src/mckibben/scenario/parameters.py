@@ -15,7 +15,7 @@ from mckibben.component.schema import component_field, declared_fields, field_ty
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted
 from mckibben.scenario.scenario import Start, StudiedScenario
-from mckibben.units import BoundedInt, Quantity, show
+from mckibben.units import HINGE, BoundedInt, JointType, Quantity, show
 
 Place = tuple[str, ...]
 """Keys from the top of a scenario to a value; of an item of a list its index."""
@@ -41,11 +41,13 @@ class _Parameters:
     spellings: dict[str, str] = field(default_factory=dict)
     parts: dict[str, object] = field(default_factory=dict)
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
+    joint_type: JointType = HINGE
 
     @classmethod
     def of(cls, scenario: StudiedScenario) -> Self:
         """Walk the fields of a scenario."""
         parameters = cls()
+        parameters.joint_type = scenario.joint_type
         for name, info in type(scenario).model_fields.items():
             parameters._add_field(info.alias or name, getattr(scenario, name), info)
         return parameters
@@ -70,7 +72,8 @@ class _Parameters:
 
     def _add(self, name: str, places: tuple[Place, ...], mark: Mark, nominal: Any, *, listed: bool = True) -> None:
         """Add a parameter; one that is not listed can be varied, too."""
-        self.numbers[name] = places, mark, nominal
+        own = mark.for_joint(self.joint_type) if isinstance(mark, Quantity) else mark
+        self.numbers[name] = places, own, nominal
         self.spellings[name] = name
         if listed:
             self.listed.append(name)
@@ -81,7 +84,7 @@ class _Parameters:
         shared: set[str] = set()
         for alias, keys in type(part.component).aliases.items():
             first, *others = (getattr(part.component, key) for key in keys)
-            if all(other == first for other in others):
+            if others and all(other == first for other in others):
                 shared.update(keys)
                 self._add_part(_Part(first, part.units, f"{part.name}.{alias}", part.within(*keys), part.listed))
         for key, form in field_types(type(part.component), part.units).items():

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import (
     Field,
     PrivateAttr,
+    SerializationInfo,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -24,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.actuator import IdealValve
+from mckibben.actuator import Actuator, IdealValve
 from mckibben.binding import call
 from mckibben.component.schema import ComponentField, Scope, independent, inherit, parse_component
 from mckibben.config.document import to_text
@@ -129,8 +130,8 @@ class RobotScenario(StudiedScenario):
     _computed: list[PyTree] = PrivateAttr(default_factory=list)
 
     @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        written, empty = super()._write(handler), {"angles": {}, "clearance": "0 mm"}
+    def _write(self, handler: Any, info: SerializationInfo) -> Any:
+        written, empty = super()._write(handler, info), {"angles": {}, "clearance": "0 mm"}
         return {key: value for key, value in written.items() if value not in (None, {}, empty)}
 
     @field_validator("reference", mode="wrap")
@@ -142,6 +143,12 @@ class RobotScenario(StudiedScenario):
             return validate(value, context=info.context)
         except ValidationError as error:
             raise located_below(error, ()) from None
+
+    @field_validator("valve", mode="after")
+    @classmethod
+    def _of_all_muscles(cls, value: Actuator, info: ValidationInfo) -> Actuator:
+        robot = info.data.get("robot")
+        return value if robot is None else value.for_muscles(robot.muscle_names)
 
     @field_validator("controllers", mode="wrap")
     @classmethod
@@ -353,9 +360,11 @@ class RobotScenario(StudiedScenario):
         """Return angles [rad] and stiffness [N*m/rad] of the joints at the start."""
         first = {name: reference(0.0) for name, reference in self.references().items()}
         given = {} if isinstance(self.reference, PointReference) else self.start.angles
-        wanted = {name: float(setpoint.angle) for name, setpoint in first.items()} | given
+        angles = {name: float(setpoint.angle) for name, setpoint in first.items() if name not in given}
+        free = [joint.name for joint in self.robot.joints if joint.locked is None]
+        self.robot.check_angles({name: angle for name, angle in angles.items() if name in free}, "reference")
         stiffness = [float(first[name].stiffness) for name in self.joint_names]
-        return self.robot.posture_angles(wanted), stiffness
+        return self.robot.posture_angles(angles | given), stiffness
 
     def _start(self) -> RobotStart:
         """Return the start of a controlled run: at rest, with the stiffness nearest to that of the references.
@@ -381,7 +390,8 @@ def _inheriting(component: PyTree, scope: Callable[..., Scope], *where: str) -> 
 def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: int) -> dict[str, Any]:
     """Models of a joint for its controller: its pair of muscles, the load with all angles near 0, and the valve."""
     load = joint_load(robot, robot.posture_angles({}), index, RobotPlant.gravity)
-    return {"joint": robot.pair(index), "load": load, "valve": valve, "command_delay": command_delay}
+    names, pair = robot.named_pair(index)
+    return {"joint": pair, "load": load, "valve": valve.for_muscles(names), "command_delay": command_delay}
 
 
 def _check_each(robot: Robot, field: str, given: Collection[str]) -> None:

@@ -16,7 +16,6 @@ from mckibben.errors import RangeError
 from mckibben.mechanism.bodies import BodyPoint
 from mckibben.mechanism.point_stiffness import check_point, stiffness_matrix
 from mckibben.mechanism.robot import Robot
-from mckibben.muscle import SpringLaw
 from mckibben.units import (
     Angle,
     BoundedInt,
@@ -100,7 +99,7 @@ class JumpSettings(ConfigModel):
         """Raise `RangeError` unless the robot can jump in this way."""
         _check_foot(robot)
         robot.check_angles(self.squat, "squat")
-        muscles = [one for one in robot.all_muscles if not isinstance(one.law, SpringLaw)]
+        muscles = [one for one in robot.all_muscles if not one.law.is_passive]
         rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
         for what, highest in (("rating of a muscle", rated), ("supply", getattr(valve, "supply", None) or np.inf)):
             if self.high > highest:

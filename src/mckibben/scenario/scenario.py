@@ -16,7 +16,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, Ty
 import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    Field,
+    SerializationInfo,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from mckibben.actuator import Actuator, IdealValve
 from mckibben.binding import call
@@ -28,7 +37,7 @@ from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
 from mckibben.control.base import DiscreteTimeSystem
-from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, no_attribute
+from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, RangeError, ScenarioError, no_attribute
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (
     Disturbance,
@@ -54,7 +63,17 @@ from mckibben.simulation import (
     simulate,
     simulate_many,
 )
-from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
+from mckibben.units import (
+    HINGE,
+    Accuracy,
+    Angle,
+    BoundedInt,
+    CommandDelay,
+    Duration,
+    JointType,
+    PositiveTime,
+    Stiffness,
+)
 
 _MOST_PERIODS = 10_000_000
 _MEANT = {
@@ -65,7 +84,15 @@ _MEANT = {
 """What is meant by names that users try."""
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
-JointPart = Annotated[AntagonisticJoint, ComponentField(AntagonisticJoint)]
+
+def _units_follow(joint: AntagonisticJoint, info: ValidationInfo) -> AntagonisticJoint:
+    """Let what is read after a joint have the units of its type."""
+    if info.context is not None:
+        info.context["joint_type"] = joint.joint_type
+    return joint
+
+
+JointPart = Annotated[AntagonisticJoint, ComponentField(AntagonisticJoint), AfterValidator(_units_follow)]
 LoadPart = Annotated[Load, ComponentField(Load)]
 ValvePart = Annotated[Actuator, ComponentField(Actuator)]
 SensorsPart = Annotated[Sensors, ComponentField(Sensors)]
@@ -114,7 +141,7 @@ class RunSettings(DocumentModel):
         return {name: getattr(self, name) for name in ("duration", "control_period", "accuracy", "substeps")}
 
     @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
+    def _write(self, handler: Any, info: SerializationInfo) -> Any:
         return _with_steps_once(handler(self))
 
 
@@ -158,6 +185,16 @@ class StudiedScenario(RunSettings):
     def muscle_names(self) -> tuple[str, ...]:
         """Names of the muscles of a robot, in the order of commands and pressures."""
         return ()
+
+    @property
+    def joint_type(self) -> JointType:
+        """How its joints move, on which its units depend."""
+        return HINGE
+
+    @property
+    def follows_stiffness(self) -> bool:
+        """Whether its stiffness has a setpoint: not that of one muscle alone."""
+        return True
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -303,7 +340,7 @@ class StudiedScenario(RunSettings):
 class Start(ConfigModel):
     """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (default: the middle of the attainable range)."""
 
-    angle: Angle = 0.0
+    angle: Angle = Field(default=0.0, validation_alias=AliasChoices("angle", "position"))
     stiffness: Stiffness | None = None
 
 
@@ -368,6 +405,23 @@ class Scenario(StudiedScenario):
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
 
+    @field_validator("load", mode="after")
+    @classmethod
+    def _load_fits(cls, value: Load, info: ValidationInfo) -> Load:
+        if joint := info.data.get("joint"):
+            joint.check_load(value)
+        return value
+
+    @model_validator(mode="after")
+    def _stiffness_fits(self) -> Self:
+        for field, stiffness in (("reference", self.signals.stiffness), ("start", self.start.stiffness)):
+            if field == "reference" or stiffness is not None:
+                try:
+                    self.joint.check_setpoint(stiffness)
+                except RangeError as error:
+                    fail_validation(error.message, error.remedy, field=f"{field}.stiffness")
+        return self
+
     @model_validator(mode="after")
     def _uncertainty_fits(self) -> Self:
         if self.uncertainty:
@@ -389,8 +443,12 @@ class Scenario(StudiedScenario):
         return value
 
     @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
+    def _write(self, handler: Any, info: SerializationInfo) -> Any:
+        if info.context is not None:
+            info.context["joint_type"] = self.joint.joint_type
         written = _with_steps_once(handler(self))
+        if isinstance(written.get("start"), dict):
+            written["start"] = {self.joint_type.words(key): value for key, value in written["start"].items()}
         usual = {"sensors": write(PerfectSensors(), ComponentField(Sensors)), "disturbance": "none"}
         return {key: value for key, value in written.items() if usual.get(key) != value}
 
@@ -421,6 +479,14 @@ class Scenario(StudiedScenario):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.joint.joint_type
+
+    @property
+    def follows_stiffness(self) -> bool:
+        return not any(self.joint.springs)
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -475,4 +541,12 @@ def errors_of(scenario: StudiedScenario, source: str) -> Iterator[None]:
     except McKibbenError as error:
         own = getattr(error, "field", "") or ""
         field = own if own.partition(".")[0] in type(scenario).model_fields else "start"  # all else has been checked
-        raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
+        problem = Problem.of(error, _line_of(source, field), field)
+        raise ScenarioError(source or scenario.name, [problem]) from error
+
+
+def _line_of(source: str, field: str) -> int | None:
+    """Line of a field in a file; None without a file or the field."""
+    if not Path(source).is_file():
+        return None
+    return read_document(Path(source).read_text(encoding="utf-8")).line(tuple(field.split(".")))

@@ -15,10 +15,14 @@ from typing import NamedTuple
 
 from mckibben.errors import ParameterError, RigError
 
-VERSION = 2
+VERSION = 3
 """Version of the protocol, in the first byte of `Hello`."""
-LONGEST = 244
-"""Most bytes in the body of a message."""
+MOST_CHANNELS = 255
+"""Most measurements, commands, and setpoints of a firmware."""
+LONGEST = 10 + 2 * 4 * MOST_CHANNELS
+"""Most bytes in the body of a message: a `Sample` of all measurements and commands."""
+DESCRIBED = 244
+"""Most bytes in the body of `HELLO` and `CHANNELS`; each firmware takes bodies of this length."""
 _HEADER = struct.Struct("<BHI")  # kind, sequence number, time in us
 _HELLO = struct.Struct("<BBBBI32s")  # version, numbers of measurements, commands and setpoints, period in us, digest
 _SAMPLE = struct.Struct("<BBHHHH")  # state, fault, held, missed, lost, heard
@@ -92,11 +96,11 @@ class Message(NamedTuple):
         """
         if len(self.body) > LONGEST:
             message = f"a message of {len(self.body)} bytes is longer than {LONGEST}"
-            remedy = "use fewer channels or shorter names"
+            remedy = "use fewer channels"
             raise ParameterError(message, field="body", value=len(self.body), remedy=remedy)
         data = _HEADER.pack(self.kind, self.sequence & 0xFFFF, self.time & 0xFFFFFFFF) + self.body
         data += _checksum(data)
-        return b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0")) + b"\0"
+        return b"".join(map(_stuffed, data.split(b"\0"))) + b"\0"
 
 
 class Receiver:
@@ -127,17 +131,17 @@ class Receiver:
     def feed(self, data: bytes) -> list[Message]:
         """Messages that end in these bytes; the rest is kept for the next call."""
         *frames, self._rest = (self._rest + data).split(b"\0")
-        self._rest = self._rest[: LONGEST + 16]  # more than the longest frame: no message, however it ends
+        self._rest = self._rest[: LONGEST + 32]  # more than the longest frame: no message, however it ends
         messages = [self._message(frame) for frame in frames if frame]
         return [message for message in messages if message is not None]
 
     def _message(self, frame: bytes) -> Message | None:
         """Message of a frame, unless it is corrupted or repeated."""
-        blocks = list[bytes]()
+        data = b""
         while frame and len(frame) >= frame[0]:
-            blocks.append(frame[1 : frame[0]])
+            data += frame[1 : frame[0]] + b"\0" * (frame[0] < 0xFF)
             frame = frame[frame[0] :]
-        data = b"\0".join(blocks)
+        data = data.removesuffix(b"\0")
         if (
             frame
             or not 9 <= len(data) <= LONGEST + 9
@@ -183,15 +187,22 @@ class Hello(NamedTuple):
     def pack(self) -> list[bytes]:
         """Bodies: of `HELLO` and, if not all channels fit in it, of the messages `CHANNELS` 1, 2, ...
 
+        Raises `ParameterError` for more than 255 channels of a group.
+
         >>> channels = [(f"pressure.muscle {number}", "Pa") for number in range(20)]
         >>> bodies = Hello("board 1", 2000, bytes(32), channels, channels).pack()
-        >>> [len(body) <= LONGEST for body in bodies], Hello.unpack(*bodies).commands == channels
+        >>> [len(body) <= DESCRIBED for body in bodies], Hello.unpack(*bodies).commands == channels
         ([True, True, True, True], True)
         """
         groups = self.measurements, self.commands, self.setpoints
+        if (count := max(map(len, groups))) > MOST_CHANNELS:
+            message = f"{count} channels are more than the {MOST_CHANNELS} that a description counts"
+            raise ParameterError(
+                message, field="channels", value=count, upper=MOST_CHANNELS, remedy="use a board for each limb"
+            )
         bodies = [_HELLO.pack(VERSION, *map(len, groups), self.period, self.digest) + self.firmware.encode()]
         for line in (f"{name} {unit}".encode() for group in groups for name, unit in group):
-            if len(bodies[-1]) + 1 + len(line) <= LONGEST:
+            if len(bodies[-1]) + 1 + len(line) <= DESCRIBED:
                 bodies[-1] += b"\n" + line
             else:
                 bodies.append(bytes([len(bodies)]) + line)
@@ -275,6 +286,12 @@ class FaultReport(NamedTuple):
     def unpack(cls, body: bytes) -> FaultReport:
         """Fault in a body; `RigError` for a malformed one."""
         return cls(*_fields(_FAULT, body))
+
+
+def _stuffed(block: bytes) -> bytes:
+    """Bytes without a zero, in blocks of at most 254 bytes, after a byte that counts those of the block and itself."""
+    parts = [block[at : at + 254] for at in range(0, len(block) + 1, 254)]
+    return b"".join(bytes([len(part) + 1]) + part for part in parts)
 
 
 def _checksum(data: bytes) -> bytes:

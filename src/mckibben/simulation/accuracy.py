@@ -23,6 +23,7 @@ from mckibben.component.columns import Label, declare
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.numerics.batching import map_chunks
 from mckibben.simulation.engine import VECTOR
+from mckibben.units import HINGE, JointType
 
 ACCURACY = 1e-6
 """Default accuracy of the angle [rad]."""
@@ -86,13 +87,14 @@ class Resolution(NamedTuple):
         """
         return 2**_FALLBACK_DOUBLINGS * first if self.chaotic else self.substeps
 
-    def describe(self) -> str:
-        """The estimated error in a sentence."""
+    def describe(self, joint_type: JointType = HINGE) -> str:
+        """The estimated error of the angle of a joint in a sentence."""
+        angle, unit = joint_type.words("angle"), joint_type.unit("rad")
         steps = f"{self.substeps} integration step{'s' if self.substeps > 1 else ''} per control period"
         if math.isnan(self.error):
             return f"{steps}, the integration error is not estimated"
         if self.resolved:
-            return f"estimated integration error of the angle: {self.error:.1e} rad ({steps})"
+            return f"estimated integration error of the {angle}: {self.error:.1e} {unit} ({steps})"
         if math.isinf(self.error):
             return (
                 f"not resolved: from {self.unresolved_from:.4g} s on, solutions with {self.substeps} and "
@@ -100,12 +102,12 @@ class Resolution(NamedTuple):
                 "or the steps are too long for it"
             )
         if not self.chaotic:
-            since = f"from {self.unresolved_from:.4g} s on the angle is less accurate than asked"
-            return f"not resolved: {since}; estimated integration error: {self.error:.1e} rad ({steps})"
+            since = f"from {self.unresolved_from:.4g} s on the {angle} is less accurate than asked"
+            return f"not resolved: {since}; estimated integration error: {self.error:.1e} {unit} ({steps})"
         return (
             f"not resolved: this run is chaotic; from {self.unresolved_from:.4g} s on, solutions with "
             f"{self.substeps} and {2 * self.substeps} integration steps per control period separate, by up to "
-            f"{self.error:.2g} rad, so that its metrics hold as statistics only"
+            f"{self.error:.2g} {unit}, so that its metrics hold as statistics only"
         )
 
 

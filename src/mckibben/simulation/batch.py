@@ -59,6 +59,7 @@ from mckibben.simulation.problem import (
 from mckibben.simulation.result import Measured, metric_columns, unknown_column
 from mckibben.simulation.robot_metrics import RobotMetrics, landing_metrics
 from mckibben.simulation.trajectories import LABELS, column_names
+from mckibben.units import HINGE, JOINT_TYPES, JointType
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -138,6 +139,11 @@ class Batch(RunTable):
         return self.table.attrs.get("engine", "")
 
     @property
+    def joint_type(self) -> JointType:
+        """How the joint of the runs moves, on which their units depend."""
+        return JOINT_TYPES[self.table.attrs.get("joint_type", HINGE.name)]
+
+    @property
     def metrics(self) -> dict[str, NDArray[np.floating]]:
         """The computed metrics by name, shape (runs,) or (joints, runs), SI; NaN for a run that could not start."""
         return Measured({name: self[name] for name in labels_of(self.kind) if name in self.table})
@@ -156,7 +162,7 @@ class Batch(RunTable):
 
     def declared(self) -> TableColumns:
         """The metrics of all runs, with their units."""
-        columns = metric_columns(self.kind, self.metrics)
+        columns = metric_columns(self.kind, self.metrics, self.joint_type)
         return {name: (replace(mark, dims=("run",)), values) for name, (mark, values) in columns.items()}
 
     @table("metrics")
@@ -362,7 +368,8 @@ class _Runs(NamedTuple):
         """Step doubling of some runs, with 64 bits."""
         every = spacing(self.times.size)
         shared, varying, setpoints = self.begun(self._some(runs), every)
-        near = near_reference(setpoints, functools.partial(self._desired, every))
+        scale = self.shared.plant.mechanism.joint_type.scale
+        near = near_reference(setpoints, functools.partial(self._desired, every), scale)
 
         def solve(substeps: int, which: Runs) -> Positions:
             padded = full_vectors(which)
@@ -482,15 +489,16 @@ def _table(
             span=columns["_span"],
             started=columns["_started"],
             by_joint=bool(mechanism.joint_names),
+            scale=mechanism.joint_type.scale,
         )
     labels = labels_of(asked.kind)
 
     def column(name: str, *axes: str, along: str) -> tuple[Any, ...]:
         rows = [along] if along and mechanism.joint_names else []
-        return (*rows, *axes), columns[name], attributes(name)
+        return (*rows, *axes), columns[name], attributes(name, mechanism.joint_type)
 
     table: dict[str, Any] = {name: column(name, "run", along=labels[name].along) for name in asked.metrics}
-    table |= {name: ("run", values, attributes(name)) for name, values in steps.columns().items()}
+    table |= {name: ("run", values, attributes(name, mechanism.joint_type)) for name, values in steps.columns().items()}
     table |= {
         name: column(name, "run", "time", along=LABELS[name].along if name in LABELS else "") for name in asked.keep
     }
@@ -499,4 +507,4 @@ def _table(
         table |= {"muscle": list(mechanism.muscle_names)} if asked.keep else {}
     if asked.keep:
         table |= {"time": ("time", times, {"units": "s", "long_name": "time"})}
-    return batch_table(table, code, over)
+    return batch_table(table, code, over, joint_type=mechanism.joint_type.name)

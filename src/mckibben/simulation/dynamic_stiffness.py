@@ -1,9 +1,10 @@
-"""Dynamic stiffness of a joint: tests in which a machine moves it along a sine and measures its torque."""
+"""Dynamic stiffness of joints: tests in which a machine moves it along a sine and measures its torque."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,15 +13,15 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.actuator import FlowValve
+from mckibben.actuator import Actuator, FlowValve
 from mckibben.component.checks import check_positive
-from mckibben.control.base import Controller, Setpoint
-from mckibben.control.open_loop import OpenLoopControl
+from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import Load
+from mckibben.mechanism.base import Mechanism, over_joints
+from mckibben.mechanism.disturbance import Disturbance
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit_arrays, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import Plant, PlantState
 from mckibben.simulation.loop import LoopState, control_period, initial_loop
 from mckibben.units import bar
 
@@ -46,60 +47,106 @@ class DynamicStiffness(NamedTuple):
         return np.hypot(self.stiffness, self.loss)
 
 
-class _ImposedMotion(Load):
-    """A machine that moves the joint along a sine about a centre [rad] at a rate [rad/s], whatever the torque."""
+class _TestStand(Plant):
+    """A plant on a machine that moves one joint along a sine of a circular frequency [rad/s], and holds the rest.
 
-    centre: Any
-    rate: Any
+    Each joint has a share of 0 or 1 in the motion about the centres [rad].
+    """
 
-    damping = 0.0
-    hanging_angle = 0.0
-    total_inertia = 1.0  # type: ignore
-    gravity_moment = 0.0  # type: ignore
+    plant: Plant
+    share: tuple[Any, ...]
+    centre: tuple[Any, ...]
+    circular_frequency: Any
 
-    def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Array:
-        return self.rate**2 * (self.centre - jnp.asarray(angle))
+    @property
+    def _valve(self) -> Actuator:
+        return self.plant._valve
+
+    @property
+    def mechanism(self) -> Mechanism:
+        return self.plant.mechanism
+
+    @property
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        return self.plant.disturbances
+
+    def fastest_rates(self, angles: Any, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
+        return self.plant.fastest_rates(angles, stiffness)
+
+    def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Any]:
+        return self.plant.sample(state, period)
+
+    def acceleration(self, state: PlantState, torques: Sequence[Array]) -> Any:
+        joints = zip(self.share, self.centre, self.mechanism.by_joint(state.position), strict=True)
+        return self.moving(
+            [share * self.circular_frequency**2 * (centre - angle) for share, centre, angle in joints], state
+        )
+
+    def moving(self, values: Sequence[ArrayLike], state: PlantState) -> Any:
+        """Return rates [rad/s] or accelerations of the joints as those of a state whose base is at rest."""
+        return self.mechanism.like_joints(values, jax.tree.map(jnp.zeros_like, state.velocity))
+
+    def torque(self, state: PlantState) -> Array:
+        """Return the torque [N*m] of muscles and friction on the joint that moves."""
+        torques = self.forces(state._replace(io=())).torques
+        return jnp.asarray(sum(share * torque for share, torque in zip(self.share, torques, strict=True)))
 
 
-def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
+class _Holding(DiscreteTimeSystem):
+    """Constant commands [Pa], or openings."""
+
+    commands: tuple[Any, ...]
+
+    def init(self, measurement: Any) -> tuple[()]:
+        return ()
+
+    def step(self, state: Any, setpoint: Any, measurement: Any, period: ArrayLike) -> tuple[tuple[()], Any]:
+        return (), self.commands
+
+
+Plants = TypeVar("Plants", bound=Plant)
+
+
+def closed_valves(plant: Plants, *, polytropic_index: float | None = None) -> Plants:
     """Return a plant whose valves are closed; n, dead volume and wall stay those of its valves.
 
     With a given n, the air has no temperature. Raises `RangeError` where these differ between the muscles.
     """
-    for muscle in (plant.joint.muscle1, plant.joint.muscle2):
+    for muscle in plant.muscles:
         muscle.specimen.check_volume("the stiffness with closed valves")
     shut = FlowValve(_SHUT, 10 * bar)
-    known: Any = [plant.valve.for_muscle(i) if plant.valve.holds_air else shut for i in (0, 1)]
-    index = [first.polytropic_index if polytropic_index is None else polytropic_index for first in known]
-    dead = [first.dead_volume for first in known]
-    wall = [first.wall_conductance if polytropic_index is None else None for first in known]
-    pairs: Any = (index, dead, wall)
-    if not all(np.array_equal(first, other) for first, other in pairs):
+    valves = [plant.valve_of(i) for i in range(len(plant.muscles))]
+    own: Any = [valve if valve.holds_air else shut for valve in valves]
+    index = [valve.polytropic_index if polytropic_index is None else polytropic_index for valve in own]
+    dead = [valve.dead_volume for valve in own]
+    wall = [valve.wall_conductance if polytropic_index is None else None for valve in own]
+    if any(value != values[0] for values in (index, dead, wall) for value in values):
         raise RangeError(
             "the closed valves of the muscles have different polytropic indices, dead volumes or wall conductances",
             field="valve",
-            remedy="give both the same",
+            remedy="give all the same",
         )
     closed = dataclasses.replace(shut, polytropic_index=index[0], dead_volume=dead[0], wall_conductance=wall[0])
     return dataclasses.replace(plant, valve=closed)
 
 
 def dynamic_stiffness(
-    plant: JointPlant,
+    plant: Plant,
     initial: PlantState,
     amplitude: ArrayLike,
     frequency: ArrayLike,
     *,
-    controller: Controller | None = None,
-    setpoint: Setpoint | None = None,
+    joint: int = 0,
+    controller: DiscreteTimeSystem | None = None,
+    setpoint: Setpoint | Sequence[Setpoint] | None = None,
     control_period: float = 1e-3,
     substeps: int = 4,
     cycles: int = 4,
 ) -> DynamicStiffness:
-    """Move the joint of a plant along sines and return the stiffness of the last cycle: torque over deflection.
+    """Move a joint of a plant along sines and return the stiffness of the last cycle: torque over deflection.
 
-    The load is replaced by a machine that imposes the motion, so that the torque is the muscles' alone, without
-    inertia and gravity. An `IdealValve` holds the pressures, `closed_valves` the air.
+    A machine imposes the motion, and holds the other joints and a base at rest, so that the torque is that of muscles
+    and friction, without inertia and gravity. An `IdealValve` holds the pressures, `closed_valves` the air.
 
     Parameters
     ----------
@@ -107,9 +154,11 @@ def dynamic_stiffness(
         Plant, and its state at the start, in the middle of the motion.
     amplitude, frequency
         Of the motion [rad], [Hz]. A cycle is rounded to a multiple of 100 control periods.
+    joint
+        Number of the joint that moves.
     controller, setpoint
-        Active controller, and its constant setpoint; without it the commands remain the pressures at the start,
-        or openings of 0.
+        Active controller, and its constant setpoint (of a robot one of each joint); without it the commands remain the
+        pressures at the start, or openings of 0.
     control_period, substeps, cycles
         Control period [s], integration steps in it, and number of cycles.
 
@@ -148,13 +197,18 @@ def dynamic_stiffness(
             remedy=f"give at most {highest:g} Hz, or a shorter control period",
         )
     rates = 2 * np.pi / (counts * _SAMPLES * control_period)
-    held = (0.0, 0.0) if plant.valve.direct else initial.pressures  # openings, or pressures
-    control = controller or OpenLoopControl(*held, model=plant.joint)
-    plant, control = plant.with_period(control_period), control.with_period(control_period)
-    wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
-    parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
+    state = plant.complete_state(initial)
+    count = len(plant.muscles)
+    held = (0.0,) * count if plant.valve_of(0).direct else tuple(state.pressures)
+    control = _Holding(held) if controller is None else controller.with_period(control_period)
+    centre = plant.mechanism.by_joint(state.position)
+    share = tuple(float(number == joint) for number in range(len(centre)))
+    io = {"sensors": plant.sensors, "command_delay": plant.command_delay}
+    stand = _TestStand(plant, share, centre, 0.0, **io).with_period(control_period)
+    steady = over_joints(lambda own: Setpoint(*map(jnp.asarray, own)), () if setpoint is None else setpoint)
+    arguments = numeric((stand, control, steady, state, amplitudes, control_period))
     cycles_of_rates = [
-        _last_cycle(*parts, rate=rate, periods=count, cycles=cycles, substeps=substeps)
+        _last_cycle(*arguments, rate=rate, periods=count, cycles=cycles, substeps=substeps)
         for rate, count in zip(rates, counts, strict=True)
     ]
     stiffness, loss = (np.stack([np.asarray(cycle[i]) for cycle in cycles_of_rates]) for i in (0, 1))
@@ -163,9 +217,9 @@ def dynamic_stiffness(
 
 @jit_arrays
 def _last_cycle(
-    plant: JointPlant,
-    controller: Controller,
-    setpoint: Setpoint,
+    stand: _TestStand,
+    controller: DiscreteTimeSystem,
+    setpoint: Any,
     initial: PlantState,
     amplitudes: Array,
     period: Array,
@@ -175,21 +229,19 @@ def _last_cycle(
     substeps: int,
 ) -> tuple[Array, Array]:
     """Stiffness and loss stiffness [N*m/rad] in the last cycle, shape (amplitudes,)."""
-    moved = dataclasses.replace(plant, load=_ImposedMotion(initial.angle, rate))
+    stand = dataclasses.replace(stand, circular_frequency=rate)
 
     def measure(amplitude: Array) -> tuple[Array, Array]:
         def sample(loop: LoopState, _: None) -> tuple[LoopState, tuple[Array, Array]]:
             def advance(_: Array, loop: LoopState) -> LoopState:
-                return control_period(moved, controller, loop, setpoint, period, substeps)[0]
+                return control_period(stand, controller, loop, setpoint, period, substeps)[0]
 
-            angle, velocity, pressures, muscles = loop[0][:4]
-            torque = plant.joint.forces(angle, velocity, pressures, muscles).torque
-            if plant.friction is not None:
-                torque = torque - plant.friction.resisting_torque(loop[0].friction, angle)
-            return lax.fori_loop(0, periods, advance, loop), (velocity, torque)
+            rates = stand.mechanism.by_joint(loop[0].velocity)
+            velocity = sum(share * rate for share, rate in zip(stand.share, rates, strict=True))
+            return lax.fori_loop(0, periods, advance, loop), (jnp.asarray(velocity), stand.torque(loop[0]))
 
-        start = initial._replace(velocity=amplitude * rate)
-        _, (velocity, torque) = lax.scan(sample, initial_loop(moved, controller, start), None, cycles * _SAMPLES)
+        start = initial._replace(velocity=stand.moving([share * amplitude * rate for share in stand.share], initial))
+        _, (velocity, torque) = lax.scan(sample, initial_loop(stand, controller, start), None, cycles * _SAMPLES)
         velocity, torque = velocity[-_SAMPLES:], torque[-_SAMPLES:]
         stiffness = (torque[3 * _SAMPLES // 4] - torque[_SAMPLES // 4]) / (2 * amplitude)
         return stiffness, -2 * jnp.mean(torque * velocity) / (rate * amplitude**2)  # times 2 pi / rate / (pi a^2)

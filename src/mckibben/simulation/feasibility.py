@@ -23,11 +23,11 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.plant.joint_plant import rated_for
-from mckibben.result import Remark, Result, column
+from mckibben.result import Remark, Result, TableColumns, column
 from mckibben.simulation.problem import sampled
 from mckibben.statics.posture import EXACT, is_affine
 from mckibben.statics.reference import POSTURES, check_postures
-from mckibben.units import deg
+from mckibben.units import HINGE, JointType
 
 _ROUNDING = 1e-6  # N*m/rad
 _BLOCK = 256  # control periods
@@ -50,6 +50,7 @@ class Feasibility(Result):
     lowest: NDArray[np.float64] = column("N*m/rad", "lowest attainable stiffness", dims=("time",))
     highest: NDArray[np.float64] = column("N*m/rad", "highest attainable stiffness", dims=("time",))
     cause: str = ""
+    joint_type: JointType = HINGE
 
     @property
     def shortfall(self) -> NDArray[np.float64]:
@@ -65,21 +66,29 @@ class Feasibility(Result):
         """When and by how much the reference is not feasible."""
         if self.feasible:
             return "the reference is statically feasible throughout"
-        sentences, missing = [], self.shortfall
+        sentences, missing, shown = [], self.shortfall, self.joint_type.show
         unheld, short = np.isnan(missing), np.nan_to_num(missing) > 0
         if unheld.any():
-            failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
+            who = "the joint cannot" if self.cause else "no pressures within limits"
+            failure = f"{who} hold the desired {self.joint_type.words('angle')}"
             at = int(unheld.argmax())
             when = f"{_span(self.times, unheld)}, first at {self.times[at]:.3g} s"
-            sentences.append(f"{failure} {when} ({self.desired_angle[at] / deg:.3g} deg)")
+            sentences.append(f"{failure} {when} ({shown(self.desired_angle[at], 'deg', 3)})")
         if short.any():
             at = int(np.nanargmax(missing))
+            desired, least, most = (
+                f"{stiffness[at] / self.joint_type.size('N*m/rad'):.4g}"
+                for stiffness in (self.desired_stiffness, self.lowest, self.highest)
+            )
             sentences.append(
-                f"the desired stiffness is not attainable {_span(self.times, short)}, by up to {missing[at]:.3g} "
-                f"N*m/rad at {self.times[at]:.3g} s (desired {self.desired_stiffness[at]:.4g}, attainable "
-                f"{self.lowest[at]:.4g}..{self.highest[at]:.4g} N*m/rad at {self.desired_angle[at] / deg:.3g} deg)"
+                f"the desired stiffness is not attainable {_span(self.times, short)}, by up to "
+                f"{shown(missing[at], 'N*m/rad', 3)} at {self.times[at]:.3g} s (desired {desired}, attainable "
+                f"{least}..{most} {self.joint_type.shown('N*m/rad')} at {shown(self.desired_angle[at], 'deg', 3)})"
             )
         return "; ".join(filter(None, (*sentences, self.cause)))
+
+    def declared(self) -> TableColumns:
+        return {name: (mark.for_joint(self.joint_type), values) for name, (mark, values) in super().declared().items()}
 
     def remarks(self) -> Iterable[Remark]:
         """A severe remark on a reference that is not feasible."""
@@ -89,7 +98,8 @@ class Feasibility(Result):
 
 
 def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:
-    """Distance of a stiffness from a range, 0 inside to rounding; NaN where nothing is attainable."""
+    """Distance of a stiffness from a range, 0 inside to rounding, or for no stiffness; NaN where none is attainable."""
+    stiffness = np.where(np.isnan(stiffness), low, stiffness)
     out = np.maximum(low - stiffness, stiffness - high)
     return np.where(out > _ROUNDING, out, np.where(np.isnan(out), np.nan, 0.0))
 
@@ -123,9 +133,8 @@ def feasibility(plant: PyTree, times: NDArray, setpoints: Setpoint, band: tuple[
     """Feasibility of setpoints of shape (periods,), from the attainable stiffness at them (`static_band`)."""
     angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
     unheld = np.isnan(others[-1])
-    return Feasibility(
-        times, angle, *others, cause=leaves_domain(plant.supplied_joint, angle, unheld) if unheld.any() else ""
-    )
+    cause = leaves_domain(plant.supplied_joint, angle, unheld) if unheld.any() else ""
+    return Feasibility(times, angle, *others, cause=cause, joint_type=plant.mechanism.joint_type)
 
 
 @BatchFunction

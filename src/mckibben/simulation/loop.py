@@ -175,6 +175,7 @@ def streaming_episode(
     periods = jnp.asarray(count)
     change = over_joints(lambda own: last_change(own.stiffness), setpoints) if change is None else change
     amplitude, early = getattr(controller, "stiffness_amplitude", None), controller.samples_ahead
+    scale = plant.mechanism.joint_type.scale
 
     @functools.partial(jax.jit, inline=True)  # traced once for both runs
     def step(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
@@ -203,7 +204,7 @@ def streaming_episode(
     def next_period(carry: _Carry, at: tuple[Array, PyTree, PyTree]) -> tuple[_Carry, dict[str, PyTree]]:
         index, setpoint, seen = at
         following, now = moved(carry.loop, carry.without_change, setpoint, seen)
-        so_far = carry.so_far.after(now, index, periods, change, plant.sensors.angle_resolution)
+        so_far = carry.so_far.after(now, index, periods, change, plant.sensors.angle_resolution, scale)
         without = step_without_change(carry, following, seen, index)
         return _Carry(following, without, so_far), {name: column_of(now, name) for name in keep}
 

@@ -311,6 +311,9 @@ def usual_metrics(kind: Any) -> tuple[str, ...]:
 USUAL_METRICS = usual_metrics(Metrics)
 """Those of a joint."""
 
+OF_STIFFNESS_SETPOINT = ("stiffness_rmse", "stiffness_max", "stiffness_settling", "coupling")
+"""Metrics that are NaN without a setpoint of the stiffness, as of one muscle alone."""
+
 _SUFFIXES = {"N*m/rad": "", "1/s": "_per_s", "bar/s": "_bar_per_s"}
 METRICS: dict[str, tuple[str, str, float]] = {
     f"{name}{_SUFFIXES.get(label.shown_unit, f'_{label.shown_unit}')}": (name, label.shown_unit, label.size)
@@ -320,7 +323,11 @@ METRICS: dict[str, tuple[str, str, float]] = {
 
 
 def measure(
-    moved: Trajectory, period: ArrayLike, angle_resolution: ArrayLike = 0.0, change: Change | None = None
+    moved: Trajectory,
+    period: ArrayLike,
+    angle_resolution: ArrayLike = 0.0,
+    change: Change | None = None,
+    scale: float = 1.0,
 ) -> Metrics:
     """Metrics of a trajectory.
 
@@ -334,13 +341,15 @@ def measure(
         Step of the sensor of the angle [rad].
     change
         Last change of the desired stiffness, if it is known (`last_change`).
+    scale
+        That of the `JointType`.
     """
     change = over_joints(last_change, moved.desired_stiffness) if change is None else change
     moved = jax.tree.map(jnp.asarray, moved)
     periods = jnp.asarray(moved.saturated.shape[0])
 
     def following(so_far: Accumulation, at: tuple[Array, Trajectory]) -> tuple[Accumulation, None]:
-        return so_far.after(at[1], at[0], periods, change, angle_resolution), None
+        return so_far.after(at[1], at[0], periods, change, angle_resolution, scale), None
 
     start = Accumulation.empty(form_of_period(moved))
     so_far, _ = lax.scan(following, start, (lax.iota(int, moved.saturated.shape[0]), moved))
@@ -375,7 +384,8 @@ def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
     (2, 14.0, 16.0, True)
     """
     desired: Any = xp.asarray(setpoints)
-    changed = xp.concatenate([xp.zeros_like(desired[:1], dtype=bool), desired[1:] != desired[:-1]])
+    differ = (desired[1:] != desired[:-1]) & ~xp.isnan(desired[1:])  # NaN without a setpoint
+    changed = xp.concatenate([xp.zeros_like(desired[:1], dtype=bool), differ])
     number = xp.arange(len(desired)).reshape(-1, *[1] * (desired.ndim - 1))
     index = xp.max(xp.where(changed, number, 0), axis=0)
     earlier = xp.maximum(index - 1, 0)[None]
@@ -486,7 +496,13 @@ class Accumulation(NamedTuple):
         return cls(totals, before, like.stiffness, Oscillation.empty(_signals(like)))
 
     def after(
-        self, now: Trajectory, index: Array, periods: Array, change: PyTree, angle_resolution: ArrayLike
+        self,
+        now: Trajectory,
+        index: Array,
+        periods: Array,
+        change: PyTree,
+        angle_resolution: ArrayLike,
+        scale: float = 1.0,
     ) -> Accumulation:
         """Return the state after one more period of a run of so many, with the last `Change` of each joint."""
         at_change = over_joints(
@@ -498,7 +514,7 @@ class Accumulation(NamedTuple):
         values = Before(now.air, now.command)
         before = jax.tree.map(lambda new, old: jnp.where(index == 0, new, old), values, self.before)
         sample = MetricSample.of(now, index, periods, change, at_change, before)
-        oscillation = self.oscillation.after(_signals(now), index, angle_resolution)
+        oscillation = self.oscillation.after(_signals(now), index, angle_resolution, scale)
         return Accumulation(self.totals.merge(sample.totals()), values, at_change, oscillation)
 
     def run(self, periods: Array, period: ArrayLike, change: PyTree) -> Run:

@@ -21,7 +21,7 @@ from mckibben.units import bar, deg
 
 Scalar = Float[Array, ""]
 
-_AMPLITUDE = 0.1 * deg  # least; smaller ones are noise
+AMPLITUDE = 0.1 * deg  # least of a hinge; smaller ones are noise
 _STEPS = 2  # steps of the sensor of the angle in the least amplitude: a loop hunts by one between two of them
 _COMMAND = 0.1 * bar
 _STIFFNESS = 0.02
@@ -51,14 +51,15 @@ class Signals(NamedTuple):
     command: tuple[Array, ...]
 
 
-def least_swings(now: Signals, resolution: ArrayLike) -> tuple[PyTree, PyTree, ArrayLike]:
+def least_swings(now: Signals, resolution: ArrayLike, scale: float = 1.0) -> tuple[PyTree, PyTree, ArrayLike]:
     """Least swings, from peak to peak, of angle [rad], stiffness [N*m/rad] of each joint, and command [Pa].
 
-    That of the angle is 0.2 deg, or four steps of its sensor [rad]; that of a command 0.1 bar, the hysteresis and
-    repeatability of proportional pressure regulators (0.5 % each of 10 bar: Festo VPPE, SMC ITV), within which a valve
-    need not move; that of the stiffness 2 % of it, its change by such a change of the pressure at 5 bar.
+    That of the angle is 0.2 deg, of a slide 0.2 mm (by the scale of its `JointType`), or four steps of its sensor
+    [rad]; that of a command 0.1 bar, the hysteresis and repeatability of proportional pressure regulators (0.5 % each
+    of 10 bar: Festo VPPE, SMC ITV), within which a valve need not move; that of the stiffness 2 % of it, its change by
+    such a change of the pressure at 5 bar.
     """
-    angle = 2 * jnp.maximum(_AMPLITUDE, _STEPS * jnp.asarray(resolution))
+    angle = 2 * jnp.maximum(AMPLITUDE * scale, _STEPS * jnp.asarray(resolution))
 
     def of_stiffness(stiffness: ArrayLike, desired: ArrayLike) -> Array:
         return _STIFFNESS * jnp.maximum(jnp.abs(jnp.asarray(stiffness)), jnp.abs(jnp.asarray(desired)))
@@ -194,9 +195,12 @@ class Oscillation(NamedTuple):
         swinging, turning = (over_joints(lambda _, own=own: own, first.angle) for own in (swings, swings.turns))
         return cls(swinging, swinging, (swings,) * len(first.command), turning, turning)
 
-    def after(self, now: Signals, index: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillation:
-        """Return the state after the signals of a control period, and a resolution of the sensor of the angle [rad]."""
-        angle, stiffness, command = least_swings(now, resolution)
+    def after(self, now: Signals, index: ArrayLike, resolution: ArrayLike = 0.0, scale: float = 1.0) -> Oscillation:
+        """Return the state after the signals of a control period, and a resolution of the sensor of the angle [rad].
+
+        The scale is that of the `JointType`.
+        """
+        angle, stiffness, command = least_swings(now, resolution, scale)
 
         def of_error(value: ArrayLike, desired: ArrayLike, swing: ArrayLike, swings: Swings) -> Swings:
             return swings.after(jnp.asarray(value) - desired, index, swing)
@@ -209,7 +213,7 @@ class Oscillation(NamedTuple):
             over_joints(of_error, now.stiffness, now.desired_stiffness, stiffness, self.stiffness),
             tuple(swings.after(value, index, command) for swings, value in zip(self.command, now.command, strict=True)),
             over_joints(
-                lambda x, turns: turns.counted(x, index, 2 * _AMPLITUDE), now.desired_angle, self.desired_angle
+                lambda x, turns: turns.counted(x, index, 2 * AMPLITUDE * scale), now.desired_angle, self.desired_angle
             ),
             over_joints(
                 lambda x, swing, turns: turns.counted(x, index, swing),
@@ -246,7 +250,9 @@ class Oscillation(NamedTuple):
         )
 
 
-def find_oscillations(signals: Signals, period: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillations:
+def find_oscillations(
+    signals: Signals, period: ArrayLike, resolution: ArrayLike = 0.0, scale: float = 1.0
+) -> Oscillations:
     """Return the oscillations of a run.
 
     Parameters
@@ -257,6 +263,8 @@ def find_oscillations(signals: Signals, period: ArrayLike, resolution: ArrayLike
         Control period [s].
     resolution
         Step of the sensor of the angle [rad].
+    scale
+        That of the `JointType`.
 
     Examples
     --------
@@ -272,7 +280,7 @@ def find_oscillations(signals: Signals, period: ArrayLike, resolution: ArrayLike
     signals = jax.tree.map(jnp.asarray, signals)
 
     def following(so_far: Oscillation, at: tuple[Array, Signals]) -> tuple[Oscillation, None]:
-        return so_far.after(at[1], at[0], resolution), None
+        return so_far.after(at[1], at[0], resolution, scale), None
 
     count, first = jax.tree.leaves(signals)[0].size, jax.tree.map(lambda values: values[0], signals)
     so_far, _ = lax.scan(following, Oscillation.empty(first), (jnp.arange(count), signals))
@@ -280,10 +288,11 @@ def find_oscillations(signals: Signals, period: ArrayLike, resolution: ArrayLike
 
 
 def find_limit_cycle(
-    angle: ArrayLike, desired: ArrayLike, period: ArrayLike, resolution: ArrayLike = 0.0
+    angle: ArrayLike, desired: ArrayLike, period: ArrayLike, resolution: ArrayLike = 0.0, scale: float = 1.0
 ) -> LimitCycle:
     """Return the limit cycle of the angle, from angle and reference [rad] of each control period [s]."""
     angle = jnp.asarray(angle)
     still = jnp.zeros_like(angle)
-    oscillations = find_oscillations(Signals(angle, jnp.asarray(desired), still, still, (still,)), period, resolution)
+    signals = Signals(angle, jnp.asarray(desired), still, still, (still,))
+    oscillations = find_oscillations(signals, period, resolution, scale)
     return LimitCycle(oscillations.angle, oscillations.period)

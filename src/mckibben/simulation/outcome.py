@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from mckibben.mechanism.base import joints_in
 from mckibben.simulation.accuracy import Positions, Runs
-from mckibben.units import deg
+from mckibben.units import JointType, deg
 
 Mask = NDArray[np.bool_]
 
 SWUNG_OVER_AT = 90 * deg
-"""Angle error beyond which a run has diverged."""
+"""Angle error of a hinge beyond which a run has diverged; of other joints times their scale."""
 LEFT_REFERENCE_AT = 5 * deg
-"""RMS angle error at the end of a run beyond which it has diverged, unless the reference moves by more."""
+"""RMS angle error at the end of a run beyond which it has diverged, unless the reference moves by more; likewise."""
 
 
 class Outcome(enum.Enum):
@@ -36,13 +36,17 @@ class Outcome(enum.Enum):
     LIMIT_CYCLE = "completed, in a limit cycle: the angle oscillates faster than its reference"
     CHATTER = "completed, but it chatters: stiffness or a command oscillates faster than the reference"
 
+    def sentence(self, joint_type: JointType) -> str:
+        """Return the outcome of a run of a joint in words."""
+        return joint_type.words(self.value).replace(" deg", f" {joint_type.shown('deg')}")
+
     @property
     def diverged(self) -> bool:
         """Whether the run left its reference for good.
 
         Its state is not finite, its angle error exceeded 90 deg, or over the last tenth of the run the RMS angle error
         exceeds 5 deg and the span of the reference, highest minus lowest angle: a joint that stands still within that
-        span cannot reach this error, however slow its controller.
+        span cannot reach this error, however slow its controller. Of a slide these are 90 mm and 5 mm.
         """
         return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.LEFT_REFERENCE)
 
@@ -63,17 +67,18 @@ class Outcome(enum.Enum):
 
 
 def near_reference(
-    setpoints: PyTree, rows: Callable[[PyTree, Runs], NDArray[np.float64]]
+    setpoints: PyTree, rows: Callable[[PyTree, Runs], NDArray[np.float64]], scale: float
 ) -> Callable[[Positions, Runs], Mask]:
     """Return a function of positions and indices of runs: mask of the times and runs that have not swung over.
 
-    `rows` gives values of setpoints along times and these runs.
+    `rows` gives values of setpoints along times and these runs; the scale is that of the `JointType`.
     """
 
     def near(positions: Positions, which: Runs) -> Mask:
         follows = [] if hasattr(setpoints, "dtype") else joints_in(setpoints)
         masks = [
-            np.abs(x - rows(own.angle, which)) <= SWUNG_OVER_AT for x, own in zip(positions, follows, strict=False)
+            np.abs(x - rows(own.angle, which)) <= SWUNG_OVER_AT * scale
+            for x, own in zip(positions, follows, strict=False)
         ]
         return np.all(masks, axis=0) if masks else np.ones(positions.shape[1:], bool)
 
@@ -91,6 +96,7 @@ def outcomes(
     span: ArrayLike = 0.0,
     started: ArrayLike = True,
     by_joint: bool = False,
+    scale: float = 1.0,
 ) -> NDArray[np.int8]:
     """Return the index of each run's outcome in `OUTCOMES`: the worst that applies.
 
@@ -107,6 +113,8 @@ def outcomes(
         Whether the run could start.
     by_joint
         Whether the numbers of angles and stiffness have the joints along their first axis.
+    scale
+        That of the `JointType`.
 
     Examples
     --------
@@ -125,8 +133,8 @@ def outcomes(
     worst_first = [
         (~np.asarray(started, bool), Outcome.NO_START),
         (in_any(~np.isfinite(angle_max)), Outcome.DIVERGED),
-        (in_any(angle_max > SWUNG_OVER_AT), Outcome.SWUNG_OVER),
-        (in_any(np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT)), Outcome.LEFT_REFERENCE),
+        (in_any(angle_max > SWUNG_OVER_AT * scale), Outcome.SWUNG_OVER),
+        (in_any(np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT * scale)), Outcome.LEFT_REFERENCE),
         (in_any(positive("oscillation_amplitude")), Outcome.LIMIT_CYCLE),
         (in_any(positive("stiffness_oscillation")) | positive("command_oscillation"), Outcome.CHATTER),
         (positive("time_outside_domain", "time_overloaded"), Outcome.LEFT_DOMAIN),

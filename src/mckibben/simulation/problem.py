@@ -75,6 +75,8 @@ class SimulationProblem(NamedTuple):
             if (names and {*known} != {*names}) or not (names or isinstance(reference, Reference)):
                 text = f"a reference of each joint is needed: {', '.join(names)}" if names else "a reference is needed"
                 raise SimulationError(text, field="reference", remedy=call)
+        if not names and isinstance(reference, Reference):
+            plant.mechanism.joint.check_setpoint(reference.stiffness)  # type: ignore[attr-defined]
         if initial is None and names:
             remedy = "give initial=RobotStart(angles, pressures), or use scenario.simulate()"
             raise SimulationError("a start is needed", field="initial", remedy=remedy)
@@ -101,7 +103,9 @@ def in_order(plant: Plant, setpoints: PyTree) -> PyTree:
 def resolved_at(plant: Plant, setpoints: PyTree, start: PlantState) -> tuple[PyTree, PyTree]:
     """Return the angles [rad] and the stiffness [N*m/rad] near which integration steps are resolved."""
     if isinstance(setpoints, Setpoint):
-        return setpoints.angle, setpoints.stiffness
+        alone = np.all(np.isnan(setpoints.stiffness))  # a muscle without a setpoint of the stiffness
+        own = plant.mechanism.stiffness(start.position, start.pressures)[0] if alone else setpoints.stiffness
+        return setpoints.angle, own
     return tuple(float(angle) for angle in joints_in(start.angle)), None
 
 

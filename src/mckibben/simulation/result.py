@@ -29,7 +29,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.result import Column, Remark, Result, TableColumns
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.feasibility import Feasibility
-from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
+from mckibben.simulation.metrics import OF_STIFFNESS_SETPOINT, Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.simulation.robot_metrics import BODY, RobotMetrics, body_columns
 from mckibben.simulation.trajectories import (
@@ -43,7 +43,7 @@ from mckibben.simulation.trajectories import (
 )
 from mckibben.storage.files import atomic_write
 from mckibben.storage.mcap import write_samples
-from mckibben.units import bar, deg, percent
+from mckibben.units import HINGE, JOINT_TYPES, JointType, bar, deg, percent
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -97,9 +97,11 @@ def unknown_column(name: str, known: Iterable[object]) -> SimulationError:
     return SimulationError(f"the result has no {name!r}", value=name, remedy=remedy)
 
 
-def metric_columns(kind: type, metrics: Mapping[str, Any]) -> dict[str, tuple[Column, Any]]:
+def metric_columns(kind: type, metrics: Mapping[str, Any], joint_type: JointType) -> dict[str, tuple[Column, Any]]:
     """Columns of metrics with their values [SI], by name; `kind` is the class that declares them."""
-    return {name: (label, metrics[name]) for name, label in labels_of(kind).items() if name in metrics}
+    return {
+        name: (label.for_joint(joint_type), metrics[name]) for name, label in labels_of(kind).items() if name in metrics
+    }
 
 
 class SimulationResult(Result):
@@ -134,6 +136,8 @@ class SimulationResult(Result):
         Function of the remarks on the plant, which take longer than a run.
     joints, muscles
         Names of the joints and muscles of a robot.
+    joint_type
+        How the joints move: of a slide, columns of angles are in m, of torques in N, of stiffness in N/m.
     landing
         Function of the metrics of a run that follows no references; None for others.
     """
@@ -153,6 +157,7 @@ class SimulationResult(Result):
     notes: Callable[[], list[Remark]] = list
     joints: tuple[str, ...] = ()
     muscles: tuple[str, ...] = ()
+    joint_type: JointType = HINGE
     landing: Callable[[], RobotMetrics] | None = None
 
     @classmethod
@@ -200,7 +205,9 @@ class SimulationResult(Result):
     def declared(self) -> TableColumns:
         """The metrics, with their units, and the joints that they are of."""
         joints = {"joint": (Column(), list(self.joints))} if self.joints and self.landing is None else {}
-        return joints | metric_columns(self.kind, self.metrics)
+        columns = joints | metric_columns(self.kind, self.metrics, self.joint_type)
+        alone = self.landing is None and np.isnan(self["desired_stiffness"]).all()
+        return {name: column for name, column in columns.items() if not alone or name not in OF_STIFFNESS_SETPOINT}
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name == "time":
@@ -258,7 +265,10 @@ class SimulationResult(Result):
         variables: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]
         variables = {name: ((name,), values, {}) for name, values in self._coordinates().items()}
         variables["time"] = ("time",), self.times, {"units": "s", "long_name": "time"}
-        variables |= {name: ((*self._rows_of(name), "time"), self[name], attributes(name)) for name in self.columns}
+        variables |= {
+            name: ((*self._rows_of(name), "time"), self[name], attributes(name, self.joint_type))
+            for name in self.columns
+        }
         return variables
 
     def _rows_of(self, name: str) -> tuple[str, ...]:
@@ -278,18 +288,19 @@ class SimulationResult(Result):
         if self.kind is not Metrics:
             worst = np.max([0.0 * self.metrics["peak_force"], 0.0 * self.metrics["peak_trunk_force"]])
             return OUTCOMES[int(outcomes(self.metrics | {"angle_max": worst}))]
+        scale, by_joint = self.joint_type.scale, bool(self.joints)
         desired = self["desired_angle"]
         end = slice(first_of_end(desired.shape[-1]), None)
         at_end = np.sqrt(np.mean((self["angle"] - desired)[..., end] ** 2, axis=-1))
         span = np.ptp(desired, axis=-1)
-        return OUTCOMES[int(outcomes(self.metrics, angle_at_end=at_end, span=span, by_joint=bool(self.joints)))]
+        return OUTCOMES[int(outcomes(self.metrics, angle_at_end=at_end, span=span, by_joint=by_joint, scale=scale))]
 
     def _measure(self) -> Any:
         if self.landing is not None:
             return self.landing()
         moved = trajectory_of(self, self.joints)
         change = over_joints(lambda own: last_change(own, np), moved.desired_stiffness)
-        rest = self.control_period, self.angle_resolution, change
+        rest = self.control_period, self.angle_resolution, change, self.joint_type.scale
         return _metrics((over_periods(moved), *jax.tree.map(np.asarray, rest)))
 
     @property
@@ -303,14 +314,16 @@ class SimulationResult(Result):
         if self.landing is not None or not self.outcome.usable:
             return ""
         for name, angles, desired in zip(
-            self.joints or ("the angle",), *map(self._rows, ("angle", "desired_angle")), strict=True
+            self.joints or (self.joint_type.words("the angle"),),
+            *map(self._rows, ("angle", "desired_angle")),
+            strict=True,
         ):
             if np.ptp(desired) < 1e-9:
                 continue
-            error, resting = (np.sqrt(np.mean((angle - desired) ** 2)) / deg for angle in (angles, angles[0]))
+            error, resting = (np.sqrt(np.mean((angle - desired) ** 2)) for angle in (angles, angles[0]))
             if error > resting:
-                rmse = f"RMSE {error:.3g} instead of {resting:.3g} deg"
-                return f"{name} follows the reference worse than a joint at rest ({rmse})"
+                rmse = " instead of ".join(self.joint_type.show(rmse, "deg", 3) for rmse in (error, resting))
+                return f"{name} follows the reference worse than a joint at rest (RMSE {rmse})"
         return ""
 
     def _rows(self, name: str) -> NDArray[np.float64]:
@@ -338,7 +351,7 @@ class SimulationResult(Result):
 
     def _sentence(self) -> str:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""
-        sentence, times = self.outcome.value, self.times
+        sentence, times, shown = self.outcome.sentence(self.joint_type), self.times, self.joint_type.show
         if self.outcome is Outcome.DIVERGED:
             # Pressures within limits cannot drive the true motion to infinity.
             last = max(np.flatnonzero(np.isfinite(self._rows("angle")).all(axis=0)), default=0)
@@ -346,13 +359,13 @@ class SimulationResult(Result):
             cause = "too few substeps for this plant" if commanded else "commands of the controller that are not finite"
             return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
         if self.outcome is Outcome.LIMIT_CYCLE:
-            amplitude, period = np.max(self.metrics["oscillation_amplitude"]) / deg, self.metrics["oscillation_period"]
-            period = np.nanmax(period)
-            sentence = f"{sentence}, with an amplitude of {amplitude:.3g} deg and a period of {period:.3g} s"
+            amplitude = shown(np.max(self.metrics["oscillation_amplitude"]), "deg", 3)
+            period = np.nanmax(self.metrics["oscillation_period"])
+            sentence = f"{sentence}, with an amplitude of {amplitude} and a period of {period:.3g} s"
         if self.outcome is Outcome.CHATTER:
             stiffness, command, rate, travel = (np.max(self.metrics[name]) for name in _CHATTER)
             sentence = (
-                f"{sentence}, with amplitudes of {stiffness:.3g} N*m/rad and {command / bar:.3g} bar; "
+                f"{sentence}, with amplitudes of {shown(stiffness, 'N*m/rad', 3)} and {command / bar:.3g} bar; "
                 f"a command reverses {rate:.3g} times per second and travels {travel / bar:.3g} bar/s"
             )
         peak = self["force"].max()
@@ -392,13 +405,13 @@ class SimulationResult(Result):
             yield Remark.warning("controller", self.poor_tracking, remedy)
         if self.resolution:
             remark = Remark.note if self.resolution.resolved else Remark.warning
-            yield remark("accuracy", self.resolution.describe())
+            yield remark("accuracy", self.resolution.describe(self.joint_type))
         yield from self.notes()
         if self.joints and (left := self.metrics["time_outside_domain"]):
             yield Remark.warning("domain", f"a muscle is outside its domain for {left:.4g} s")
         if "small_motion_stiffness" in self.columns and not self.outcome.failed:
             small, isobaric = (
-                f"{self[name].min():.3g}..{self[name].max():.3g} N*m/rad"
+                self.joint_type.span((self[name].min(), self[name].max()), "N*m/rad", 3)
                 for name in ("small_motion_stiffness", "stiffness")
             )
             yield Remark.note("stiffness", f"small-motion stiffness {small}, isobaric stiffness {isobaric}")
@@ -423,6 +436,7 @@ class SimulationResult(Result):
         own: dict[str, Any] = {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
         own |= self.resolution.attributes if self.resolution else {}
         own |= {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
+        own["joint_type"] = self.joint_type.name
         boxes = [(d.contraction_min, d.contraction_max, d.pressure_min, d.pressure_max) for d in self.domains()]
         return own | ({"domains": np.ravel(np.array(boxes, float))} if boxes else {})
 
@@ -453,6 +467,7 @@ class SimulationResult(Result):
             known_outcome=Outcome[str(table.attrs["outcome"])],
             joints=joints,
             muscles=muscles,
+            joint_type=JOINT_TYPES[str(table.attrs.get("joint_type", HINGE.name))],
         )
 
 

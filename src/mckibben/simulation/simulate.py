@@ -145,7 +145,7 @@ def simulate(
     record, final, used, resolution = run.solved(accuracy, substeps)
     result = _result(run, record, final, used, resolution, scenario, reach, reached.notes)
     if not resolution.resolved:
-        warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=user_level())
+        warnings.warn(resolution.describe(result.joint_type), McKibbenWarning, stacklevel=user_level())
     if reach is not None:
         _warn_of(plant, result, user_level())
         if not reach.feasible and warn_infeasible:
@@ -297,7 +297,9 @@ class _Run(NamedTuple):
             accuracy=accuracy,
             spacing=self.control_period,
             first=self.plant.needed_substeps(*resolved_at(self.plant, self.setpoints, self.start), self.control_period),
-            meaningful=near_reference(self.setpoints, lambda values, _: np.asarray(values)[:, None]),
+            meaningful=near_reference(
+                self.setpoints, lambda values, _: np.asarray(values)[:, None], self.plant.mechanism.joint_type.scale
+            ),
         )
 
     def solved(self, accuracy: float, substeps: int | None) -> tuple[Record, PlantState, str, Resolution]:
@@ -342,6 +344,7 @@ def _result(
         notes=notes,
         joints=plant.mechanism.joint_names,
         muscles=plant.mechanism.muscle_names,
+        joint_type=plant.mechanism.joint_type,
         landing=functools.partial(measure_landing, plant, record.state, final, run.control_period) if free else None,
     )
 
@@ -356,4 +359,5 @@ def _raise_why(plant: PyTree, initial: PyTree, first_angle: float) -> None:
     angle, stiffness = map(np.asarray, initial if isinstance(initial, AtRest) else AtRest(first_angle))
     angle = first_angle if np.isnan(angle) else float(angle)
     plant.equilibrium(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
-    raise SimulationError(f"the joint cannot start at {angle:g} rad", value=angle, unit="rad")
+    unit = plant.mechanism.joint_type.unit("rad")
+    raise SimulationError(f"the joint cannot start at {angle:g} {unit}", value=angle, unit=unit)

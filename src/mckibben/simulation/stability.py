@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -25,7 +24,7 @@ from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
-from mckibben.result import Remark, Result, column
+from mckibben.result import Remark, Result, TableColumns, column
 from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
@@ -40,7 +39,7 @@ from mckibben.simulation.problem import (
     starts_of,
 )
 from mckibben.simulation.simulate import existing_start
-from mckibben.units import deg, ms
+from mckibben.units import HINGE, JointType, deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
@@ -135,12 +134,18 @@ class Margins(Result):
     oscillation: float = column("rad", "amplitude of the limit cycle", "deg", default=0.0)
     friction: bool = False
     muscles: tuple[str, ...] = ()
+    joint_type: JointType = HINGE
     alone: NDArray[np.float64] = column("1", "disk margin of one", dims=("point", "command"), default=None)
 
     @property
     def stable(self) -> bool:
         """Whether the loop is stable at all points, and the run free of limit cycles."""
         return bool((self.radius < 1).all()) and not self.oscillation
+
+    def declared(self) -> TableColumns:
+        columns = super().declared()
+        mark, amplitude = columns["oscillation"]
+        return columns | {"oscillation": (mark.for_joint(self.joint_type), amplitude)}
 
     def least(self) -> dict[str, float]:
         """Return the least margins by name, with the unit in which results show them."""
@@ -159,7 +164,7 @@ class Margins(Result):
         gain, phase, delay, disk = self.least().values()
         text = f"stable at all {self.time.size} points"
         if self.oscillation:
-            text = f"the run ends in a limit cycle of {self.oscillation / deg:.3g} deg"
+            text = f"the run ends in a limit cycle of {self.joint_type.show(self.oscillation, 'deg', 3)}"
         elif not self.stable:
             first = self.time[self.radius >= 1][0]
             text = f"unstable at {int(np.sum(self.radius >= 1))} of {self.time.size} points, first at {first:.3g} s"
@@ -211,17 +216,21 @@ def margins(
     problem = single_run(
         _problem(plant, controller, reference, initial, control_period), control_period, "disk_margins"
     )
-    setpoints, muscles = in_order(plant, sampled_reference(problem.reference, times)), plant.mechanism.muscle_names
+    mechanism, setpoints = plant.mechanism, in_order(plant, sampled_reference(problem.reference, times))
+    kind, muscles = mechanism.joint_type, mechanism.muscle_names
+    single = not muscles and any(muscle.law.is_passive for muscle in mechanism.muscles)
+    names = (kind.words("angle"),) * len(mechanism.muscles) if single else muscles
     start = existing_start(plant, problem, setpoints, initial)
     start, times = jax.tree.map(lambda leaf: np.asarray(leaf)[..., None], start), times[chosen]
     loops, oscillations = _linearised(None, problem, start, setpoints, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
     parts = [
-        _margins_of(LinearLoop(*(leaf[:, i] for leaf in loops)), control_period, muscles) for i in range(len(times))
+        _margins_of(LinearLoop(*(leaf[:, i] for leaf in loops)), control_period, names, kind) for i in range(len(times))
     ]
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     columns |= {"oscillation": float(oscillations[0]), "muscles": muscles, "friction": plant.has_friction}
+    columns["joint_type"] = kind
     return Margins(time=times, frequency=_frequencies(control_period), **columns)
 
 
@@ -347,7 +356,8 @@ def _visited(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
         return following, (ravel_pytree(loop)[0], *jax.tree.map(jnp.asarray, angles))
 
     states, *angles = lax.scan(step, *begun(run.plant, run.controller, setpoints, start, period))[1]
-    cycles = map(find_limit_cycle, *map(jax.tree.leaves, angles), itertools.repeat(period))
+    find = functools.partial(find_limit_cycle, period=period, scale=run.plant.mechanism.joint_type.scale)
+    cycles = map(find, *map(jax.tree.leaves, angles))
     return states, functools.reduce(jnp.maximum, (cycle.amplitude for cycle in cycles))
 
 
@@ -490,8 +500,10 @@ def _disk_margins(loops: LinearLoop, period: float) -> NDArray[np.float64]:
     return margins
 
 
-def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -> dict[str, NDArray]:
-    """Columns of `Margins` of linear loops, leaves (loops, ...), of a joint or of a robot with these muscles."""
+def _margins_of(
+    loops: LinearLoop, period: float, names: Sequence[str] = (), joint_type: JointType = HINGE
+) -> dict[str, NDArray]:
+    """Columns of `Margins` of linear loops, leaves (loops, ...), of a joint, or with names of the loops of muscles."""
     triangular, angles = _Triangular.of(loops), 2 * np.pi * _frequencies(period) * period
     radius, turning = _radii(triangular.poles), triangular.poles[triangular.poles.imag > 0]
     narrow = np.angle(turning) + np.multiply.outer(_WIDTHS, 1 - np.abs(turning))
@@ -504,11 +516,11 @@ def _margins_of(loops: LinearLoop, period: float, muscles: Sequence[str] = ()) -
     with np.errstate(divide="ignore", invalid="ignore"):  # of an integrator
         loci = -responses / (1 + responses)
     disk, peak, directions = triangular.peaks(period)
-    if muscles:
-        loop = np.array(muscles)[np.abs(directions).argmax(axis=1)]
+    if names:
+        loop = np.array(names)[np.abs(directions).argmax(axis=1)]
     else:  # that of the angle drives the pressures apart, that of the stiffness both up and down
         common, difference = np.abs(directions @ [[1, 1], [1, -1]]).T
-        loop = np.where(difference > common, "angle", "stiffness")
+        loop = np.where(difference > common, joint_type.words("angle"), "stiffness")
     gain = np.maximum(gain, np.divide(2 + disk, 2 - disk, out=np.full_like(disk, np.inf), where=disk < 2))  # its bound
     alone = 1 / np.abs(np.diagonal(sensitivity, axis1=2, axis2=3) - 0.5).max(axis=1)
     margins: dict[str, NDArray] = {"gain": gain, "phase": phase, "delay": delay, "disk": disk, "alone": alone.T}

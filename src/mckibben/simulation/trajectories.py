@@ -132,6 +132,7 @@ def trajectory(
         jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)
         for muscle, contraction, _ in states
     ]
+    slack = [force <= 0 for muscle, force in zip(plant.muscles, forces, strict=True) if muscle.law.pulls]
     over = [force > muscle.specimen.force_limit for muscle, force in zip(plant.muscles, forces, strict=True)]
     return Trajectory(
         angle=state.angle,
@@ -148,7 +149,7 @@ def trajectory(
         force=tuple(forces),
         contraction=tuple(contractions),
         saturated=record.limited | record.telemetry.get("saturated", False),
-        slack=functools.reduce(operator.or_, [force <= 0 for force in forces]),
+        slack=functools.reduce(operator.or_, slack),
         outside_domain=~functools.reduce(operator.and_, inside),
         overloaded=functools.reduce(operator.or_, over),
         excursion=jnp.maximum(functools.reduce(jnp.maximum, beyond), 0.0),

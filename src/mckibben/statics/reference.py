@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mckibben.errors import McKibbenError
+from mckibben.errors import McKibbenError, RangeError
 from mckibben.mechanism.robot import Robot
 from mckibben.result import Remark
 from mckibben.statics.attainable import held_statics
@@ -40,6 +40,10 @@ def check_postures(
         at = f"at {time:.3g} s"
         try:
             robot.check_posture(angles[index].tolist())
+        except RangeError as error:
+            yield Remark.warning("reference", f"the reference leaves the range {at}: {error.message}", error.remedy)
+            return
+        try:
             held = postures.posture(index)
             nearest = held_joint_stiffness(held, desired)
             attained = np.diag(nearest.joint_stiffness)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -204,8 +204,16 @@ def felt_stiffness(
     return found
 
 
+def first_setpoints(scenario: Scenario | RobotScenario) -> Any:
+    """Return the first setpoint of an unnamed joint, or a tuple of those of all joints."""
+    references: Any = scenario.references()
+    if not scenario.joint_names:
+        return references(0.0)
+    return tuple(references[name](0.0) for name in scenario.joint_names)
+
+
 def _loop_of_joint(scenario: Scenario) -> _Loop:
-    asked = scenario.reference()(0.0)
+    asked = first_setpoints(scenario)
     setpoint = float(asked.angle), float(asked.stiffness)
     held = scenario.model_copy(update={"disturbance": _Push()})
     plant, controller, reference = held.plant(), held.control(), Reference(*setpoint)
@@ -226,8 +234,7 @@ def _loop_of_joint(scenario: Scenario) -> _Loop:
 
 def _loop_of_robot(scenario: RobotScenario) -> _Loop:
     robot, names = scenario.robot, scenario.joint_names
-    first = {name: reference(0.0) for name, reference in scenario.references().items()}
-    setpoints = [(float(first[name].angle), float(first[name].stiffness)) for name in names]
+    setpoints = [(float(asked.angle), float(asked.stiffness)) for asked in first_setpoints(scenario)]
     constant = {name: Reference(*setpoint) for name, setpoint in zip(names, setpoints, strict=True)}
     joints = tuple(dataclasses.replace(joint, disturbance=_Push()) for joint in robot.joints)
     update = {"reference": constant, "robot": dataclasses.replace(robot, joints=joints)}

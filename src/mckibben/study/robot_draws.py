@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.mechanism.bodies import Body
-from mckibben.muscle import ForceLaw, Muscle, SpringLaw
+from mckibben.muscle import ForceLaw, Muscle
 from mckibben.plant.robot_plant import RobotPlant
 from mckibben.scenario.robot import RobotScenario
 
@@ -39,7 +39,7 @@ def drawn_plant(scenario: RobotScenario, *, fresh: bool = False) -> RobotPlant:
         """A muscle with arrays in its law; springs do not scatter."""
         from mckibben.identification import Fit  # pandas: only where muscles are drawn
 
-        if isinstance(muscle.law, SpringLaw):
+        if muscle.law.is_passive:
             return muscle
         file = origin_of(muscle.law)
         if file.endswith(ENDINGS):

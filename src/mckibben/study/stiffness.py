@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -13,16 +14,17 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
-from mckibben.joint import AntagonisticJoint
+from mckibben.joint.route import closed_valve_stiffness, secant_stiffness
+from mckibben.mechanism.base import joints_in, over_joints
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
-from mckibben.numerics.compiled import jit, numeric
-from mckibben.plant import JointPlant
-from mckibben.result import Column, Listing, Remark, Result, TableColumns, column, table
+from mckibben.numerics.compiled import jit_arrays, numeric
+from mckibben.plant import Plant, PlantState
+from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
-from mckibben.study.felt import Felt, felt_stiffness
+from mckibben.study.felt import Felt, felt_stiffness, first_setpoints
 from mckibben.units import bar, deg
 
 Values = NDArray[np.float64]
@@ -37,6 +39,7 @@ SHOWN = {
 """Names of the tests in tables and figures."""
 
 
+_STIFFNESS = Column("N*m/rad")
 _PUMPED = 0.1  # relative change of the mean stiffness under a push that is worth a remark
 
 
@@ -97,60 +100,96 @@ class FeltStiffness(Result):
         ]
 
 
-class StiffnessTests(FeltStiffness):
-    """Stiffness [N*m/rad] over amplitude and rate of a motion about the angle held by a scenario's controller."""
+class MotionTests(NamedTuple):
+    """Stiffness [N*m/rad] of a joint over amplitude and rate of a motion about the angle that its controller holds."""
 
-    figures = ("felt_stiffness", "stiffness")
-
-    angle: float = column("rad", "angle held", "deg")
-    pressures: tuple[float, float]
-    """Held, gauge [Pa]."""
-    setpoint: float = column("N*m/rad", "setpoint")
-    isobaric: float = column("N*m/rad", "without friction, at constant pressures (Eq. 8)")
-    closed_valve: float = column("N*m/rad", "without friction, with closed valves")
-    polytropic_index: float = column("1", "polytropic index of the closed valves")
-    """For air with a temperature that of fast motion."""
-    amplitude: Values = column("rad", "amplitude", "deg", digits=3)
-    secant: Values = column("N*m/rad", "constant pressures")
-    """With friction (`AntagonisticJoint.secant_stiffness`)."""
-    closed_secant: Values = column("N*m/rad", "closed valves")
+    angle: float
+    """Held [rad]."""
+    pressures: tuple[float, ...]
+    """Held by the muscles of the joint, gauge [Pa]."""
+    setpoint: float
+    isobaric: float
+    """At constant pressures, without friction (Eq. 8)."""
+    closed_valve: float
+    """With closed valves, without friction."""
+    polytropic_index: float
+    """Of the closed valves; for air with a temperature that of fast motion."""
+    amplitude: Values
+    """Amplitudes [rad]."""
+    secant: Values
+    """Over the amplitude at constant pressures, with friction (`secant_stiffness`)."""
+    closed_secant: Values
+    """Likewise with closed valves."""
     tests: dict[str, DynamicStiffness]
     """Simulated, by name."""
 
     def verdict(self) -> str:
         """Return what is held, and the range of the stiffness over the amplitudes."""
         pressures = " and ".join(f"{pressure / bar:.3g}" for pressure in self.pressures)
-        low, high = self.secant.min(), self.secant.max()
-        held = f"{self.scenario.name}, held at {round(self.angle / deg, 3) + 0.0:g} deg by {pressures} bar"
-        return f"{held}: {low:.4g} to {high:.4g} N*m/rad at constant pressures; {super().verdict()}"
+        held = f"held at {round(self.angle / deg, 3) + 0.0:g} deg by {pressures} bar"
+        return f"{held}: {self.secant.min():.4g} to {self.secant.max():.4g} N*m/rad at constant pressures"
+
+    def listings(self, name: str, closed_depends_on_rate: bool) -> Iterator[Listing]:
+        """Yield the closed forms over the amplitude, and each simulated test over the rates; a name is of the joint."""
+        of = f"{name}: " * bool(name)
+        amplitude = Column("rad", "amplitude", "deg", digits=3), self.amplitude
+        over = {"amplitude": amplitude, SHOWN[HELD]: (_STIFFNESS, self.secant)}
+        yield Listing(f"{of}Closed forms, with friction", over | {SHOWN[CLOSED]: (_STIFFNESS, self.closed_secant)})
+        for test, found in self.tests.items():
+            stiffness = found.magnitude if test == CONTROLLED else found.stiffness
+            columns: TableColumns = {"amplitude": amplitude}
+            for rate, values, loss in zip(found.frequency, stiffness, found.loss, strict=True):
+                columns[f"{rate:.3g} Hz"] = _STIFFNESS, values
+                columns[f"loss at {rate:.3g} Hz"] = _STIFFNESS, loss
+            shown = test == CONTROLLED or (test == CLOSED and closed_depends_on_rate)
+            yield Listing(f"{of}Simulated: {SHOWN[test]}", columns, detail=not shown)
+
+
+class StiffnessTests(FeltStiffness):
+    """Stiffness [N*m/rad] over amplitude and rate of a motion about the angles held by a scenario's controller."""
+
+    figures = ("felt_stiffness", "stiffness")
+
+    motions: dict[str, MotionTests]
+    """By the name of the joint, which is empty in a scenario of one joint."""
+
+    def verdict(self) -> str:
+        """Return what is held, and the range of the stiffness over the amplitudes."""
+        texts = [f"{name or self.scenario.name}, {motion.verdict()}" for name, motion in self.motions.items()]
+        return "; ".join([*texts, super().verdict()])
+
+    @table("Stiffness of small motion, without friction")
+    def held(self) -> TableColumns:
+        """What is held, and the closed forms without friction."""
+        motions = list(self.motions.values())
+        columns: TableColumns = {"joint": (Column(), list(self.motions))} if all(self.motions) else {}
+        columns["angle"] = Column("rad", "angle held", "deg"), [motion.angle for motion in motions]
+        columns["setpoint"] = _STIFFNESS, [motion.setpoint for motion in motions]
+        columns["isobaric"] = Column("N*m/rad", SHOWN[HELD]), [motion.isobaric for motion in motions]
+        columns["closed_valve"] = Column("N*m/rad", SHOWN[CLOSED]), [motion.closed_valve for motion in motions]
+        columns["polytropic_index"] = Column("1"), [motion.polytropic_index for motion in motions]
+        return columns
 
     @table()
     def simulated(self) -> list[Listing]:
-        """Each simulated test over the rates; for a controller the magnitude."""
-        listings = []
-        for name, test in self.tests.items():
-            stiffness = test.magnitude if name == CONTROLLED else test.stiffness
-            columns: TableColumns = {"amplitude": (Column("rad", "amplitude", "deg"), self.amplitude)}
-            for rate, values, loss in zip(test.frequency, stiffness, test.loss, strict=True):
-                columns[f"{rate:.3g} Hz"] = Column("N*m/rad"), values
-                columns[f"loss at {rate:.3g} Hz"] = Column("N*m/rad"), loss
-            shown = name == CONTROLLED or (name == CLOSED and self.scenario.valve.wall_conductance is not None)
-            listings.append(Listing(f"Simulated: {SHOWN[name]}", columns, detail=not shown))
-        return listings
+        """The tests of each joint."""
+        warm = getattr(self.scenario.valve, "wall_conductance", None) is not None
+        return [listing for name, motion in self.motions.items() for listing in motion.listings(name, warm)]
 
 
 def stiffness_tests(
-    scenario: Scenario,
+    scenario: Scenario | RobotScenario,
     amplitudes: ArrayLike,
     rates: ArrayLike,
     *,
     torque: float | None = None,
     progress: Progress | None = None,
 ) -> StiffnessTests:
-    """Hold the first setpoint of a scenario, test the stiffness over amplitudes and rates of a motion, and push.
+    """Hold the first setpoints of a scenario, test the stiffness over amplitudes and rates of a motion, and push.
 
     The tests are simulated with constant pressures (ideal valves), with closed valves, with constant commands if the
-    valves hold air, and with the controller active, from the state after 2 s.
+    valves hold air, and with the controller active, from the state after 2 s. A machine moves one joint after the
+    other, and holds the others.
 
     Parameters
     ----------
@@ -168,7 +207,7 @@ def stiffness_tests(
     Returns
     -------
     StiffnessTests
-        Stiffness and loss [N*m/rad] of each test, shape (m, n), and the closed forms.
+        Stiffness and loss [N*m/rad] of each test, shape (m, n), and the closed forms, by joint.
 
     Raises
     ------
@@ -178,61 +217,76 @@ def stiffness_tests(
         If the plant needs more substeps.
     """
     report = progress or silent
-    plant, controller = scenario.plant(), scenario.control()
+    plant: Any = scenario.plant()
+    controller = scenario.control()
     closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.needed_substeps()
-    setpoint = scenario.reference()(0.0)
-    plant.check_substeps(setpoint.angle, setpoint.stiffness, period, substeps)
-    held = Setpoint(*(jnp.full(round(2.0 / period), float(value)) for value in setpoint))
-    start = plant.complete_state(scenario.initial(plant))
+    setpoint = first_setpoints(scenario)
+    held = over_joints(lambda own: Setpoint(*(jnp.full(round(2.0 / period), float(x)) for x in own)), setpoint)
     report("settling", 0.0)
+    start = plant.complete_state(scenario.initial(plant))
     parts = numeric((plant, controller, held, start))
     state, _ = compiled_episode(*parts, period=np.asarray(period), substeps=substeps)
 
-    plants: dict[str, JointPlant] = {HELD: dataclasses.replace(plant, valve=IdealValve()), CLOSED: closed}
-    plants |= {COMMANDED: plant} if plant.valve.holds_air else {}
-    tests = {}
-    for name in (*plants, CONTROLLED):
-        report(name, (len(tests) + 1) / (len(plants) + 2))
-        control: dict[str, Any] = {"controller": controller, "setpoint": setpoint} if name == CONTROLLED else {}
-        own = plants.get(name, plant)
-        started = state if own.valve is plant.valve else state._replace(air=())
-        times = {"control_period": period, "substeps": substeps}
-        tests[name] = dynamic_stiffness(own, started, amplitudes, rates, **control, **times)
+    plants: dict[str, Plant] = {
+        HELD: dataclasses.replace(plant, valve=IdealValve()),
+        CLOSED: closed,
+        **({COMMANDED: plant} if plant.valve.holds_air else {}),
+        CONTROLLED: plant,
+    }
     valve: Any = closed.valve
     index = valve.polytropic_index if valve.wall_conductance is None else HEAT_CAPACITY_RATIO
-    held_at = state.angle, state.pressures, tests[HELD].amplitude
-    numbers = _closed_forms(plant.joint, *held_at, index, valve.dead_volume)
-    isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
-    return StiffnessTests(
-        scenario=scenario,
-        felt=felt_stiffness(scenario, torque=torque, progress=progress),
-        angle=float(state.angle),
-        pressures=(float(state.pressures[0]), float(state.pressures[1])),
-        setpoint=float(setpoint.stiffness),
-        isobaric=float(isobaric),
-        closed_valve=float(closed_valve),
-        polytropic_index=float(index),
-        amplitude=tests[HELD].amplitude,
-        secant=secant,
-        closed_secant=closed_secant,
-        tests=tests,
-    )
+    names = scenario.joint_names or ("",)
+    motions, count = {}, 0
+    for joint, name in enumerate(names):
+        tests = {}
+        for test, own in plants.items():
+            report(f"{name} {test}".strip(), count / (len(plants) * len(names)))
+            count += 1
+            control: dict[str, Any] = {"controller": controller, "setpoint": setpoint} if test == CONTROLLED else {}
+            started = state if own.valve_of(0) is plant.valve_of(0) else state._replace(air=())
+            times = {"control_period": period, "substeps": substeps}
+            tests[test] = dynamic_stiffness(own, started, amplitudes, rates, joint=joint, **control, **times)
+        amplitude = tests[HELD].amplitude
+        numbers = _closed_forms(*numeric((plant, state, amplitude, index, valve.dead_volume)), joint=joint)
+        isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
+        routes = zip(plant.mechanism.routes(state.position), state.pressures, strict=True)
+        motions[name] = MotionTests(
+            angle=float(plant.mechanism.by_joint(state.position)[joint]),
+            pressures=tuple(float(pressure) for route, pressure in routes if joint in route.slopes),
+            setpoint=float(joints_in(setpoint)[joint].stiffness),
+            isobaric=float(isobaric),
+            closed_valve=float(closed_valve),
+            polytropic_index=float(index),
+            amplitude=amplitude,
+            secant=secant,
+            closed_secant=closed_secant,
+            tests=tests,
+        )
+    felt = felt_stiffness(scenario, torque=torque, progress=progress)
+    return StiffnessTests(scenario=scenario, felt=felt, motions=motions)
 
 
-@jit
+@jit_arrays
 def _closed_forms(
-    joint: AntagonisticJoint,
-    angle: ArrayLike,
-    pressures: tuple[ArrayLike, ArrayLike],
+    plant: Plant,
+    state: PlantState,
     amplitudes: ArrayLike,
     index: ArrayLike,
-    dead_volume: float,
+    dead_volume: ArrayLike,
+    joint: int,
 ) -> tuple:
-    air = {"polytropic_index": index, "dead_volume": dead_volume}
+    mechanism, position, pressures = plant.mechanism, state.position, state.pressures
+    angle, over = mechanism.by_joint(position)[joint], mechanism.routes_over(position, joint)
+
+    def secants(index: ArrayLike | None) -> Any:
+        air: Any = {"polytropic_index": index, "dead_volume": dead_volume}
+        return jax.vmap(lambda amplitude: secant_stiffness(over, joint, angle, pressures, amplitude, **air))(amplitudes)
+
+    routes, indices = mechanism.routes(position), (index,) * len(pressures)
     return (
-        joint.stiffness(angle, pressures),
-        joint.closed_valve_stiffness(angle, pressures, **air),
-        joint.secant_stiffness(angle, pressures, amplitudes),
-        joint.secant_stiffness(angle, pressures, amplitudes, **air),
+        mechanism.stiffness(position, pressures)[joint],
+        closed_valve_stiffness(routes, joint, pressures, indices, dead_volume),
+        secants(None),
+        secants(index),
     )

@@ -2,6 +2,7 @@
 #include "firmware.h"
 
 #include <Arduino.h>
+#include <string.h>
 <% if "as5600" in kinds %>
 #include <Wire.h>
 <% endif %>
@@ -205,10 +206,26 @@ void board_command(const double commands[COMMANDS])
 
 void board_vent(bool open) { digitalWrite(${vent.pin}, open == ${"false" if vent.open == "low" else "true"}); }
 
+static uint8_t outgoing[2 * LINK_FRAME];
+static size_t queued;
+
 void board_write(const uint8_t *bytes, size_t size)
 {
-    if (Serial.availableForWrite() >= (int)size) // never waits: the sequence number shows what was left out
-        Serial.write(bytes, size);
+    if (queued + size > sizeof outgoing) // never waits: the sequence number shows what was left out
+        return;
+    memcpy(outgoing + queued, bytes, size);
+    queued += size;
+}
+
+static void write_queued() // what the buffer of the core takes, which may be shorter than a frame
+{
+    const int room = Serial.availableForWrite();
+    const size_t size = room < (int)queued ? (size_t)(room > 0 ? room : 0) : queued;
+    if (size == 0)
+        return;
+    Serial.write(outgoing, size);
+    queued -= size;
+    memmove(outgoing, outgoing + size, queued);
 }
 
 void setup()
@@ -254,6 +271,7 @@ void loop()
 {
     while (Serial.available() > 0)
         firmware_receive((uint8_t)Serial.read());
+    write_queued();
     noInterrupts();
     const uint16_t passed = ticks;
     ticks = 0;

@@ -25,7 +25,7 @@ static void send(uint8_t kind, const uint8_t *body, size_t size)
     static link_message message;
     static uint8_t line[LINK_FRAME];
     message.kind = kind;
-    message.size = (uint8_t)size;
+    message.size = (uint16_t)size;
     message.sequence = sequence++;
     message.time = board_time();
     memcpy(message.body, body, size);

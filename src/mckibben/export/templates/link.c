@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-enum { HEADER = 7 };
+enum { HEADER = 7, FULL = 255 };
 
 static uint16_t crc(const uint8_t *data, size_t size) /* CRC-16/CCITT-FALSE */
 {
@@ -61,22 +61,23 @@ size_t link_encode(const link_message *message, uint8_t *to)
 {
     uint8_t data[HEADER + LINK_LONGEST + 2];
     const size_t body = message->size <= LINK_LONGEST ? message->size : LINK_LONGEST, size = HEADER + body;
-    size_t i, start = 0;
+    size_t i, start = 0, end = 1;
     data[0] = message->kind;
     put(data + 1, message->sequence, 2);
     put(data + 3, message->time, 4);
     memcpy(data + HEADER, message->body, body);
     put(data + size, crc(data, size), 2);
-    for (i = 0; i < size + 2; ++i)
-        if (data[i]) {
-            to[i + 1] = data[i];
-        } else {
-            to[start] = (uint8_t)(i + 1 - start);
-            start = i + 1;
+    for (i = 0; i < size + 2; ++i) {
+        if (data[i])
+            to[end++] = data[i];
+        if (!data[i] || end - start == FULL) { /* a full block ends without a zero */
+            to[start] = (uint8_t)(end - start);
+            start = end++;
         }
-    to[start] = (uint8_t)(i + 1 - start);
-    to[i + 1] = 0;
-    return i + 2;
+    }
+    to[start] = (uint8_t)(end - start);
+    to[end] = 0;
+    return end + 1;
 }
 
 static bool complete(link_receiver *self, link_message *message) /* the frame in `data` */
@@ -92,7 +93,7 @@ static bool complete(link_receiver *self, link_message *message) /* the frame in
     message->kind = self->data[0];
     message->sequence = (uint16_t)get(self->data + 1, 2);
     message->time = get(self->data + 3, 4);
-    message->size = (uint8_t)(size - HEADER);
+    message->size = (uint16_t)(size - HEADER);
     memcpy(message->body, self->data + HEADER, message->size);
     ahead = (uint16_t)(message->sequence - self->last);
     anew = message->kind == KIND_HELLO || message->kind == KIND_VENT; /* with any number: a vent is never too late */
@@ -128,7 +129,7 @@ bool link_receive(link_receiver *self, uint8_t byte, link_message *message)
         append(self, byte);
         --self->left;
     } else {
-        if (self->code)
+        if (self->code && self->code != FULL)
             append(self, 0);
         self->code = byte;
         self->left = (uint8_t)(byte - 1);

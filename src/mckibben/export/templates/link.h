@@ -10,7 +10,7 @@
 extern "C" {
 #endif
 
-enum { LINK_VERSION = ${protocol}, LINK_LONGEST = ${longest}, LINK_FRAME = LINK_LONGEST + 11 };
+enum { LINK_VERSION = ${protocol}, LINK_LONGEST = ${longest}, LINK_FRAME = LINK_LONGEST + LINK_LONGEST / 254 + 12 };
 <% for enum in enums %>
 enum {
 <% for member in enum.members %>
@@ -20,8 +20,8 @@ enum {
 <% endfor %>
 
 typedef struct {
-    uint8_t kind, size; /* size of the body */
-    uint16_t sequence;
+    uint8_t kind;
+    uint16_t size, sequence; /* size of the body */
     uint32_t time; /* us, of the sender */
     uint8_t body[LINK_LONGEST];
 } link_message;

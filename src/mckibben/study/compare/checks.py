@@ -69,7 +69,7 @@ def _checks_of_settings(suite: SuiteSettings) -> Iterator[Check]:
     tuning = suite.tuning
     named: list[tuple[Place, str]] = [(("true_model", i), name) for i, name in enumerate(suite.true_model)]
     named += [(("tuning", "untuned", i), name) for i, name in enumerate(tuning.untuned)]
-    named += [(("tuning", key, name), name) for key in ("over", "starts_of") for name in getattr(tuning, key)]
+    named += [(("tuning", "over", name), name) for name in tuning.over]
     for place, name in named:
         yield place, partial(_check_known, suite, name)
 

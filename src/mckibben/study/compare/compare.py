@@ -9,7 +9,9 @@ from pathlib import Path
 
 from mckibben.errors import McKibbenError
 from mckibben.notebook import Progress, notebook_progress, silent
+from mckibben.scenario import ModelFollows
 from mckibben.storage.store import STUDY, open_store
+from mckibben.study.compare.changes import on_changed_plants
 from mckibben.study.compare.result import CompareResult
 from mckibben.study.compare.runs import draw, evaluate
 from mckibben.study.compare.statistics import trial_at_air
@@ -24,13 +26,12 @@ def runs_of(suite: ControllerSuite, name: str) -> int:
     >>> from mckibben.study.compare import Suite
     >>> suite = Suite.read("examples/comparison/valves.yaml").of_setup("Festo VPPE-6")
     >>> [runs_of(suite, name) for name in ("PID", "decoupling")]
-    [13050, 7290]
+    [7290, 7290]
     """
     tuning, evaluations = suite.tuning, suite.evaluation.runs
     if not suite.tuned_over(name):
         return evaluations
-    starts = tuning.starts_of.get(name, tuning.starts)
-    trials = starts * tuning.candidates + (starts + 1) * tuning.generations * tuning.population
+    trials = tuning.starts * tuning.candidates + (tuning.starts + 1) * tuning.generations * tuning.population
     return trials * tuning.runs + tuning.finalists * tuning.finalist_runs + 2 * evaluations
 
 
@@ -91,5 +92,7 @@ def compare(
                     kind.batches[name] = evaluate(evaluation, name, kind.tuned[name])
             with suppress(McKibbenError):  # its run cannot start or diverges, as the table shows
                 result.margins[name] = suite.tuned_scenario(name, result.tuned[name]).margins()
+            follows: ModelFollows = "all" if name in suite.true_model else ()
+            result.changed[name] = on_changed_plants(suite.tuned_scenario(name, result.tuned[name]), follows)
     progress("done", 1.0)
     return replace(result, at_air=at_air) if at_air.batches else result

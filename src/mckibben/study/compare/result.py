@@ -18,6 +18,7 @@ from mckibben.result import Column, Listing, Remark, Result, Severity, TableColu
 from mckibben.scenario import StudiedScenario, find_parameters
 from mckibben.simulation import LEAST_DISK_MARGIN, Batch, Margins, margin_remarks
 from mckibben.storage.files import make_folder
+from mckibben.study.compare.changes import Changed
 from mckibben.study.compare.checks import filename
 from mckibben.study.compare.runs import Runs, started
 from mckibben.study.compare.statistics import Ratio, comparable, median, ratio_of_medians
@@ -52,6 +53,7 @@ class CompareResult(Result):
     at_air: CompareResult | None = None
     finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with the medians of their further runs
     margins: dict[str, Margins] = field(default_factory=dict)  # as tuned, on the plant of the models
+    changed: dict[str, Changed] = field(default_factory=dict)  # as tuned, on plants that differ in one respect
 
     @functools.cached_property
     def order(self) -> list[str]:
@@ -149,6 +151,13 @@ class CompareResult(Result):
         """Return the errors, against those of the first controller as tuned in another result."""
         return error_columns([self], [tuned], list(self.batches))
 
+    @table("What breaks: angle RMSE [deg] on the plant of the models with one change")
+    def breaks(self) -> TableColumns:
+        """Return the errors on changed plants, the disk margins that are too small, and how runs fail."""
+        changes = next((changed.changes for changed in self.changed.values()), ())
+        cells = {name: (Column(), self.changed[name].cells) for name in self.order if name in self.changed}
+        return {"change": (Column(), list(changes)), **cells} if changes else {}
+
     @table("Tuned on the training runs", detail=True)
     def tuned_values(self) -> TableColumns:
         """Return the cost of each controller on the training runs, and its tuned values."""
@@ -192,12 +201,26 @@ class PooledResult(Result):
     results: dict[str, CompareResult]
 
     def verdict(self) -> str:
-        """Return the controller of the least angle error over all setups."""
+        """Return the controller of the least angle error over all setups, of those that may be used."""
         results = list(self.results.values())
-        ratios = {name: ratio_of_errors(results, name, results).ratio for name in results[0].batches}
-        best = min(ratios, key=lambda name: ratios[name])
-        text = f"{best} has {ratios[best]:.3g} x the angle RMSE of {next(iter(ratios))}"
+        first, usable = next(iter(results[0].batches)), [n for n in results[0].batches if self.usable(n)]
+        ratios = {name: ratio_of_errors(results, name, results).ratio for name in usable}
+        best = min(ratios, key=lambda name: ratios[name], default="")
+        least = f"has a disk margin of {LEAST_DISK_MARGIN:g} in every setup"
+        text = f"{best} has {ratios[best]:.3g} x the angle RMSE of {first}" if best else f"no controller {least}"
         return f"{self.suite}, {len(results)} setups: {text}"
+
+    def usable(self, controller: str) -> bool:
+        """Whether the loops as tuned have the disk margin of tuned gains in every setup."""
+        return all(result.usable(controller) for result in self.results.values())
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield a remark on controllers whose loops must not be used, severe if there are no others."""
+        small = [name for name in next(iter(self.results.values())).batches if not self.usable(name)]
+        if small:
+            text = f"not to be used, with a disk margin below {LEAST_DISK_MARGIN:g} in a setup: {', '.join(small)}"
+            none = len(small) == len(next(iter(self.results.values())).batches)
+            yield (Remark.severe if none else Remark.warning)("disk_margin", text)
 
     def declared(self) -> TableColumns:
         """Return the errors over all setups as tuned, a row per controller."""

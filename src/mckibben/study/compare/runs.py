@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import equinox as eqx
@@ -26,6 +26,7 @@ from mckibben.simulation.problem import check_frequencies, sample_reference, sam
 from mckibben.study.compare.settings import NOMINAL_JOINT
 from mckibben.study.compare.suite import ControllerSuite, Suite
 from mckibben.study.parameters import sample
+from mckibben.study.parameters.uncertainty import sensor_noise
 from mckibben.study.study import Table
 
 Tree = TypeVar("Tree")
@@ -84,6 +85,22 @@ class Runs:
             for name, values in varied.items():
                 table.setdefault(name, np.full(self.count, np.nan))[table["reference"] == reference] = values
         return table
+
+    def without_noise(self, rows: NDArray[np.int64]) -> Runs:
+        """Some of the runs, with ideal sensors, for their simulation."""
+        names = [name.removeprefix("sensors.") for name in sensor_noise(self.suite.example())]
+        groups = []
+        for group in self.groups:
+            kept = np.isin(group.rows, rows)
+            if not kept.any():
+                continue
+            _, varying = lanes_of(group.parts)
+            some = jax.tree.map(lambda leaf, varies, kept=kept: leaf[kept] if varies else leaf, group.parts, varying)
+            sensors = replace(some.plant.sensors, **dict.fromkeys(names, np.zeros(kept.sum())))
+            parts = some._replace(plant=replace(some.plant, sensors=sensors))
+            conditions = {name: column[kept] for name, column in group.conditions.items()}
+            groups.append(Group(group.joint, np.searchsorted(rows, group.rows[kept]), conditions, parts))
+        return replace(self, joint=[self.joint[row] for row in rows], groups=tuple(groups))
 
 
 def draw(suite: ControllerSuite, count: int, seed: int) -> Runs:

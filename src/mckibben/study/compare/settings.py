@@ -82,7 +82,7 @@ CostText = Annotated[str, AfterValidator(_checked_cost)]
 
 
 class TuningSettings(ConfigModel):
-    """Tuning of each controller by CMA-ES, with the same budget except for those in `starts_of`.
+    """Tuning of each controller by CMA-ES, with the same budget.
 
     A search has ``population * generations`` trials, each simulated in all training runs. After the searches from
     `starts` for least cost, another is for least angle error at the air of the first controller.
@@ -92,7 +92,6 @@ class TuningSettings(ConfigModel):
     runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs per point
     seed: Seed = 99
     starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
-    starts_of: dict[str, Annotated[int, BoundedInt(1, 1000)]] = Field(default_factory=dict)  # of individual controllers
     candidates: Annotated[int, BoundedInt(0, 10_000)] = 0  # random gains, of which a search starts at the best
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16

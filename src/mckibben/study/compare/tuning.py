@@ -27,9 +27,10 @@ from mckibben.study.compare.statistics import (
     trial_at_air,
 )
 from mckibben.study.compare.suite import ControllerSuite
+from mckibben.study.parameters.uncertainty import sensor_noise
 from mckibben.study.study import Table, digest
 from mckibben.study.tune.cost import mean_of_joints
-from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, with_valid
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, USE, with_use, with_valid
 from mckibben.study.tune.search import Costs, Vector, by_cma
 from mckibben.study.tune.space import SearchSpace
 from mckibben.study.tune.trials import Evaluated, Trial, Trials, first_runs
@@ -60,10 +61,6 @@ class ControllerTuning:
     @cached_property
     def _scenario(self) -> StudiedScenario:
         return self.suite.scenario(self.controller)
-
-    @property
-    def _starts(self) -> int:
-        return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
     def begin(self, store: Store) -> ControllerTuning:
         """Return the tuning with an engine; all trials have the integration steps that its nominal values need."""
@@ -96,12 +93,26 @@ class ControllerTuning:
         usable = np.isfinite(costs) & batch.usable
         costs = np.where(begun, np.where(usable, np.minimum(costs, FAILED_COST), FAILED_COST), 0.0)
         means = np.sum(costs.reshape(len(values), -1), axis=1) / begun.reshape(len(values), -1).sum(axis=1)
+        means = self._with_use(means, valid, batch, begun.reshape(len(values), -1)[0])
         least = self._least_margins(valid, len(values))
         kept = good & (least >= LEAST_DISK_MARGIN)
         costs = np.where(kept, means, UNSTABLE_COST * (2 - least / LEAST_DISK_MARGIN))
         rows = zip(self._medians(batch, begun, len(values)), kept, strict=True)
         medians = [numbers if usable else None for numbers, usable in rows]
         return Evaluated(np.where(good, costs, FAILED_COST), medians)
+
+    def _with_use(self, means: Vector, table: Table, batch: Batch, begun: NDArray[np.bool_], most: int = 4) -> Vector:
+        """Mean costs, higher where the noise of the sensors moves valves and air too much in the first runs."""
+        if not sensor_noise(self.suite.example()):
+            return means
+        rows = np.flatnonzero(begun)[:most]
+        ideal = evaluate(self.runs.without_noise(rows), self.controller, table, metrics=tuple(USE), engine=self.engine)
+        noisy = {name: self._by_set(batch, name, len(means))[:, rows].mean(axis=1) for name in USE}
+        return with_use(means, noisy, {name: self._by_set(ideal, name, len(means)).mean(axis=1) for name in USE})
+
+    @staticmethod
+    def _by_set(batch: Batch, name: str, sets: int) -> NDArray[np.float64]:
+        return mean_of_joints(batch.metrics[name]).reshape(sets, -1)
 
     def _least_margins(self, table: Table, count: int, most: int = 8) -> NDArray[np.float64]:
         """Least disk margins of rows of values [SI] on the first plants of the training runs, those of all controllers.
@@ -129,7 +140,7 @@ class ControllerTuning:
 
     @property
     def _metrics(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
+        return tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED, *USE)))
 
     def about(self) -> dict[str, object]:
         """Everything that determines the trials."""
@@ -143,7 +154,7 @@ class ControllerTuning:
             "parameters": [tuned.text for tuned in self.space.swept],
             "cost": tuning.cost,
             "population": tuning.population,
-            "starts": self._starts,
+            "starts": self.suite.tuning.starts,
             "candidates": tuning.candidates,
             **({"wrapped": dict(self.wrapped)} if self.wrapped else {}),
         }
@@ -178,7 +189,7 @@ class ControllerTuning:
                 seed=tuning.seed + number,
                 population=tuning.population,
                 generations=tuning.generations,
-                progress=lambda fraction: progress((number + fraction) / (self._starts + 1)),
+                progress=lambda fraction: progress((number + fraction) / (tuning.starts + 1)),
             )
 
         for number, points in enumerate(self._candidates(first)):
@@ -193,7 +204,11 @@ class ControllerTuning:
                 stiffness=stiffness_limit(searched),
                 failed=min(median(trial, FAILED_RUNS) for trial in least_failing(searched)),
             )
-            search(lambda points: np.array(list(map(error, tried(points)))), np.array(begin.point), self._starts)
+            search(
+                lambda points: np.array(list(map(error, tried(points)))),
+                np.array(begin.point),
+                self.suite.tuning.starts,
+            )
         if trials.best.cost >= FAILED_COST:
             message = f"{self.controller}: all {len(trials.all)} trials failed"
             raise ParameterError(message, remedy="search other ranges, or start from other gains")
@@ -207,7 +222,7 @@ class ControllerTuning:
         """Points from which the searches start, shape (starts, candidates, parameters)."""
         tuning, space = self.suite.tuning, self.space
         inner = [i for i, name in enumerate(space.names) if name in self.wrapped]
-        size = self._starts, max(tuning.candidates, 2 if inner else 1), len(space)
+        size = self.suite.tuning.starts, max(tuning.candidates, 2 if inner else 1), len(space)
         candidates = np.random.default_rng(tuning.seed).random(size)
         candidates[0, 0] = first
         if inner:  # the others nominal in one candidate, random in the others

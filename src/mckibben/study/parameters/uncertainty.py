@@ -28,9 +28,23 @@ def usual_variation(scenario: StudiedScenario) -> tuple[tuple[str, ...], tuple[s
             masses.append(parameter)
         if parameter.part == "robot" and parameter.name.endswith(".strength"):
             names.append(parameter.name)
-    names = names or [f"joint.muscle{number}.strength" for number in (1, 2)]
+    if not names:
+        muscles = scenario.joint.muscles  # type: ignore[attr-defined]  # of no robot
+        pulling = [number for number, muscle in enumerate(muscles, 1) if muscle.law.pulls]
+        names = [f"joint.muscle{number}.strength" for number in pulling]
     strengths = tuple(f"{name}=+-10 %" for name in names)
     return strengths, tuple(f"{mass.name}=+-20 %" for mass in masses)
+
+
+def sensor_noise(scenario: StudiedScenario) -> dict[str, float]:
+    """Return the sizes [SI] of the noise and the steps of a scenario's sensors by name; 0 is ideal.
+
+    >>> from mckibben.scenario import Scenario
+    >>> sensor_noise(Scenario.read("examples/own-joint.yaml"))["sensors.pressure_noise"]
+    4000.0
+    """
+    noise = [p for p in list_parameters(scenario) if p.part == "sensors" and not p.is_integer and p.nominal]
+    return {p.name: float(p.nominal or 0.0) for p in noise if p.lower == 0}
 
 
 def uncertainty(scenario: StudiedScenario) -> tuple[tuple[SweptParameter, ...], ...]:

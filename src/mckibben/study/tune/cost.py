@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -14,7 +14,7 @@ from mckibben.component.base import Checked
 from mckibben.component.columns import attributes
 from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.simulation import LEAST_DISK_MARGIN, Metrics
-from mckibben.units import Quantity, quantity
+from mckibben.units import HINGE, JointType, Quantity, quantity
 
 _PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not the sign of 1e+3
 _TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
@@ -64,6 +64,8 @@ class Cost(Checked):
         Of the cost over scenarios and conditions, above 0 up to 100 (the worst). None: their mean.
     disk_margin
         Least disk margin of the linearised loop that tuned gains keep, 0 (none) to 2.
+    joint_type
+        How the joint moves, on which the units of its text depend.
 
     Raises
     ------
@@ -84,6 +86,7 @@ class Cost(Checked):
     gain_margin: Annotated[float, Quantity("1", "1", 1, 1e6)] = 1.0
     percentile: Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)] | None = None
     disk_margin: Annotated[float, Quantity("1", "1", 0, 2, open_upper=True)] = LEAST_DISK_MARGIN
+    joint_type: JointType = field(default=HINGE, repr=False)
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -111,7 +114,7 @@ class Cost(Checked):
     @property
     def text(self) -> str:
         """Text from which `parse_cost` restores the cost exactly."""
-        return " + ".join(_written(term) for term in self.terms)
+        return " + ".join(_written(term, self.joint_type) for term in self.terms)
 
 
 def mean_of_joints(values: ArrayLike) -> NDArray[np.float64]:
@@ -120,7 +123,7 @@ def mean_of_joints(values: ArrayLike) -> NDArray[np.float64]:
     return joints.mean(axis=0) if joints.ndim > 1 else joints
 
 
-def parse_cost(text: str, **options: Any) -> Cost:
+def parse_cost(text: str, joint_type: JointType = HINGE, **options: Any) -> Cost:
     """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``, with options as for `Cost`.
 
     A single metric needs no scale; each of several metrics needs one, since their units differ.
@@ -143,15 +146,15 @@ def parse_cost(text: str, **options: Any) -> Cost:
         metric, scale = match["metric"], match["scale"]
         Term(metric, 1.0)  # raises for an unknown metric
         if scale is None and len(terms_of_text) > 1:
-            unit = _unit(metric).replace("ratio", "%")
-            unit = "deg" if unit == "rad" else unit
+            unit = _unit(metric, HINGE).replace("ratio", "%")
+            unit = joint_type.shown("deg" if unit == "rad" else unit)
             raise ParameterError(
                 f"{metric} has no scale, and cannot be added to other metrics",
                 remedy=f"write it like {metric}/0.1 {unit}",
             )
         try:
             weight = float(match["weight"] or 1.0)
-            size = 1.0 if scale is None else quantity(scale, _unit(metric))
+            size = 1.0 if scale is None else quantity(scale, _unit(metric, joint_type))
         except UnitError as error:
             raise ParameterError(f"{term_text!r}: {error}", value=term_text) from None
         except ValueError:
@@ -159,15 +162,15 @@ def parse_cost(text: str, **options: Any) -> Cost:
                 f"{match['weight']!r} is not a number", value=term_text, remedy="write 2*metric"
             ) from None
         terms.append(Term(metric, size, weight))
-    return Cost(tuple(terms), **options)
+    return Cost(tuple(terms), joint_type=joint_type, **options)
 
 
-def _written(term: Term) -> str:
+def _written(term: Term, joint_type: JointType) -> str:
     weight = "" if term.weight == 1 else f"{term.weight!r}*"
-    return f"{weight}{term.metric}/{term.scale!r} {_unit(term.metric)}".replace("+", "")
+    return f"{weight}{term.metric}/{term.scale!r} {_unit(term.metric, joint_type)}".replace("+", "")
 
 
-def _unit(metric: str) -> str:
+def _unit(metric: str, joint_type: JointType) -> str:
     """SI unit of a metric; "ratio" for a plain number."""
-    unit = attributes(metric)["units"]
+    unit = attributes(metric, joint_type)["units"]
     return "ratio" if unit == "1" else unit

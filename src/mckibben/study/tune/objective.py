@@ -20,7 +20,6 @@ from mckibben.scenario import (
     batched,
     find_parameters,
     followed_names,
-    list_parameters,
     valid_rows,
     with_values,
 )
@@ -29,7 +28,7 @@ from mckibben.simulation.outcome import OUTCOMES, Outcome
 from mckibben.simulation.problem import check_frequencies
 from mckibben.storage.store import Store
 from mckibben.study.parameters import Table, sweep_parameters
-from mckibben.study.parameters.uncertainty import extremes, uncertainty
+from mckibben.study.parameters.uncertainty import extremes, sensor_noise, uncertainty
 from mckibben.study.tune.cost import Cost, mean_of_joints, parse_cost
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.space import SearchSpace, is_gain, parse_ranges
@@ -100,7 +99,7 @@ class TuningProblem:
             swept = sweep_parameters(scenarios[0], over)
         elif all(isinstance(text, str) for text in swept):
             swept = parse_ranges(swept, scenarios[0])
-        cost = cost if isinstance(cost, Cost) else parse_cost(cost)
+        cost = cost if isinstance(cost, Cost) else parse_cost(cost, scenarios[0].joint_type)
         names = [tuned.name for tuned in swept]
         drawn = {name: np.asarray(column) for name, column in (conditions or {}).items()}
         if both := [name for name in names if name in drawn]:
@@ -187,8 +186,7 @@ class TuningProblem:
         """Draws of each scenario, and the first again without noise of its sensors; the draws if it has none."""
         tables: list[Table] = []
         for scenario, draws in zip(self.scenarios, self._draws, strict=True):
-            noise = [p for p in list_parameters(scenario) if p.part == "sensors" and not p.is_integer and p.nominal]
-            names = {p.name: p.nominal for p in noise if p.lower == 0 and p.name not in self.space.names}
+            names = {name: size for name, size in sensor_noise(scenario).items() if name not in self.space.names}
             count = len(next(iter(draws.values()), "1"))
             given = {**{name: np.full(count, nominal) for name, nominal in names.items()}, **draws}
             last = {name: 0.0 if name in names else column[0] for name, column in given.items()}
@@ -258,8 +256,7 @@ class TuningProblem:
         costs = np.full(good.size, FAILED_COST)
         if not good.any():
             return costs.reshape(-1, len(rows))
-        used = [name for name in USE if table is not draws]
-        metrics = tuple(dict.fromkeys((*self.cost.metrics, *used)))
+        metrics = tuple(dict.fromkeys((*self.cost.metrics, *(USE if table is not draws else ()))))
         batch = many.run_many(metrics=metrics, workers=workers, engine=self.engine)
         values = self.cost(batch.metrics)
         usable = good & batch.usable & np.isfinite(values)
@@ -268,11 +265,10 @@ class TuningProblem:
         if self.disk_margin and not self.conditions:  # no gains can mend a draw that cannot start
             started = (batch["outcome"] != OUTCOMES.index(Outcome.NO_START)).reshape(costs.shape)
             costs = np.where(started, costs, costs[0])
-        for name in used:
-            *noisy, ideal = mean_of_joints(batch.metrics[name]).reshape(costs.shape)
-            excess = np.nan_to_num(np.array(noisy) / (USE[name] * np.maximum(ideal, _LEAST_USE[name])) - 1)
-            costs[:-1] = np.minimum(costs[:-1] * (1 + _PENALTY * np.maximum(excess, 0)), FAILED_COST)
-        return costs[:-1] if table is not draws else costs
+        if table is draws:
+            return costs
+        uses = {name: mean_of_joints(batch.metrics[name]).reshape(costs.shape) for name in USE}
+        return with_use(costs[:-1], {n: use[:-1] for n, use in uses.items()}, {n: use[-1] for n, use in uses.items()})
 
     def _combine(self, costs: Vector) -> Vector:
         """Mean or percentile of costs over the runs, shape (runs, rows); a mean of failed ones is a failure."""
@@ -292,6 +288,17 @@ class TuningProblem:
         margins = np.where(good, many.disk_margins(points), -np.inf).reshape(-1, len(values))
         started = np.fmax.reduce(margins, axis=0)
         return np.where(np.isnan(margins), np.nan_to_num(started), margins)
+
+
+def with_use(costs: Vector, noisy: Table, ideal: Table) -> Vector:
+    """Return costs that rise where commands travel further or air is used more than `USE` allows.
+
+    `noisy` has the metrics [SI] of these runs, `ideal` those of the same loops with ideal sensors.
+    """
+    for name, most in USE.items():
+        excess = np.nan_to_num(noisy[name] / (most * np.maximum(ideal[name], _LEAST_USE[name])) - 1)
+        costs = np.minimum(costs * (1 + _PENALTY * np.maximum(excess, 0)), FAILED_COST)
+    return costs
 
 
 def with_valid(table: Mapping[str, NDArray], good: NDArray[np.bool_]) -> Table:

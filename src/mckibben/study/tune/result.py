@@ -13,7 +13,7 @@ from mckibben.errors import McKibbenError
 from mckibben.result import Column, Listing, Remark, Result, TableColumns, column, table
 from mckibben.scenario import StudiedScenario, find_parameter
 from mckibben.simulation import margin_remarks
-from mckibben.simulation.metrics import Metrics, metrics_of
+from mckibben.simulation.metrics import OF_STIFFNESS_SETPOINT, Metrics, metrics_of
 from mckibben.study.parameters import Table
 from mckibben.study.tune.trials import Trial
 
@@ -130,7 +130,10 @@ def _metrics_and_margins(scenario: StudiedScenario) -> dict[str, float]:
 def _metric_rows(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, str]]:
     """Metrics of a scenario by title: name, number of the joint, shown unit as a number and as text."""
     rows = {}
-    for name, label in metrics_of(Metrics).items():
+    left_out = () if scenario.follows_stiffness else OF_STIFFNESS_SETPOINT
+    metrics = {name: label for name, label in metrics_of(Metrics).items() if name not in left_out}
+    for name, label in metrics.items():
+        label = label.for_joint(scenario.joint_type)
         title, joints = name.replace("_", " "), scenario.joint_names if label.along else ()
         for number, joint in enumerate(joints or ("",)):
             rows[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit

@@ -96,14 +96,14 @@ def is_gain(name: str) -> bool:
     return above[:1] in (["controller"], ["controllers"]) and last in _GAINS
 
 
-def gain_ranges(scenario: StudiedScenario, decades: float = 2.0) -> dict[str, LogUniform]:
+def gain_ranges(scenario: StudiedScenario, decades: float = 1.0) -> dict[str, LogUniform]:
     """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
 
     A bandwidth [rad/s] is at most the Nyquist frequency, or the given one.
 
     >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> gain_ranges(scenario, 1.0)["controller.position.kp"]
+    >>> gain_ranges(scenario)["controller.position.kp"]
     LogUniform(low=20000.0, high=2000000.0, points=None)
     """
     gains = (swept for swept in list_parameters(scenario) if is_gain(swept.name) and swept.nominal)
@@ -113,7 +113,7 @@ def gain_ranges(scenario: StudiedScenario, decades: float = 2.0) -> dict[str, Lo
 def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[SweptParameter, ...]:
     """Parse parameters and their ranges from texts: ``NAME=LOW..HIGH``, followed by ``log`` for a logarithmic one.
 
-    A name alone gets a range from 0.01 to 100 times its value; without texts, all gains are used.
+    A name alone gets a range from a tenth to ten times its value; without texts, all gains are used.
 
     Raises `ParameterError` if a name is unknown or repeated, a range is invalid, or there is no nonzero value for a
     range around it.
@@ -123,7 +123,7 @@ def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[Swept
     >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> [swept.text for swept in parse_ranges(["controller.position.kp", "valve.time_constant=5..50 ms"], scenario)]
-    ['controller.position.kp=0.02 bar/rad..200 bar/rad log', 'valve.time_constant=5 ms..50 ms']
+    ['controller.position.kp=0.2 bar/rad..20 bar/rad log', 'valve.time_constant=5 ms..50 ms']
     """
     if not texts:
         if not (gains := gain_ranges(scenario)):
@@ -138,7 +138,7 @@ def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[Swept
             what = "a whole number" if parameter.is_integer else "zero, or not given"
             remedy = f"write {parameter.name}=LOW..HIGH"
             raise ParameterError(f"{parameter.name} is {what}: there is no range around it", value=text, remedy=remedy)
-        return SweptParameter(parameter, _range_around(parameter, 2.0, scenario))
+        return SweptParameter(parameter, _range_around(parameter, 1.0, scenario))
 
     return distinct(map(parse, texts))
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Mapping, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -36,15 +38,22 @@ COST: Mapping[str, Any] = {
 """Text and options of the default cost."""
 
 
-def cost_of(begun: Mapping[str, Any], **given: Any) -> Cost:
+def cost_of(scenario: StudiedScenario, begun: Mapping[str, Any], **given: Any) -> Cost:
     """Return a cost from its text, `cost`, and options of `Cost`; those that are None are of a begun search, or `COST`.
 
-    >>> cost_of({"gain_margin": 2.0}, cost="angle_rmse", disk_margin=0.4)
+    In the units of a scenario's joint, and without the stiffness of one muscle alone.
+
+    >>> from mckibben.scenario import Scenario
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> cost_of(scenario, {"gain_margin": 2.0}, cost="angle_rmse", disk_margin=0.4)
     Cost(terms=(Term(metric='angle_rmse', scale=1.0, weight=1.0),), gain_margin=2.0, percentile=None, disk_margin=0.4)
     """
     given = {name: value for name, value in given.items() if value is not None}
-    text, *values = ({**COST, **begun, **given}[name] for name in COST)
-    return parse_cost(text, **dict(zip([*COST][1:], values, strict=True)))
+    kind, scales = scenario.joint_type, {"angle_rmse": "deg"}
+    scales |= {"stiffness_rmse": "N*m/rad"} if scenario.follows_stiffness else {}
+    usual = " + ".join(f"{name}/0.1 {kind.shown(unit)}" for name, unit in scales.items())
+    text, *values = ({**COST, "cost": usual, **begun, **given}[name] for name in COST)
+    return parse_cost(text, kind, **dict(zip([*COST][1:], values, strict=True)))
 
 
 @checked_call
@@ -119,10 +128,13 @@ def tune(
     check_count("iterations", iterations, 1, 10**9)
     check_count("population", population, 4 if search is by_cma else 1, 10**9)
     check_count("seed", seed, 0, 2**32 - 1)
+    first = scenarios if isinstance(scenarios, StudiedScenario) else next(iter(scenarios), None)
+    if first is None:
+        raise ParameterError("nothing to tune", remedy="give a scenario")
     asked = TuningProblem.of(
         scenarios,
         begun.get("parameters", ()) if over is None else over,
-        cost_of(begun) if cost is None else cost,
+        cost_of(first, begun) if cost is None else cost,
         begun.get("model_follows", ()) if model_follows is None else model_follows,
         begun.get("conditions") if conditions is None else conditions,
     )
@@ -132,17 +144,22 @@ def tune(
         problem = asked.begin(store, engine)
         about = {"method": method if isinstance(method, str) else f"{search.__module__}.{search.__qualname__}"}
         job = store.job(_about(asked, problem, store.folder) | about | {"seed": seed, "population": population})
-        trials = Trials(job, problem.space, 1 if method == "local" else population, problem.evaluate)
+        batch = 1 if method == "local" else population
+        trials = Trials(job, problem.space, batch, problem.evaluate)
 
         def step(fraction: float) -> None:
             lowest = min((trial.cost for trial in trials.all), default=FAILED_COST)
             report(f"searching, lowest cost {lowest:.4g}" if lowest < FAILED_COST else "searching", fraction)
 
-        step(0.0)
         first = problem.space.point(problem.space.nominal)
+        trials.costs(first[None])  # compiles the programs
+        begun_at = time.monotonic()
+        problem.evaluate(np.repeat(problem.space.nominal[None], batch, axis=0))
+        seconds = timedelta(seconds=round(iterations * (time.monotonic() - begun_at)))
+        report(f"searching {iterations} x {batch} points, about {seconds}", 0.0)
         search(trials.costs, first, population=population, generations=iterations, seed=seed, progress=step)
         report("evaluating", 1.0)
-        return _result(asked, problem, trials, 1 if method == "local" else population)
+        return _result(asked, problem, trials, batch)
 
 
 def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, object]:

@@ -1,0 +1,30 @@
+"""What works for which robot: the page is that of the benchmark, and batches of robots are compiled C."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from mckibben.codegen.native import compiler
+from mckibben.scenario import run_many
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def capabilities(monkeypatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    return importlib.import_module("capabilities")
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["knee", "linear axis", "leg", "arm", "neck"])
+def test_runs_and_batches_are_compiled_c_also_where_no_engine_is_asked_for(capabilities, name):
+    """An emitter that lacks an operation falls back to XLA without a warning: ten times as slow."""
+    scenario = capabilities.SCENARIOS[name]().replace(duration=20e-3, substeps=12)
+    assert scenario.run_once().engine == "native"
+    assert run_many(scenario, {"command_delay": [0.0, scenario.control_period]}).engine == "native"

@@ -1,0 +1,125 @@
+"""A slide: one muscle against a spring or a weight, or two, in mm, N and N/mm."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mckibben as mk
+from mckibben.control import OpenLoopControl
+from mckibben.errors import RangeError, ScenarioError
+from mckibben.joint import Slide, SlidingMass
+from mckibben.muscle import no_muscle
+from mckibben.units import GRAVITY, N, bar, deg, kg, mm, ms
+
+SPECIMEN = mk.Specimen("linear", 200 * mm, domain=mk.Domain(-0.03, 0.3, 0.0, 6 * bar))
+RATES = (2e3, 2e3, 2e3)  # N per contraction
+LINEAR = mk.Muscle(SPECIMEN, mk.muscle.PiecewiseLaw((1 * bar, 3 * bar, 6 * bar), (200.0, 600.0, 1200.0), RATES))
+REAL = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
+SPRING = mk.return_spring(4 * N / mm, 120 * mm)
+MASS, DAMPING = 2 * kg, 60.0
+
+
+def released(joint, load, pressure, start):
+    """Positions [m] after a release at rest from a position, at a constant pressure of muscle 2 [Pa]."""
+    plant = mk.JointPlant(joint, load, mk.IdealValve())
+    control, reference = OpenLoopControl(0.0, pressure, joint), mk.Reference(0.0)
+    options = {"duration": 0.5, "control_period": 1 * ms, "accuracy": 1e-9}
+    return mk.simulate(plant, control, reference, initial=plant.init_state(start, (0.0, pressure)), **options)
+
+
+@pytest.mark.parametrize("incline", [0.0, 90 * deg])
+def test_a_mass_between_spring_and_linear_muscle_oscillates_in_closed_form(incline):
+    joint = mk.AntagonisticJoint(Slide(150 * mm, 190 * mm), SPRING, LINEAR)
+    run = released(joint, SlidingMass(MASS, DAMPING, incline), 3 * bar, 0.0)
+    stiffness = 4 * N / mm + RATES[0] / (200 * mm)
+    force = 600.0 - RATES[0] * 10 / 200 - 4 * 30 - MASS * GRAVITY * np.sin(incline)  # of all, at position 0
+    decay, middle = DAMPING / (2 * MASS), force / stiffness
+    rate = np.sqrt(stiffness / MASS - decay**2)
+    swing = np.cos(rate * run.times) + decay / rate * np.sin(rate * run.times)
+    np.testing.assert_allclose(run["angle"], middle * (1 - np.exp(-decay * run.times) * swing), atol=1e-8)
+    np.testing.assert_allclose(run["stiffness"], stiffness, rtol=1e-9)
+
+
+def test_a_muscle_that_lifts_a_weight_moves_as_by_scipy():
+    joint = mk.AntagonisticJoint(Slide(rest_length2=165 * mm), no_muscle(), REAL)
+    run = released(joint, SlidingMass(5 * kg, 200.0, 90 * deg), 4 * bar, 0.0)
+
+    tension_at = jax.jit(lambda position: REAL.tension((15 * mm + position) / (180 * mm), 4 * bar))
+
+    def rates(_, state):
+        tension = float(tension_at(state[0]))
+        return state[1], (tension - 200.0 * state[1]) / (5 * kg) - GRAVITY
+
+    known = solve_ivp(rates, (0.0, 0.5), (0.0, 0.0), t_eval=run.times, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(run["angle"], known.y[0], atol=1e-8)
+    assert not run["slack"].any()
+    assert np.ptp(run["angle"]) > 1 * mm
+
+
+AXIS = """
+name: axis
+joint:
+  geometry: {class: slide, rest_length1: 150 mm, rest_length2: 165 mm}
+  muscle1: {class: return_spring, rate: 4 N/mm, free_length: 120 mm}
+  muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+load: {class: sliding_mass, mass: 2 kg, damping: 100 N*s/m}
+valve: {time_constant: 20 ms}
+sensors: {encoder: 0.01 mm, pressure_noise: 0 kPa}
+friction: {force: 2 N, presliding: 0.1 mm}
+controller: {position: {kp: 0.06 bar/mm, ki: 2.5 bar/(mm*s), kd: 0.002 bar*s/mm}}
+reference: {position: {class: sine, amplitude: 4 mm, frequency: 0.5 Hz, phase: 90 deg}}
+start: {position: 4 mm}
+duration: 1 s
+control_period: 1 ms
+"""
+
+
+def test_a_file_has_the_units_of_a_slide():
+    axis = mk.Scenario.parse(AXIS)
+    read = axis.start.angle, axis.signals.angle.amplitude, axis.signals.angle.phase, axis.controller.position.kp
+    assert read == pytest.approx((4 * mm, 4 * mm, 90 * deg, 0.06 * bar / mm))
+    assert (axis.sensors.encoder, axis.friction.torque, axis.friction.presliding) == (1e-5, 2.0, 1e-4)
+    assert mk.Scenario.parse(axis.dumps()) == axis
+    assert axis.replace(start={"angle": "3 mm"}).start.angle == 3 * mm
+    for text in (
+        "amplitude: 4 mm",
+        "kp: 0.06 bar/mm",
+        "force: 2 N",
+        "position: 4 mm",
+        "position: {class: sine",
+        "encoder: 0.01 mm",
+    ):
+        assert text in axis.dumps()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("amplitude: 4 mm", "amplitude: 4 deg", "reference.position.amplitude"),
+        ("{class: sliding_mass, mass: 2 kg, damping: 100 N*s/m}", "{class: pendulum, mass: 2 kg, length: 1 m}", "load"),
+        ("reference: {", "reference: {stiffness: 10 N/mm, ", "reference.stiffness"),
+        ("start: {", "start: {stiffness: 10 N/mm, ", "start.stiffness"),
+        ("controller: {", "controller: {stiffness: {kp: 0 bar/(N/mm), ki: 0 bar/(N*s/mm), kd: 0 bar*s/(N/mm)}, ", None),
+    ],
+)
+def test_what_is_not_of_a_slide_is_refused(old, new, field):
+    assert AXIS.count(old) == 1
+    with pytest.raises(ScenarioError) as error:
+        mk.Scenario.parse(AXIS.replace(old, new))
+    (problem,) = error.value.problems
+    assert problem.field == field or field is None
+    assert problem.remedy
+
+
+def test_a_load_that_turns_is_refused_on_a_slide():
+    joint = mk.AntagonisticJoint(Slide(150 * mm, 165 * mm), REAL, REAL)
+    with pytest.raises(RangeError) as error:
+        mk.JointPlant(joint, mk.PendulumLoad(1.0, 0.3), mk.IdealValve())
+    assert error.value.field == "load"
+
+
+def test_only_a_muscle_that_is_not_there_needs_no_length():
+    with pytest.raises(RangeError) as error:
+        mk.AntagonisticJoint(Slide(rest_length2=165 * mm), SPRING, REAL)
+    assert error.value.field == "geometry.rest_length1"
