@@ -91,7 +91,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 1040,
+    "top": 1038,
     "actuator": 1060,
     "calibration": 1820,
     "catalog": 230,
@@ -100,7 +100,7 @@ BUDGET = {
     "component": 1030,
     "config": 570,
     "contract": 660,
-    "control": 2670,
+    "control": 2650,
     "dataset": 4090,
     "experiment_design": 720,
     "export": 2600,

@@ -61,32 +61,6 @@ def test_the_mistakes_of_the_documentation_give_its_words(cli, tmp_path):
     assert flat(found.err) in flat((ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8"))
 
 
-@pytest.fixture
-def kept(cli, tmp_path, shortened):
-    """Folder of a run that was kept."""
-    (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
-    assert cli("simulate", "short.yaml", "--out", "kept").code == 1
-    return tmp_path / "kept"
-
-
-@pytest.mark.slow
-def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kept, tmp_path):
-    before = {path.name: path.read_bytes() for path in kept.iterdir()}
-    found = cli("simulate", "short.yaml", "--out", "kept")
-    assert found.code == 2
-    assert "1 problem" in found.err and "results.json" in found.err and "--force" in found.err
-    assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
-    precious = tmp_path / "precious"
-    for name in before:
-        (kept / name).unlink()
-        (kept / name).symlink_to(precious)
-    precious.write_text("mine")
-    assert cli("simulate", "short.yaml", "--out", "kept").code == 2
-    assert cli("simulate", "short.yaml", "--out", "kept", "--force").code == 1
-    assert precious.read_text() == "mine"
-    assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
-
-
 INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequency: 5 Hz")
 
 

@@ -203,14 +203,6 @@ def test_the_controller_of_a_leg_repeats_the_recorded_run(tmp_path, opened):
     assert np.max(np.abs(found - expected)) < 1e-9 * expected.max()
 
 
-def test_a_robot_without_a_controller_is_refused(tmp_path):
-    for target in ("fmu", "fmu-controller"):
-        with pytest.raises(ExportError) as caught:
-            export(RobotScenario.read("examples/robot/lei-leg.yaml"), target, tmp_path / "out")
-        assert caught.value.field == "controller" and caught.value.remedy
-    assert not (tmp_path / "out").exists()
-
-
 def commands(plant, end=0.4):
     """A step of the commands [Pa] from those at the start."""
     names = ("command1", "command2")

@@ -67,14 +67,6 @@ def test_a_run_is_repeated_by_the_copied_command(text, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_robot_is_tuned(tmp_path):
-    request = tune.TuningRequest(over=("controller.feedback.bandwidth",), method="local", iterations=3)
-    study = tune.tuned(SHORT_LEG, request, tmp_path, lambda _step, _part: None)
-    assert study.presented.result.cost <= study.presented.result.cost_before
-    assert study.tuned.joint_names == ("side", "hip", "knee")
-
-
-@pytest.mark.slow
 def test_a_fit_is_repeated_by_the_copied_command(tmp_path, monkeypatch):
     source = tmp_path / "data-a file.csv"
     source.write_text(POINTS.replace("force_N", "pull"))

@@ -51,11 +51,11 @@ def prioritise_torque(
     """
     (torque0, t1, t2), (stiffness0, k1, k2) = affine.torque, affine.stiffness
     if any(springs):
-        own = springs.index(False)
-        slope = (t1, t2)[own]
+        driven = springs.index(False)
+        slope = (t1, t2)[driven]
         free = (torque - torque0) / slope
-        pressure = jnp.clip(free, lower[own], upper[own])
-        pair = (pressure, lower[1]) if own == 0 else (lower[0], pressure)
+        pressure = jnp.clip(free, lower[driven], upper[driven])
+        pair = (pressure, lower[1]) if driven == 0 else (lower[0], pressure)
         return Allocation(pair, torque0 + slope * pressure, pressure != free)
     least = torque0 + t1 * upper[0] + t2 * lower[1]
     greatest = torque0 + t1 * lower[0] + t2 * upper[1]

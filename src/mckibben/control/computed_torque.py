@@ -19,6 +19,7 @@ from mckibben.control.observer import ExtendedStateObserver, Observer, PressureO
 from mckibben.control.robot_control import RobotController
 from mckibben.errors import RangeError
 from mckibben.mechanism.base import RobotMeasurement
+from mckibben.mechanism.ground import Ground
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.terms import JointTerms
 from mckibben.statics.posture import check_affine
@@ -103,7 +104,7 @@ class ComputedTorque(LinearisingControl, RobotController):
 
     @property
     def mechanics(self) -> TreeMechanics:
-        return TreeMechanics(self.robot, self.gravity)
+        return TreeMechanics(self.robot, Ground(), self.gravity)
 
     def init(self, measurement: RobotMeasurement) -> LinearisedState:
         return self.init_linearised(measurement.angles, measurement.pressures)

@@ -211,7 +211,7 @@ def extrapolate(reference: State, stage: Scalar, frequency_sq: Scalar, stages: i
         return following, following
 
     later = lax.scan(after, reference, length=stages)[1]
-    return jax.tree.map(lambda first, rest: jnp.append(first, rest), reference, later)
+    return jax.tree.map(lambda first, following: jnp.append(first, following), reference, later)
 
 
 # Solution
@@ -347,8 +347,8 @@ def expand(problem: HorizonProblem, at: Stage) -> StageExpansion:
 def _limits_x(angle_x: Vector, previous_x: Matrix, by_angle: Pair, by_previous: Pair) -> Matrix:
     """Derivative of both limits with respect to the state at the beginning."""
     return tuple(
-        add(scale(slope, angle_x), scale(rest, row))
-        for slope, rest, row in zip(by_angle, by_previous, previous_x, strict=True)
+        add(scale(slope, angle_x), scale(factor, row))
+        for slope, factor, row in zip(by_angle, by_previous, previous_x, strict=True)
     )
 
 

@@ -161,8 +161,8 @@ class LinearisingControl(StatePrediction[LinearisedState]):
         else:
             allocation = allocate_bounded(terms, torques, stiffness, *limits, state.solution)
         commands = expected.valves.commands_toward(allocation.pressures, self.feedback.lag, period)
-        for i, (wanted, attained) in enumerate(zip(torques, allocation.torques, strict=True)):
-            feedback[i] = self.feedback.track(feedback[i], (wanted - attained) / equations.matrix[i][i], period)
+        for i, (needed, attained) in enumerate(zip(torques, allocation.torques, strict=True)):
+            feedback[i] = self.feedback.track(feedback[i], (needed - attained) / equations.matrix[i][i], period)
         sent = (commands, *estimates.sent[:-1])
         estimates = estimates._replace(sent=sent, saturated=allocation.saturated)
         return LinearisedState(estimates, tuple(feedback), allocation.solution), commands

@@ -1,11 +1,10 @@
-"""A controller's model of the mechanics: a joint with its load in closed form, or a robot as a tree.
+"""A controller's model of the mechanics: a mechanism of the plant, with what control needs of it.
 
-Both have the same methods, whose sequences are over joints or over muscles.
+The methods of both have sequences over joints or over muscles.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,14 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.control.allocation import keep_taut, linearise, pressure_range
-from mckibben.joint import AffineMap, AntagonisticJoint, Load
+from mckibben.joint import AffineMap, AntagonisticJoint
 from mckibben.joint.route import Route
 from mckibben.mechanism.dynamics import joint_equations
-from mckibben.mechanism.joint_friction import JointFriction
-from mckibben.mechanism.robot import Robot
+from mckibben.mechanism.hinge import Hinge
+from mckibben.mechanism.robot_tree import Tree
 from mckibben.mechanism.terms import JointTerms, Row, joint_terms
 from mckibben.mechanism.tree import Equations
-from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import total
@@ -37,28 +35,13 @@ class AllocationTerms(NamedTuple):
     highest: Scalars
 
 
-@dataclasses.dataclass(frozen=True)
-class HingeMechanics:
+class HingeMechanics(Hinge):
     """A joint with its load in closed form: Eqs. 6 to 8."""
-
-    joint: AntagonisticJoint
-    load: Load
 
     is_paired = True
     """Whether the muscles are a pair of each joint alone."""
-    frictions = (None,)
-    """Dry friction of each joint."""
 
-    @property
-    def muscles(self) -> tuple[Muscle, ...]:
-        """All muscles."""
-        return self.joint.muscles
-
-    def like_joints(self, values: Sequence[PyTree]) -> PyTree:
-        """Return values of the joints in the form of telemetry: that of a single joint has no axis."""
-        return values[0]
-
-    def routes(self, angles: Sequence[ArrayLike]) -> Sequence[Route]:
+    def routes_at(self, angles: Sequence[ArrayLike]) -> Sequence[Route]:
         """Return all muscles with their paths at angles [rad]."""
         return self.joint.routes(angles[0])
 
@@ -103,29 +86,14 @@ def _affine(joint: AntagonisticJoint, angle: Scalar, pressures: Scalars, minimum
     return *linearise(joint, angle, keep_taut((pressures[0], pressures[1]), lowest)), lowest, highest
 
 
-@dataclasses.dataclass(frozen=True)
-class TreeMechanics:
+class TreeMechanics(Tree):
     """A robot with its base at rest and its foot in the air; laws are affine in pressure, and tendons rigid."""
-
-    robot: Robot
-    gravity: ArrayLike
-
-    @property
-    def muscles(self) -> tuple[Muscle, ...]:
-        return self.robot.all_muscles
-
-    @property
-    def frictions(self) -> tuple[JointFriction | None, ...]:
-        return tuple(joint.friction for joint in self.robot.joints)
 
     @property
     def is_paired(self) -> bool:
         return self.robot.has_disjoint_pairs
 
-    def like_joints(self, values: Sequence[PyTree]) -> PyTree:
-        return tuple(values)
-
-    def routes(self, angles: Sequence[ArrayLike]) -> Sequence[Route]:
+    def routes_at(self, angles: Sequence[ArrayLike]) -> Sequence[Route]:
         return self.robot.routed_muscles(angles)
 
     def torques(self, angles: Sequence[Array], pressures: Sequence[Array]) -> Scalars:

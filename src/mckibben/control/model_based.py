@@ -72,8 +72,8 @@ class Valves(NamedTuple):
 
     def commands_toward(self, targets: Sequence[ArrayLike], lag: ArrayLike, period: ArrayLike) -> Any:
         """Return the commands [Pa] of a control period [s] that lead the pressures to targets [Pa] with a lag [s]."""
-        wanted = (valve.command_toward(at, target, lag, period) for valve, at, target in self._muscles(targets))
-        return tuple(map(jnp.clip, wanted, *self.commands))
+        commands = (valve.command_toward(at, target, lag, period) for valve, at, target in self._muscles(targets))
+        return tuple(map(jnp.clip, commands, *self.commands))
 
     def _muscles(self, values: Iterable[Any]) -> Iterator[tuple[Actuator, Point, Any]]:
         """Actuator of each muscle, its state, and its value."""
@@ -222,10 +222,10 @@ class StatePrediction(DiscreteTimeSystem[State]):
         angles, pressures = tuple(map(floating, angles)), tuple(map(floating, pressures))
         torque, stiffness, added = self._torque_and_stiffness(angles, pressures)
         still = (jnp.zeros_like(angles[0]),) * len(angles)
-        known = self.mechanics.accelerations(angles, still, torque, 0.0)
+        modelled = self.mechanics.accelerations(angles, still, torque, 0.0)
         slips = self._init_slips(angles, pressures)
         return Estimates(
-            motion=tuple(map(self.observer.init, angles, known)),
+            motion=tuple(map(self.observer.init, angles, modelled)),
             pressures=pressures,
             reference=tuple(map(ReferenceDerivatives.init, angles)),
             coming=tuple(map(self.init_coming, angles, stiffness)),
@@ -265,8 +265,8 @@ class StatePrediction(DiscreteTimeSystem[State]):
             moving = [motion.angle + period * motion.velocity for motion in last.motion]
             moved, along = self._friction(moved, moving, pressures)
             resistance = _sums([share * torque for torque in along], [(1 - share) * torque for torque in friction])
-        known = self.mechanics.accelerations(angles, rates, _sums(torque, resistance), period)
-        observed = zip(last.motion, angles, known, strict=True)
+        modelled = self.mechanics.accelerations(angles, rates, _sums(torque, resistance), period)
+        observed = zip(last.motion, angles, modelled, strict=True)
         estimates = last._replace(
             motion=tuple(self.observer.step(*joint, period) for joint in observed),
             pressures=pressures,
@@ -375,12 +375,12 @@ class StatePrediction(DiscreteTimeSystem[State]):
     def _valves(self, at: _Motion) -> Valves:
         """Model of the valves at a motion."""
         valve, muscles = self.valve, self.mechanics.muscles
-        own = [valve.for_muscle(i) for i in range(len(muscles))]
+        valves = [valve.for_muscle(i) for i in range(len(muscles))]
         air: Sequence[AirVolume | None] = (None,) * len(muscles)
         if valve.holds_air:
-            dead = [muscle.attached_volume for muscle in own]
-            air = air_volumes(self.mechanics.routes(at.angles), at.rates, at.pressures, dead_volumes=dead)
-        ranges = [actuator.command_range(muscle.domain) for actuator, muscle in zip(own, muscles, strict=True)]
+            dead = [muscle.attached_volume for muscle in valves]
+            air = air_volumes(self.mechanics.routes_at(at.angles), at.rates, at.pressures, dead_volumes=dead)
+        ranges = [actuator.command_range(muscle.domain) for actuator, muscle in zip(valves, muscles, strict=True)]
         commands = tuple(tuple(map(floating, limits)) for limits in zip(*ranges, strict=True))
         return Valves(valve, at.pressures, at.actuators, air, commands)
 
@@ -399,7 +399,7 @@ class StatePrediction(DiscreteTimeSystem[State]):
             return SlipStates()
         joints = zip(self.mechanics.frictions, angles, strict=True)
         return SlipStates(
-            tuple(state._replace(creep=()) for state in init_states(self.mechanics.routes(angles), pressures)),
+            tuple(state._replace(creep=()) for state in init_states(self.mechanics.routes_at(angles), pressures)),
             tuple(() if friction is None else friction.initial(angle) for friction, angle in joints),
         )
 
@@ -408,7 +408,7 @@ class StatePrediction(DiscreteTimeSystem[State]):
         torques: list[Any] = [jnp.zeros_like(angle) for angle in angles]
         if not self.friction_compensation:
             return slips, tuple(torques)
-        routes, joints = self.mechanics.routes(angles), []
+        routes, joints = self.mechanics.routes_at(angles), []
         for route, pressure, state in zip(routes, pressures, slips.muscles, strict=True):
             if state.friction:
                 force = route.forces(pressure, state, None)[0] - route.tension(pressure)

@@ -38,15 +38,15 @@ class Observer(Component):
 
     default_class = "extended_state"
 
-    def init(self, angle: ArrayLike, known: ArrayLike) -> MotionEstimate:
+    def init(self, angle: ArrayLike, modelled: ArrayLike) -> MotionEstimate:
         """Estimate at rest at a measured angle [rad], with the model's acceleration [rad/s^2]."""
         angle = floating(angle)
         zero = jnp.zeros_like(angle)
-        return MotionEstimate(angle, zero, zero, zero + known)
+        return MotionEstimate(angle, zero, zero, zero + modelled)
 
-    def step(self, motion: MotionEstimate, angle: ArrayLike, known: ArrayLike, period: ArrayLike) -> MotionEstimate:
+    def step(self, motion: MotionEstimate, angle: ArrayLike, modelled: ArrayLike, period: ArrayLike) -> MotionEstimate:
         """Return the estimate after a measured angle [rad], with the acceleration by the model now [rad/s^2]."""
-        acceleration = (motion.known + known) / 2 + motion.disturbance
+        acceleration = (motion.known + modelled) / 2 + motion.disturbance
         predicted = motion.angle + period * (motion.velocity + period / 2 * acceleration)
         innovation = angle - predicted
         angle_gain, velocity_gain, disturbance_gain = self.gains(period)
@@ -54,7 +54,7 @@ class Observer(Component):
             predicted + angle_gain * innovation,
             motion.velocity + period * acceleration + velocity_gain * innovation,
             motion.disturbance + disturbance_gain * innovation,
-            floating(known),
+            floating(modelled),
         )
 
     @abc.abstractmethod
@@ -160,4 +160,4 @@ class PressureObserver(Component):
     def step(self, predicted: tuple[Scalar, ...], measured: tuple[Scalar, ...], period: ArrayLike) -> Any:
         """Return the estimated pressures [Pa] from the predicted and the measured ones."""
         gain = 1 - exp(-jnp.asarray(self.bandwidth) * period)
-        return tuple(model + gain * (own - model) for model, own in zip(predicted, measured, strict=True))
+        return tuple(model + gain * (reading - model) for model, reading in zip(predicted, measured, strict=True))

@@ -70,9 +70,9 @@ class PID(Loop[PIDState]):
         super().__check_init__()
         gains = {"kp": self.kp, "ki": self.ki, "kd": self.kd}
         numbers = [known_numbers("PID", name, gain) for name, gain in gains.items()]
-        known = np.stack(np.broadcast_arrays(*numbers)) if all(part.size for part in numbers) else np.zeros(3)
-        if (wrong := known.min(axis=0) * known.max(axis=0) < 0).any():
-            first = zip(gains, known[:, wrong][:, 0], strict=True)
+        table = np.stack(np.broadcast_arrays(*numbers)) if all(part.size for part in numbers) else np.zeros(3)
+        if (wrong := table.min(axis=0) * table.max(axis=0) < 0).any():
+            first = zip(gains, table[:, wrong][:, 0], strict=True)
             signs = ", ".join(f"{name} is {'negative' if gain < 0 else 'positive'}" for name, gain in first if gain)
             remedy = "give all one sign, negative if the loop is reverse-acting"
             raise RangeError(f"PID: the gains differ in sign: {signs}", remedy=remedy)

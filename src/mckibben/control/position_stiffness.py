@@ -151,9 +151,9 @@ class PositionStiffnessControl(Controller[PositionStiffnessState]):
         if self.stiffness is not None:
             stiffness, cocontraction = self.stiffness.step(state.stiffness, setpoint.stiffness, estimate, period)
 
-        wanted = differential + feedforward.differential, cocontraction + feedforward.cocontraction
-        commands, saturated = limit_commands(self.model, self.minimum_tension, angle, *wanted)
-        given_differential, given_mean = achieved(self.model, commands, wanted[1])
+        targets = differential + feedforward.differential, cocontraction + feedforward.cocontraction
+        commands, saturated = limit_commands(self.model, self.minimum_tension, angle, *targets)
+        given_differential, given_mean = achieved(self.model, commands, targets[1])
         position = self.position.track(position, differential, given_differential - feedforward.differential, period)
         if self.stiffness is not None:
             stiffness = self.stiffness.track(stiffness, cocontraction, given_mean - feedforward.cocontraction, period)

@@ -224,11 +224,11 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         """State of the problem now: errors of angle, velocity, acceleration and stiffness over their scales."""
         unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
         motion, (_, velocity, acceleration, _) = estimates.motion, (signal[0] for signal in problem.reference)
-        known = self.load.acceleration(angle, motion.velocity, estimates.torque + estimates.friction)
+        modelled = self.load.acceleration(angle, motion.velocity, estimates.torque + estimates.friction)
         return (
             (angle - setpoint.angle) / unit,
             motion.velocity / (pole * unit) - velocity,
-            (known + motion.disturbance) / (pole**2 * unit) - acceleration,
+            (modelled + motion.disturbance) / (pole**2 * unit) - acceleration,
             (estimates.stiffness - setpoint.stiffness) / self.stiffness_scale,
         )
 

@@ -58,9 +58,9 @@ class PointReference(ConfigModel):
         Raises `UnreachableError` for a position that the point does not reach within the ranges of the joints.
         """
         point = point_of(robot, self.point)
-        wanted = np.stack([np.asarray(part(times)) for part in self.position], axis=-1)
-        check_count("position", wanted.shape[1], 2 if robot.is_planar else 3, "direction")
-        angles, left = map(np.asarray, _followed(robot, point, jnp.asarray(start, float), jnp.asarray(wanted)))
+        positions = np.stack([np.asarray(part(times)) for part in self.position], axis=-1)
+        check_count("position", positions.shape[1], 2 if robot.is_planar else 3, "direction")
+        angles, left = map(np.asarray, _followed(robot, point, jnp.asarray(start, float), jnp.asarray(positions)))
         self._check_reached(robot, angles, left, times)
         chosen = np.unique(np.linspace(0, times.size - 1, _POSTURES).astype(int))
         matrix, stiffness, errors = stiffness_matrix(self.principal, self.direction, self.sideways), [], []

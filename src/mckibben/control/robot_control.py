@@ -69,11 +69,11 @@ class PressureSchedule(DiscreteTimeSystem):
         super().__check_init__()
         times = self.switches or ((),) * len(self.levels)
         check_count("switches", len(times), len(self.levels), "muscle, () for no switching times")
-        for number, (levels, own) in enumerate(zip(self.levels, times, strict=True), 1):
-            check_count("levels", len(levels), len(own) + 1, f"time between switches of muscle {number}")
-            if all(isinstance(one, Real) for one in own) and any(np.diff(own) < 0):
-                message = f"muscle {number}: switching times {', '.join(f'{one:g}' for one in own)} s"
-                raise RangeError(message, field="switches", value=own, remedy="give them in increasing order")
+        for number, (levels, instants) in enumerate(zip(self.levels, times, strict=True), 1):
+            check_count("levels", len(levels), len(instants) + 1, f"time between switches of muscle {number}")
+            if all(isinstance(one, Real) for one in instants) and any(np.diff(instants) < 0):
+                message = f"muscle {number}: switching times {', '.join(f'{one:g}' for one in instants)} s"
+                raise RangeError(message, field="switches", value=instants, remedy="give them in increasing order")
 
     @property
     def by_muscle(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
@@ -117,13 +117,13 @@ class JointwiseControl(RobotController):
         return tuple(one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers))
 
     def ahead(self, setpoints: Sequence[Setpoint], period: ArrayLike) -> tuple[Setpoint, ...]:
-        return tuple(one.ahead(own, period) for one, own in zip(self.controllers, setpoints, strict=True))
+        return tuple(one.ahead(setpoint, period) for one, setpoint in zip(self.controllers, setpoints, strict=True))
 
     def foreseeing(
         self, state: tuple[PyTree, ...], setpoints: Sequence[Setpoint], period: ArrayLike
     ) -> tuple[PyTree, ...]:
         parts = zip(self.controllers, state, setpoints, strict=True)
-        return tuple(one.foreseeing(held, own, period) for one, held, own in parts)
+        return tuple(one.foreseeing(held, setpoint, period) for one, held, setpoint in parts)
 
     def step(
         self,
@@ -138,9 +138,9 @@ class JointwiseControl(RobotController):
 
     def telemetry(self, state: tuple[PyTree, ...]) -> dict[str, PyTree]:
         signals = [one.telemetry(held) for one, held in zip(self.controllers, state, strict=True)]
-        everywhere = [name for name in signals[0] if all(name in own for own in signals)]
-        joint = {name: tuple(own[name] for own in signals) for name in everywhere if name != "saturated"}
-        limited = [own["saturated"] for own in signals if "saturated" in own]
+        everywhere = [name for name in signals[0] if all(name in by_name for by_name in signals)]
+        joint = {name: tuple(by_name[name] for by_name in signals) for name in everywhere if name != "saturated"}
+        limited = [by_name["saturated"] for by_name in signals if "saturated" in by_name]
         return joint | ({"saturated": functools.reduce(operator.or_, limited)} if limited else {})
 
 

@@ -128,9 +128,9 @@ def controller_module(
     parts = "setpoint", "measurement", "commands"
     columns = [column for part in parts for column in element_names(part, structures[part])]
     run = source.plant, controller, over_periods(rows), source.initial, source.period, substeps
-    first, *made = _recorded(run)
+    first, *samples = _recorded(run)
     joints = [rows] if isinstance(rows, Setpoint) else rows
-    table = [[joint.angle for joint in joints] + [joint.stiffness for joint in joints], *made]
+    table = [[joint.angle for joint in joints] + [joint.stiffness for joint in joints], *samples]
     start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
     recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
     _check_limits(source, columns, recording[1:])

@@ -40,29 +40,29 @@ def c_files(
     limits
         Limits of its samples.
     """
-    made, text = controller_module(scenario, name, limits), scenario.dumps(folder=folder)
+    program, text = controller_module(scenario, name, limits), scenario.dumps(folder=folder)
     comment = (
         f"Controller of the scenario {scenario.name!r}, written by mckibben {__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
-    table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
-    columns, worst_case = [column.split(".") for column in made.columns], made.module.worst_case("step")
+    sources = write_c(program.module, comment, single=single, wide=("setpoint",), units=program.units)
+    table = [",".join(program.columns), *(",".join(f"{number:.17g}" for number in row) for row in program.recording)]
+    columns, worst_case = [column.split(".") for column in program.columns], program.module.worst_case("step")
     values = {
         "name": name,
         "title": f'the scenario "{scenario.name}"',
-        "rows": len(made.recording),
+        "rows": len(program.recording),
         "columns": columns,
         "first_command": [part for part, _ in columns].index("commands"),
         "real": "float" if single else "double",
         "tolerance": _TOLERANCES[single],
         "seconds": f"{scenario.control_period!r}",
-        "left_out": made.left_out,
+        "left_out": program.left_out,
         "worst_case": ", ".join(f"{number} {kind}" for kind, number in worst_case.items()),
     }
     files = {f"{name}.h": sources.header, f"{name}.c": sources.source, "replay.csv": "\n".join(table) + "\n"}
     files |= {template: filled(template, values) for template in ("README.md", "replay.c", "Makefile")}
-    return Exported({**files, "scenario.yaml": text}, made.left_out, worst_case, period=scenario.control_period)
+    return Exported({**files, "scenario.yaml": text}, program.left_out, worst_case, period=scenario.control_period)
 
 
 def js_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, limits: Limits | None = None) -> Exported:

@@ -298,8 +298,8 @@ def advance(
     """
     plant, (period, low, high, terms) = parts.plant, settings
     mechanism, joints, muscles = plant.mechanism, len(parts.reference), action.shape[0]
-    wanted = low + (high - low) * (action + 1) / 2
-    commands = plant.clip_commands([wanted[muscle] for muscle in range(muscles)])
+    targets = low + (high - low) * (action + 1) / 2
+    commands = plant.clip_commands([targets[muscle] for muscle in range(muscles)])
 
     def next_period(_: Array, carry: tuple[Episode, Array, EpisodeStep]) -> tuple[Episode, Array, EpisodeStep]:
         episode, content, so_far = carry

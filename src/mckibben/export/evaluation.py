@@ -57,8 +57,8 @@ def _defaults(module: SourceModule) -> dict[str, PyTree]:
 class _Evaluation:
     """Values of a graph computed so far."""
 
-    def __init__(self, operations: Operations, inputs: Mapping[str, object], wanted: set[int]) -> None:
-        self._operations, self._inputs, self._wanted = operations, inputs, wanted
+    def __init__(self, operations: Operations, inputs: Mapping[str, object], needed: set[int]) -> None:
+        self._operations, self._inputs, self._needed = operations, inputs, needed
         self._known: dict[int, PyTree] = {}
         self._arrays: dict[int, list[PyTree]] = {}
 
@@ -75,7 +75,7 @@ class _Evaluation:
                 self._loop(statement)
             elif isinstance(statement, Branch):
                 self._branch(statement)
-            elif id(statement) not in self._wanted:
+            elif id(statement) not in self._needed:
                 continue
             elif isinstance(statement, StoredArray):
                 self._arrays[id(statement)] = [self.value(element) for element in statement.elements]
@@ -84,12 +84,12 @@ class _Evaluation:
 
     def _branch(self, branch: Branch) -> None:
         """Both blocks are computed, and one result is selected."""
-        if id(branch) not in self._wanted:
+        if id(branch) not in self._needed:
             return
         for scope in branch.scopes:
             self.scope(scope)
         for value in branch.chosen:
-            if id(value) in self._wanted:
+            if id(value) in self._needed:
                 yes, no = (self.value(values[value.data[1]]) for values in branch.values)
                 self._known[id(value)] = self._operations["select"](self.value(branch.condition), yes, no)
 
@@ -112,8 +112,8 @@ class _Evaluation:
 
     def _loop(self, loop: ForLoop) -> None:
         """All iterations of a loop, one after the other."""
-        carried = [variable for variable in loop.carried if id(variable) in self._wanted]
-        arrays = [array for array in loop.arrays if id(array) in self._wanted]
+        carried = [variable for variable in loop.carried if id(variable) in self._needed]
+        arrays = [array for array in loop.arrays if id(array) in self._needed]
         if not carried and not arrays:
             return
         if loop.going is not None:
@@ -140,5 +140,5 @@ def find_function(functions: Sequence[Function], name: str) -> Function:
     for function in functions:
         if function.name == name:
             return function
-    known = ", ".join(function.name for function in functions)
-    raise ExportError(f"there is no function {name!r}", field="function", value=name, remedy=f"choose {known}")
+    names = ", ".join(function.name for function in functions)
+    raise ExportError(f"there is no function {name!r}", field="function", value=name, remedy=f"choose {names}")

@@ -144,13 +144,13 @@ class BoardParts(NamedTuple):
     def of(cls, hardware: Hardware, names: Channels, air: Sequence[bool]) -> BoardParts:
         """Parts in a file; `ExportError` for one that is missing, left over, or not told from others by its address."""
         ends = {"angle": names.joints, "pressure": names.muscles, "valve": names.muscles}
-        named = {kind: [f"{kind}{'s' * names.is_named}{end}" for end in own] for kind, own in ends.items()}
+        named = {kind: [f"{kind}{'s' * names.is_named}{end}" for end in suffixes] for kind, suffixes in ends.items()}
         given = {name: getattr(hardware, name) for name in _OF_A_JOINT if getattr(hardware, name) is not None}
         for kind in ends:
             given |= {f"{kind}s.{name}": part for name, part in getattr(hardware, f"{kind}s").items()}
-        known = [name for own in named.values() for name in own]
-        for name in sorted(given.keys() - {*known}):
-            message, remedy = f"{name} belongs to no joint or muscle", f"choose from {', '.join(known)}"
+        choices = [name for channels in named.values() for name in channels]
+        for name in sorted(given.keys() - {*choices}):
+            message, remedy = f"{name} belongs to no joint or muscle", f"choose from {', '.join(choices)}"
             raise ExportError(message, field=name, remedy=remedy)
         filled = [name for kind in ("pressure", "valve") for name in compress(named[kind], air)]
         given |= {name: getattr(hardware, name) for name in ("board", "vent")}
@@ -159,7 +159,7 @@ class BoardParts(NamedTuple):
             if given.get(name) is None:
                 remedy = f"give {name} in the hardware file"
                 raise ExportError(f"the firmware needs {name}", field=name, remedy=remedy)
-        parts = cls(*([given.get(name) for name in own] for own in named.values()))
+        parts = cls(*([given.get(name) for name in channels] for channels in named.values()))
         parts.check_addresses()
         return parts
 

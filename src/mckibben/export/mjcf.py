@@ -64,12 +64,12 @@ def mujoco_model(
         State of the keyframe "start". Default: all angles as close to 0 as possible, without pressure, a foot on the
         ground.
     """
-    made = assembled(plant, start)
-    left_out = [*made.left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
+    assembly = assembled(plant, start)
+    left_out = [*assembly.left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
     left_out += [] if plant.command_delay is None else ["delay of the commands"]
     plant = dataclasses.replace(plant, command_delay=None)
-    module, functions = muscle_functions(plant, name, made.drives, made.start)
-    xml = made.mjcf(name, timestep, functions)
+    module, functions = muscle_functions(plant, name, assembly.drives, assembly.start)
+    xml = assembly.mjcf(name, timestep, functions)
     return MuscleModel(xml, module, tuple(function.summary for function in functions), tuple(left_out))
 
 
@@ -299,9 +299,9 @@ def anchors(joint: Joint, moved: Transmission) -> tuple[Vector, Vector]:
 
 def _hung(name: str, inertial: Attributes, joint: Joint, limit: Compliance | None) -> _Body:
     """A body on its hinge, which is none if locked; `limit` is the compliance of its stops."""
-    rest = float(joint.offset) + float(joint.locked or 0.0)
+    neutral = float(joint.offset) + float(joint.locked or 0.0)
     axis = numbers_text(joint.direction)
-    placed = {"name": name, "pos": numbers_text(joint.place.vector), "axisangle": f"{axis} {rest!r}"}
+    placed = {"name": name, "pos": numbers_text(joint.place.vector), "axisangle": f"{axis} {neutral!r}"}
     axle = joint.direction.scaled(0.016)
     body = _Body(placed, inertial, shapes=[{"class": "axle", "fromto": numbers_text((*-axle, *axle))}])
     if joint.locked is None:
@@ -345,11 +345,12 @@ def _joint(plant: JointPlant, start: PyTree) -> Assembly:
     limb = _hung("limb", inertial, hinge, None)
     limb.bone(Vector(0.0, 0.0, -point.distance or -0.1))
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
-    made = Assembly(plant, start, [base, limb], [hinge], [0])
-    made.add_pair(lambda plant: plant.joint, ("muscle1", "muscle2"), 0, 0)
-    made.left_out += [*_presliding([hinge]), *point.assumed]
-    made.gravity, made.position, made.velocity = -Z.scaled(gravity_of(plant.load)), [start.angle], [start.velocity]
-    return made
+    assembly = Assembly(plant, start, [base, limb], [hinge], [0])
+    assembly.add_pair(lambda plant: plant.joint, ("muscle1", "muscle2"), 0, 0)
+    assembly.left_out += [*_presliding([hinge]), *point.assumed]
+    assembly.gravity = -Z.scaled(gravity_of(plant.load))
+    assembly.position, assembly.velocity = [start.angle], [start.velocity]
+    return assembly
 
 
 def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
@@ -367,7 +368,7 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
         kind, axis = kinds[name]
         base.joints.append({"name": name, "type": kind, "axis": numbers_text(axis)})
     bodies = [base, *(_hung(name, _inertial_of(body), joint, softness.get(joint.name)) for name, body, joint in frames)]
-    made = Assembly(plant, start, bodies, robot.joints, robot.parents)
+    assembly = Assembly(plant, start, bodies, robot.joints, robot.parents)
     first = 0
     for number, unit in enumerate(robot.muscles):
 
@@ -375,42 +376,44 @@ def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
             return plant.robot.muscles[number]
 
         if unit.pair is not None:
-            made.add_pair(lambda plant, of=unit_of: of(plant).pair, unit.names, robot.index(unit.joint_names[0]), first)
+            assembly.add_pair(
+                lambda plant, of=unit_of: of(plant).pair, unit.names, robot.index(unit.joint_names[0]), first
+            )
         elif (parts := unit.tendon_parts) is not None:
-            made.add_path(unit_of, unit.names[0], parts, first)
+            assembly.add_path(unit_of, unit.names[0], parts, first)
         else:
             remedy = "give it a path through points; a class with its own `routed` also needs `tendon_parts`"
             raise _cannot("muscles", f"{unit.names[0]} (a {type(unit).__name__})", remedy)
         first += len(unit.names)
-    made.left_out.append(f"stops of the joints: MuJoCo's, with our restitution at {LIMIT_SPEED:g} rad/s")
+    assembly.left_out.append(f"stops of the joints: MuJoCo's, with our restitution at {LIMIT_SPEED:g} rad/s")
     if robot.spheres:
-        _add_contacts(made, plant, softness)
-    made.left_out += _presliding(robot.joints)
+        _add_contacts(assembly, plant, softness)
+    assembly.left_out += _presliding(robot.joints)
     top = max([0.1, *(float(place.z) for place in base.sites.values())])
     base.bone(Vector(0.0, 0.0, top))
     base.shapes.append({"class": "trunk", "pos": numbers_text((0, 0, top + 0.03))})
-    made.gravity = Vector(*robot.gravity).scaled(float(plant.gravity))
-    made.position, made.velocity = (coordinates(plant, of) for of in (start.position, start.velocity))
-    return made
+    assembly.gravity = Vector(*robot.gravity).scaled(float(plant.gravity))
+    assembly.position, assembly.velocity = (coordinates(plant, of) for of in (start.position, start.velocity))
+    return assembly
 
 
-def _add_contacts(made: Assembly, plant: RobotPlant, softness: dict[str, Compliance]) -> None:
+def _add_contacts(assembly: Assembly, plant: RobotPlant, softness: dict[str, Compliance]) -> None:
     """Add the ground, and the spheres that touch it."""
     ground = plant.ground
     place = ground.normal.scaled(-float(ground.distance or 0.0))
-    made.floor = {"name": "floor", "type": "plane", "size": "4 4 0.1", "zaxis": numbers_text(ground.normal)}
-    made.floor |= {"material": "floor", "pos": numbers_text(place)}
+    assembly.floor = {"name": "floor", "type": "plane", "size": "4 4 0.1", "zaxis": numbers_text(ground.normal)}
+    assembly.floor |= {"material": "floor", "pos": numbers_text(place)}
     for number, sphere in enumerate(plant.robot.spheres):
-        body, place = made.bodies[plant.robot.frame_names.index(sphere.body)], sphere.place.vector
+        body, place = assembly.bodies[plant.robot.frame_names.index(sphere.body)], sphere.place.vector
         body.bone(place)
         name = f"foot {number + 1}" if number else "foot"
         body.shapes.append({"name": name, "class": "foot", "pos": numbers_text(place)})
         body.shapes[-1]["size"] = repr(float(sphere.radius) or 1e-4)
         contact, slip = softness[f"ground {number}"], softness[f"friction {number}"]
         friction = {"friction": f"{numbers_text([ground.friction] * 2)} 0 0 0", "solref": contact.reference}
-        made.contacts.append({"geom2": name} | friction)
-        made.contacts[-1] |= {"solreffriction": slip.reference, "solimp": contact.impedance}
-    made.left_out.append(
+        assembly.contacts.append({"geom2": name} | friction)
+        assembly.contacts[-1] |= {"solreffriction": slip.reference, "solimp": contact.impedance}
+    assembly.left_out.append(
         f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; "
         "its damper acts from the first touch"
     )
@@ -530,5 +533,5 @@ def plant_and_start(scenario: Scenario | RobotScenario) -> tuple[JointPlant | Ro
 def mjcf_files(scenario: Scenario | RobotScenario, name: str, folder: Path) -> Exported:
     """The plant of a scenario as MJCF, and the plugin for its muscles; `ExportError` as by `mujoco_model`."""
     plant, start, timestep = plant_and_start(scenario)
-    made = plugin_files(mujoco_model(plant, name, timestep, start), f"the plant of {scenario.name!r}")
-    return Exported({**made.contents, "scenario.yaml": scenario.dumps(folder=folder)}, made.left_out)
+    plugin = plugin_files(mujoco_model(plant, name, timestep, start), f"the plant of {scenario.name!r}")
+    return Exported({**plugin.contents, "scenario.yaml": scenario.dumps(folder=folder)}, plugin.left_out)

@@ -86,14 +86,14 @@ def air_supply(
 
 def _valve(needed: float, supply: float) -> tuple[str, AirValve]:
     kinds = {name: entries.find("valves", name)[0]["class"] for name in catalog.names("valves")}
-    known = [(name, catalog.valve(name, supply=supply)) for name, kind in kinds.items() if kind == FlowValve.__name__]
-    known.sort(key=lambda entry: float(entry[1].conductance))
-    for name, valve in known:
+    valves = [(name, catalog.valve(name, supply=supply)) for name, kind in kinds.items() if kind == FlowValve.__name__]
+    valves.sort(key=lambda entry: float(entry[1].conductance))
+    for name, valve in valves:
         if float(valve.conductance) >= needed:
             return name, valve
-    most = float(known[-1][1].conductance) / L_PER_S_BAR
+    most = float(valves[-1][1].conductance) / L_PER_S_BAR
     message = f"the valves need a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar), twice that of the motion"
-    remedy = f"the largest of the catalog, {known[-1][0]}, has {most:.3g} L/(s*bar): allow a longer cycle"
+    remedy = f"the largest of the catalog, {valves[-1][0]}, has {most:.3g} L/(s*bar): allow a longer cycle"
     raise UnreachableError(message, value=needed, upper=most * L_PER_S_BAR, remedy=remedy)
 
 

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
-
-class Named(Protocol):
-    """A scenario with names of its joints and muscles, or none."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]: ...
-    @property
-    def muscle_names(self) -> tuple[str, ...]: ...
+if TYPE_CHECKING:
+    from mckibben.scenario import StudiedScenario
 
 
 class Channels(NamedTuple):
@@ -32,7 +26,7 @@ class Channels(NamedTuple):
     muscles: tuple[str, ...] = ("1", "2")
 
     @classmethod
-    def of(cls, scenario: Named) -> Self:
+    def of(cls, scenario: StudiedScenario) -> Self:
         """Channels of a scenario."""
         if not scenario.joint_names:
             return cls()

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,10 +25,7 @@ from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
 from mckibben.rig.channels import Channels
-from mckibben.scenario import Scenario
-
-if TYPE_CHECKING:
-    from mckibben.scenario.robot import RobotScenario
+from mckibben.scenario import StudiedScenario
 
 
 def rated_commands(plant: Plant) -> tuple[tuple[float, float], ...]:
@@ -37,11 +34,9 @@ def rated_commands(plant: Plant) -> tuple[tuple[float, float], ...]:
     return tuple((float(low), float(high)) for low, high in ranges)
 
 
-def starting_state(scenario: Scenario | RobotScenario, plant: Plant) -> PyTree:
+def starting_state(scenario: StudiedScenario, plant: Plant) -> PyTree:
     """State of a plant at the start of a scenario."""
-    if isinstance(plant, JointPlant):
-        return complete_state(plant, scenario.initial(plant))  # type: ignore[call-arg]
-    return scenario.initial(plant)  # type: ignore[arg-type]
+    return complete_state(plant, scenario.initial(plant))
 
 
 def vented_state(plant: Plant, start: PyTree = None) -> PyTree:

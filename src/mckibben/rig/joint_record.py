@@ -146,7 +146,7 @@ def measured_run(
     record = Record(states, run.rows(channels.by_muscle("command")), run.table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     desired = zip(*(run.rows(channels.by_joint(f"desired_{name}")) for name in ("angle", "stiffness")), strict=True)
     like, unknown = plant.mechanism.like_joints, np.full(len(run.table["time"]), np.nan)
-    setpoints = like([Setpoint(*own) for own in desired])  # type: ignore[arg-type]
+    setpoints = like([Setpoint(*pair) for pair in desired])  # type: ignore[arg-type]
     without_step = like([unknown] * len(angles))
     band = reach and dataclasses.replace(
         reach, lowest=reach.lowest[: unknown.size], highest=reach.highest[: unknown.size]

@@ -89,12 +89,12 @@ class JointRunResult(Result):
 
     def declared(self) -> TableColumns:
         """Outcome of the run and of its venting, and the metrics of the motion."""
-        own: dict[str, tuple[Column, object]] = {
+        columns: dict[str, tuple[Column, object]] = {
             "ended": (Column(title="end of the run"), self.outcome.kind),
             "vented_after": (Column("s", "duration of the venting"), self.outcome.vented_after),
             "remaining_pressure": (Column("Pa", "pressure after the venting", "bar"), self.outcome.remaining),
         }
-        return own | (self.result.declared() if self.result else {})
+        return columns | (self.result.declared() if self.result else {})
 
     @table()
     def timing_of_paced(self) -> Iterator[Listing]:
@@ -348,15 +348,17 @@ def _own_limits(
 ) -> dict[str, tuple[float, float]]:
     """Lowest and highest value by input: its own limits, those of all, or the defaults of its joint or muscle."""
     names = [end[1:] for end in (*channels.joints, *channels.muscles)]
-    own = {name: {key: value for key, value in limits if value is not None} for name, limits in rig.limits_of.items()}
-    known = dict(zip(names, defaults, strict=True))
-    for name, settings in own.items():
-        if not settings.keys() <= known.get(name, {}).keys():
-            choice = "; ".join(f"{part}: {', '.join(values)}" for part, values in known.items())
+    limits_of = {
+        name: {key: value for key, value in limits if value is not None} for name, limits in rig.limits_of.items()
+    }
+    defaults_of = dict(zip(names, defaults, strict=True))
+    for name, settings in limits_of.items():
+        if not settings.keys() <= defaults_of.get(name, {}).keys():
+            choice = "; ".join(f"{part}: {', '.join(values)}" for part, values in defaults_of.items())
             raise _no_limit(rig, name, f"choose from {choice}")
     ranges = {}
     for reading, name in zip(channels.readings, names, strict=True):
-        values = {key: given.get(key, default) for key, default in known[name].items()} | own.get(name, {})
+        values = {key: given.get(key, default) for key, default in defaults_of[name].items()} | limits_of.get(name, {})
         ranges[reading] = values.get("lowest_angle", -math.inf), [*values.values()][-1]
         if not ranges[reading][0] < ranges[reading][1]:
             raise _no_limit(rig, name, "give both ends, the lower one first")

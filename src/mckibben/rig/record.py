@@ -123,11 +123,11 @@ class RigRecord:
 
     def samples(self, name: str, point: RecordedPoint) -> np.ndarray:
         """Samples of a point by the name of a column, shape (samples,); NaN where they are lost."""
-        wanted = point.first + point.every * np.arange(point.samples)
+        numbers = point.first + point.every * np.arange(point.samples)
         if not len(self.rows):
-            return np.full(wanted.shape, np.nan)
-        at = np.minimum(np.searchsorted(self.rows, wanted), len(self.rows) - 1)
-        return np.where(self.rows[at] == wanted, self.columns[name][at], np.nan)
+            return np.full(numbers.shape, np.nan)
+        at = np.minimum(np.searchsorted(self.rows, numbers), len(self.rows) - 1)
+        return np.where(self.rows[at] == numbers, self.columns[name][at], np.nan)
 
 
 def read_record(folder: str | os.PathLike[str]) -> RigRecord:

@@ -246,8 +246,8 @@ class SerialBackend(Backend):
         """Send commands [Pa], and arm the board after the first ones."""
         self._check_open()
         self._take(self._received())
-        known = {valve.name: float(pressure) for valve, pressure in zip(self.outputs, pressures, strict=True)}
-        asked = [known.get(self._named(name), 0.0) for name, _ in self._known.commands]
+        commands = {valve.name: float(pressure) for valve, pressure in zip(self.outputs, pressures, strict=True)}
+        asked = [commands.get(self._named(name), 0.0) for name, _ in self._known.commands]
         command = MessageKind.COMMAND, pack_numbers(asked, "f")
         if not self._armed:
             self._arm(command)

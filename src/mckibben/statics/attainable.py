@@ -66,13 +66,13 @@ def held_statics(setting: HeldPosture, only: Collection[str] | None = None) -> d
         if only is not None and name not in only:
             continue
         others = np.arange(len(names)) != index
-        row, own = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
+        row, passive = setting.equal[index], float(setting.affine.torque[0][setting.free][index])
         turned = setting._replace(equal=setting.equal[others], held=setting.held[others])
         goals = (turned, row), (setting, slopes[index, index])
         ends = [posture.extreme(sign * goal) for posture, goal in goals for sign in (1, -1)]
         (least, by1), (most, by2), (softest, by3), (stiffest, by4) = ends
         at = float(offset[index, index])
-        found[name] = JointRange((own + least, own - most), (at + softest, at - stiffest), (by1, by2, by3, by4))
+        found[name] = JointRange((passive + least, passive - most), (at + softest, at - stiffest), (by1, by2, by3, by4))
     return found
 
 

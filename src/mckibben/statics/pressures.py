@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -29,9 +29,6 @@ from mckibben.mechanism.robot import Robot
 from mckibben.result import Column, Result, TableColumns, column
 from mckibben.statics.posture import EXACT, HeldPosture, check_affine
 from mckibben.units import bar, deg
-
-if TYPE_CHECKING:
-    pass
 
 _STARTS, _MARGIN = 8, 0.1
 """Starts of the search of a redundant arm, and the least part of the lowest stiffness that a step keeps."""
@@ -175,9 +172,9 @@ def held_joint_stiffness(setting: HeldPosture, stiffness: Sequence[float | None]
     for _, number in rows:
         check_positive("stiffness", "N*m/rad", stiffness=number)
     offset, slopes = setting.stiffness()
-    places, wanted = [place for place, _ in rows], np.array([number for _, number in rows], float)
-    factors = slopes[places, places] / wanted[:, None]
-    return _solved(setting, factors, 1 - offset[places, places] / wanted)
+    places, desired = [place for place, _ in rows], np.array([number for _, number in rows], float)
+    factors = slopes[places, places] / desired[:, None]
+    return _solved(setting, factors, 1 - offset[places, places] / desired)
 
 
 def _solved(

@@ -53,8 +53,8 @@ def check_postures(
         except McKibbenError as error:
             yield Remark.severe("reference", f"{at}: {error.message}", error.remedy)
             return
-        own = {joint.name: value for joint, value in zip(robot.joints, desired, strict=True) if joint.name in ranges}
-        for name, value in own.items():
+        aims = {joint.name: value for joint, value in zip(robot.joints, desired, strict=True) if joint.name in ranges}
+        for name, value in aims.items():
             (low, high), limits = ranges[name].stiffness, ranges[name].limits
             if (excess := max(low - value, value - high)) > max(EXACT * value, worst.get(name, (0.0,))[0]):
                 text = f"{name}: {value:.3g} N*m/rad is outside of {low:.3g}..{high:.3g} N*m/rad that it attains {at}"

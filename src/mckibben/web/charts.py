@@ -175,12 +175,12 @@ def chart(
         del options["visualMap"]
     name = re.sub("[^a-z]+", "-", y.partition("[")[0].lower()).strip("-")
     with ui.element("div").classes("chart w-full"):
-        made = ui.echart(options).classes("w-full").style(f"height: {height}px").props(f'role="img" aria-label="{y}"')
+        graph = ui.echart(options).classes("w-full").style(f"height: {height}px").props(f'role="img" aria-label="{y}"')
         save = ui.button(icon="download").props(f'flat round dense size=sm aria-label="save the chart of {name}"')
         with save, ui.menu():
             for kind in ("PNG", "SVG", "CSV"):
-                ui.menu_item(kind).on("click", js_handler=f"() => saveChart({made.id}, '{kind.lower()}', '{name}')")
-    return made
+                ui.menu_item(kind).on("click", js_handler=f"() => saveChart({graph.id}, '{kind.lower()}', '{name}')")
+    return graph
 
 
 def draw(on: ui.echart, series: Iterable[Series], *, legend: Iterable[str] | None = None) -> None:

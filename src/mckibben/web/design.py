@@ -258,8 +258,8 @@ def _arrays(edges: Edges) -> tuple[np.ndarray, np.ndarray]:
 
 def muscles(fitted: Muscle | None) -> dict[str, Muscle]:
     """Muscles to choose from: the catalog, and the one identified in this session."""
-    known = {name: Muscle(catalog.specimen(name), catalog.law(law)) for name, law in _MUSCLES.items()}
-    return known if fitted is None else {YOURS: fitted} | known
+    choices = {name: Muscle(catalog.specimen(name), catalog.law(law)) for name, law in _MUSCLES.items()}
+    return choices if fitted is None else {YOURS: fitted} | choices
 
 
 def scenario_lines(design: JointDesign, muscle: Muscle) -> str:

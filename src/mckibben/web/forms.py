@@ -72,7 +72,7 @@ def number(label: str, mark: Mark, value: float, changed: Callable[[float], obje
         return int(shown) if whole and float(shown).is_integer() else shown * scale
 
     allowed = f"{'a whole number, ' if whole else ''}{mark.range}"
-    made = NumberField(
+    element = NumberField(
         label,
         float(f"{value / scale:.10g}"),
         lambda shown: mark.holds(si(float(shown))),
@@ -81,8 +81,8 @@ def number(label: str, mark: Mark, value: float, changed: Callable[[float], obje
         step=float(f"{abs(value / scale) / 20:.0e}") or 0.1,  # a twentieth, of one digit
         words=words,
     )
-    made.props(f'dense debounce=400 suffix="{unit}"').classes("w-full")
-    return made
+    element.props(f'dense debounce=400 suffix="{unit}"').classes("w-full")
+    return element
 
 
 def section_form(kind: type, values: Mapping[str, Any], put: Callable[[str, Mark, Value], object]) -> list[NumberField]:
@@ -97,7 +97,7 @@ def section_form(kind: type, values: Mapping[str, Any], put: Callable[[str, Mark
     put
         Called with name, mark and new value [SI].
     """
-    words, made = descriptions(kind), []
+    words, elements = descriptions(kind), []
     for name, form in field_types(kind).items():
         marks = (*getattr(form, "__metadata__", ()), *getattr(next(iter(get_args(form)), None), "__metadata__", ()))
         mark = next((mark for mark in marks if isinstance(mark, Mark)), None)
@@ -108,9 +108,9 @@ def section_form(kind: type, values: Mapping[str, Any], put: Callable[[str, Mark
         if isinstance(value, list | tuple):
             _list(label, mark, [_si(item, mark) for item in value], changed, help_)
         else:
-            made.append(number(label, mark, _si(value, mark), changed, help_))
-            made[-1].mark(name)
-    return made
+            elements.append(number(label, mark, _si(value, mark), changed, help_))
+            elements[-1].mark(name)
+    return elements
 
 
 def _si(value: str | float, mark: Mark) -> float:
@@ -132,5 +132,5 @@ def _list(label: str, mark: Mark, values: Sequence[float], changed: Callable[[Va
             changed([float(part) * factor(mark.shown) for part in event.value.split(",")])
 
     shown = ", ".join(f"{value / factor(mark.shown):g}" for value in values)
-    made = ui.input(label, value=shown, validation=refused, on_change=take).classes("w-full wide").tooltip(words)
-    made.props(f'dense debounce=400 suffix="{mark.shown}" hide-bottom-space').mark(label)
+    element = ui.input(label, value=shown, validation=refused, on_change=take).classes("w-full wide").tooltip(words)
+    element.props(f'dense debounce=400 suffix="{mark.shown}" hide-bottom-space').mark(label)

@@ -80,7 +80,7 @@ class IdentificationState(JobState):
         diameter or volume of air with its unit.
     reading, read_by, reading_notes
         Fields by which files are read, those by which `data` were read, and warnings of reading.
-    wanted
+    example
         Dataset of the catalog that the page shows when it opens.
     tables, questions
         What was understood of each file, and what is not plain.
@@ -105,7 +105,7 @@ class IdentificationState(JobState):
     reading_notes: list[str] = field(default_factory=list)
     tables: tuple[Table, ...] = ()
     questions: tuple[Question, ...] = ()
-    wanted: str = ""
+    example: str = ""
     results: dict[str, Presented] = field(default_factory=dict)  # fit and ranking, the newest first
     curves: list[Series] = field(default_factory=list)
     muscle: Muscle | None = None
@@ -202,10 +202,10 @@ class _Page(JobPage[IdentificationState]):
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
                 self.examples = select(examples, "or an example", "dataset", value="", on_change=self.example)
                 for name, (label, example) in _FIELDS.items():
-                    made = ui.input(label, placeholder=example, validation=partial(refusal, name))
-                    made.on_value_change(partial(self.reread, name)).props("dense hide-bottom-space stack-label")
-                    made.props("debounce=700").classes("w-full").mark(name).bind_value(state.reading, name)
-                    made.tooltip(MEANINGS[name])
+                    element = ui.input(label, placeholder=example, validation=partial(refusal, name))
+                    element.on_value_change(partial(self.reread, name)).props("dense hide-bottom-space stack-label")
+                    element.props("debounce=700").classes("w-full").mark(name).bind_value(state.reading, name)
+                    element.tooltip(MEANINGS[name])
                 with ui.expansion("further settings of a recipe").props("dense").classes("w-full") as self.options:
                     label = "such as displacement: lengthening"
                     further = ui.textarea(label).props("dense autogrow").classes("w-full mono").mark("further")
@@ -232,8 +232,8 @@ class _Page(JobPage[IdentificationState]):
     def begin(self) -> None:
         """Show the dataset that another page asks for; read files again by fields to which the user went back."""
         state = self.state
-        if state.wanted:
-            self.examples.value, state.wanted = state.wanted, ""
+        if state.example:
+            self.examples.value, state.example = state.example, ""
         elif state.read_by not in (None, state.reading) and not state.jobs.busy:
             self.read()
 
@@ -337,14 +337,14 @@ class _Page(JobPage[IdentificationState]):
             written = Path(tempfile.mkdtemp(dir=folder))
             fit.to_yaml(written / "fit.yaml")
             path = written / "muscle.yaml"
-            known = write_identified(path, fit, data.table.attrs, volume=volume)
-            muscle = read_component(Muscle, path) if known else None
+            is_written = write_identified(path, fit, data.table.attrs, volume=volume)
+            muscle = read_component(Muscle, path) if is_written else None
             steps = state.steps(law.__name__, friction=friction, robust=not keep, inner=inner)
             steps.files.update({path.name: path.read_bytes() for path in written.iterdir()})
             return Presented.of(fit, steps, charts=True), fit_curves(fit, data), muscle, written
 
-        def done(made: tuple[Presented, list[Series], Muscle | None, Path], heard: list[str]) -> None:
-            fit, state.curves, state.muscle, written = made
+        def done(result: tuple[Presented, list[Series], Muscle | None, Path], heard: list[str]) -> None:
+            fit, state.curves, state.muscle, written = result
             state.show_first("fit", fit, heard)
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
@@ -407,8 +407,8 @@ class _Page(JobPage[IdentificationState]):
 
     def show_points(self, data: IsobaricDataset) -> None:
         """The points as measured, with the curves of a fit, and remarks from reading."""
-        pressure, known = data.pressure / bar, data.table.get("direction")
-        loading = np.zeros(len(data), bool) if known is None else known.values == "loading"
+        pressure, directions = data.pressure / bar, data.table.get("direction")
+        loading = np.zeros(len(data), bool) if directions is None else directions.values == "loading"
         points = chart("contraction [%]", "force [N]", height=360, scale="pressure [bar]", span=_span(data))
         clouds = [
             cloud(name, data.contraction[rows] / percent, data.force[rows], pressure[rows], symbol)

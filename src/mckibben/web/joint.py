@@ -71,11 +71,11 @@ def _held(angles: np.ndarray, holds: np.ndarray) -> str:
 def page() -> None:
     """The page."""
     visitor = session()
-    design, known = visitor.state(JointDesign), muscles(visitor.state(IdentificationState).muscle)
-    if design.muscle not in known:
-        design.muscle = next(iter(known))
+    design, choices = visitor.state(JointDesign), muscles(visitor.state(IdentificationState).muscle)
+    if design.muscle not in choices:
+        design.muscle = next(iter(choices))
     with frame("/joint", design, *vars(design)):
-        _Page(design, known)
+        _Page(design, choices)
 
 
 class _Page:
@@ -85,18 +85,18 @@ class _Page:
     ----------
     design
         Numbers of the page, kept in the session.
-    known
+    choices
         Muscles to choose from, by name.
     """
 
-    def __init__(self, design: JointDesign, known: dict[str, Muscle]) -> None:
-        self.design, self.known = design, known
+    def __init__(self, design: JointDesign, choices: dict[str, Muscle]) -> None:
+        self.design, self.choices = design, choices
         self.latest = Latest(compute, self.show, self.fail)
         self.fields: list[NumberField] = []
         self.old = False  # whether the results are not those of the sliders
         with side():
             with panel("Joint"):
-                select(list(known), "muscles", "muscle", value=design.muscle, on_change=self.choose)
+                select(list(choices), "muscles", "muscle", value=design.muscle, on_change=self.choose)
                 select(list(KINDS), "kind of joint", "kind", value=design.kind, on_change=self.reshape)
                 self.dimensions = ui.column().classes("w-full").style("gap: 10px")
                 self.form()
@@ -162,10 +162,10 @@ class _Page:
 
         self.slider(NumberSlider(label, unit, limits, step, getattr(self.design, name), changed))
 
-    def slider(self, made: NumberSlider) -> None:
+    def slider(self, slider: NumberSlider) -> None:
         """Keep the field of a new slider: the results are grey while it shows a value that is refused."""
-        self.fields = [*(field for field in self.fields if not field.is_deleted), made.field]
-        made.field.on_value_change(self.grey)
+        self.fields = [*(field for field in self.fields if not field.is_deleted), slider.field]
+        slider.field.on_value_change(self.grey)
 
     def form(self) -> None:
         """Sliders for the dimensions of this kind of joint."""
@@ -184,7 +184,7 @@ class _Page:
 
     def pressure_form(self) -> None:
         """Slider for the highest pressure, in the range of the muscle."""
-        limits = highest_pressures(self.known[self.design.muscle])
+        limits = highest_pressures(self.choices[self.design.muscle])
         self.design.pressure = min(max(self.design.pressure, limits[0]), limits[1])
         self.pressure.clear()
         with self.pressure:
@@ -215,12 +215,12 @@ class _Page:
     async def again(self) -> None:
         """Compute for the slider values."""
         now = dataclasses.replace(self.design, dimensions=dict(self.design.dimensions))
-        await self.latest(now, self.known[self.design.muscle])
+        await self.latest(now, self.choices[self.design.muscle])
 
     async def choose(self, event: events.ValueChangeEventArguments) -> None:
         """Change the muscle; the joint's length changes with the muscle's."""
-        before, self.design.muscle = self.known[self.design.muscle], event.value
-        now = self.known[event.value]
+        before, self.design.muscle = self.choices[self.design.muscle], event.value
+        now = self.choices[event.value]
         self.wait()
         self.pressure_form()
         if "height" in self.design.dimensions:
@@ -254,7 +254,7 @@ class _Page:
         if self.errors.default_slot.children:
             self.errors.clear()
         design, here, angles = self.design, designed.here, ANGLES / deg
-        muscle = self.known[design.muscle]
+        muscle = self.choices[design.muscle]
         self.drawing.content, _ = await in_thread(drawing, designed.joint, design.angle * deg, here.contractions)
         least, most = designed.torque
         load = line("load", [-POSE, POSE], [design.torque] * 2, BLACK, dash=True, width=1.5)
@@ -266,9 +266,9 @@ class _Page:
         least, most = pressure_limits(muscle)
         measured = f"The law was measured from {least:g} to {most:g} bar; with extrapolate: true, scenarios go beyond."
         self.lowest.text = measured if least else ""
-        own, between = muscle.specimen.initial_length / mm, connector_length(designed.joint.geometry)
+        length, between = muscle.specimen.initial_length / mm, connector_length(designed.joint.geometry)
         connectors = "" if between is None else f"connectors {between / mm:.1f} mm, "
-        self.series.text = f"{connectors}muscles of {own:g} mm"
+        self.series.text = f"{connectors}muscles of {length:g} mm"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
         small = "" if here.small_motion is None else "; small motion {:.3g} to {:.3g}".format(*here.small_motion)
         self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad{small}" if math.isfinite(k1) else "the load is not held"
@@ -290,6 +290,6 @@ class _Page:
 
     def run(self) -> None:
         """Use the joint on the page of runs."""
-        lines, bench = scenario_lines(self.design, self.known[self.design.muscle]), session().state(Workbench)
+        lines, bench = scenario_lines(self.design, self.choices[self.design.muscle]), session().state(Workbench)
         bench.waiting, bench.note = partial(with_joint, lines), _NEW_JOINT
         ui.navigate.to("/run")

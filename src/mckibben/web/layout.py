@@ -114,9 +114,9 @@ def _undo(here: str, form: object, names: Sequence[str]) -> None:
 
 def heading(text: str, tag: str = "h2") -> ui.label:
     """A heading, "h1" of a page or "h2" of a panel."""
-    made = ui.label(text).classes("heading" if tag == "h2" else "title")
-    made.tag = tag
-    return made
+    label = ui.label(text).classes("heading" if tag == "h2" else "title")
+    label.tag = tag
+    return label
 
 
 @contextmanager
@@ -130,10 +130,10 @@ def panel(title: str = "", *, stays: bool = False) -> Iterator[ui.column]:
     stays
         Whether it remains visible on a narrow screen.
     """
-    with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px") as made:
+    with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px") as box:
         if title:
             heading(title)
-        yield made
+        yield box
 
 
 @contextmanager
@@ -159,8 +159,8 @@ def button(
     options
         Options of `ui.button`, such as its colour.
     """
-    made = ui.button(label, on_click=action, **options).props(f"{'unelevated' if main else 'flat'} no-caps")
-    return made.mark(mark) if mark else made
+    element = ui.button(label, on_click=action, **options).props(f"{'unelevated' if main else 'flat'} no-caps")
+    return element.mark(mark) if mark else element
 
 
 def select(options: list[str] | dict[Any, str], label: str, mark: str, **others: Any) -> ui.select:
@@ -386,9 +386,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Col
     ]
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
     with ui.element("div").classes("w-full scrolled").props('tabindex=0 role="group" aria-label="table"'):
-        made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
-    made.add_slot("body-cell", _BREAKS_AT_DOTS)
-    return made.classes("w-full number").props("rows-per-page-options=[0]")
+        element = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
+    element.add_slot("body-cell", _BREAKS_AT_DOTS)
+    return element.classes("w-full number").props("rows-per-page-options=[0]")
 
 
 def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:
@@ -434,11 +434,11 @@ def upload(
     async def uploaded(event: events.MultiUploadEventArguments) -> None:
         if event.files:  # a request may have none
             await taken(event)
-        made.reset()
+        field.reset()
 
-    made = ui.upload(auto_upload=True, max_total_size=largest, on_multi_upload=uploaded, multiple=True, max_files=most)
-    made.add_slot("header", _UPLOAD_HEADER.replace("LABEL", label))
-    return made.props("flat bordered").classes("w-full")
+    field = ui.upload(auto_upload=True, max_total_size=largest, on_multi_upload=uploaded, multiple=True, max_files=most)
+    field.add_slot("header", _UPLOAD_HEADER.replace("LABEL", label))
+    return field.props("flat bordered").classes("w-full")
 
 
 class NumberField(ui.number):

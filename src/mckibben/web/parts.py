@@ -62,22 +62,22 @@ def _signal(joint: str, name: str, unit: str, size: float) -> Choice:
     """Choice of a reference of a joint, "" of an unnamed one; its levels are about its present mean."""
     signals = OFFERED["signals"]
 
-    def own(scenario: StudiedScenario) -> Reference:
+    def current(scenario: StudiedScenario) -> Reference:
         return scenario.references()[joint] if joint else scenario.references()
 
     def choose(scenario: StudiedScenario, kind: str) -> StudiedScenario:
-        times, signal = np.linspace(0.0, scenario.timing["duration"], 200), getattr(own(scenario), name)
+        times, signal = np.linspace(0.0, scenario.timing["duration"], 200), getattr(current(scenario), name)
         mean = round(float(np.mean([signal(time) for time in times])) / size, 6)
         half = 0.1 * mean if name == "stiffness" else 3.0 if joint else 10.0
         step = half if name == "stiffness" else 0.8 * half
         levels = {"at": mean, "low": mean - step, "high": mean + step, "half": half}
         section = signals[kind].format(**{level: f"{value:.3g} {unit}" for level, value in levels.items()})
-        made = getattr(read_text(with_section(START, section, ("reference", name))).references(), name)
-        reference = replaced(own(scenario), {name: made})
+        reference_part = getattr(read_text(with_section(START, section, ("reference", name))).references(), name)
+        reference = replaced(current(scenario), {name: reference_part})
         return scenario.replace(reference=scenario.references() | {joint: reference} if joint else reference)
 
     def chosen(scenario: StudiedScenario) -> str | None:
-        kind = type(getattr(own(scenario), name)).__name__.lower()
+        kind = type(getattr(current(scenario), name)).__name__.lower()
         return kind if kind in signals else None
 
     return Choice(tuple(signals), choose, chosen)

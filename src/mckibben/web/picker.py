@@ -75,14 +75,14 @@ class ColumnPicker:
     ) -> None:
         """A select for a part of a choice, named for screen readers by the column."""
         value = getattr(choice, part)
-        made = select(
+        element = select(
             options,
             label or part,
             f"{part}-{header}",
             value=value if value in options else None,
             on_change=lambda event: self.set(header, choice.changed(**{part: event.value})),
         )
-        made.props(f'aria-label="{part} of {printable(header, 60).replace(chr(34), "")}" options-dense')
+        element.props(f'aria-label="{part} of {printable(header, 60).replace(chr(34), "")}" options-dense')
 
     def set(self, header: str, choice: ColumnChoice) -> None:
         """Read a column as another choice says."""

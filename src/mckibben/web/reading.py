@@ -60,14 +60,14 @@ class ColumnChoice(NamedTuple):
             if column.header == header:
                 return cls(column.quantity, column.unit, absolute=meant.absolute)
         asked = any(question.problem.field == header for question in table.questions)
-        known = asked and meant.quantity in WORDS
-        return cls(meant.quantity, meant.unit, absolute=meant.absolute) if known else cls("")
+        is_known = asked and meant.quantity in WORDS
+        return cls(meant.quantity, meant.unit, absolute=meant.absolute) if is_known else cls("")
 
     def changed(self, **changes: object) -> Self:
         """With another quantity, unit, sign or reference; a unit that the quantity does not have is to be chosen."""
-        made = self._replace(**changes)  # type: ignore[arg-type]
-        unit = made.unit if made.unit in QUANTITIES.get(made.quantity, ()) else ""
-        return made._replace(unit=unit, absolute=made.absolute and "pressure" in made.quantity)
+        choice = self._replace(**changes)  # type: ignore[arg-type]
+        unit = choice.unit if choice.unit in QUANTITIES.get(choice.quantity, ()) else ""
+        return choice._replace(unit=unit, absolute=choice.absolute and "pressure" in choice.quantity)
 
     @property
     def name(self) -> str:

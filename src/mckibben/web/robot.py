@@ -196,7 +196,7 @@ class _Page:
     """
 
     def __init__(self, state: RobotPageState, folder: Path, fitted: Muscle | None) -> None:
-        self.state, self.folder, self.known = state, folder, muscles(fitted)
+        self.state, self.folder, self.choices = state, folder, muscles(fitted)
         self.latest = Latest(pose, self.show, self.fail)
         self.size = 1.0
         with side():
@@ -204,7 +204,7 @@ class _Page:
                 select(list(catalog.names("legs")), "an example", "example", on_change=self.example)
                 upload("or robot.yaml, MJCF, URDF, with the files that it names", LONGEST_TEXT, self.uploaded, most=16)
                 label = "muscle of all tendons of MJCF"
-                self.muscle = select(list(self.known), label, "muscle", value=next(iter(self.known)))
+                self.muscle = select(list(self.choices), label, "muscle", value=next(iter(self.choices)))
                 self.name = quiet("")
                 self.remarks = ui.column()
             with panel("Posture"):
@@ -249,7 +249,7 @@ class _Page:
         folder = Path(tempfile.mkdtemp(dir=self.folder, prefix="robot-"))
         try:
             path = await save_scenario(event.files, folder)
-            read, _ = await in_thread(read_robot_file, path, self.known[self.muscle.value])
+            read, _ = await in_thread(read_robot_file, path, self.choices[self.muscle.value])
         except McKibbenError as error:
             self.fail(error)
             return

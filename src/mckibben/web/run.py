@@ -135,8 +135,8 @@ class _Page(JobPage[Workbench]):
             if event.value and scenario is not None and event.value != self.state.options.get(label):
                 self.change(lambda: choice.choose(scenario, event.value))
 
-        made = select(list(choice.options), label, label, value=self.state.options[label], on_change=changed)
-        self.selects[label] = made.classes("wide" if " of " in label else "")
+        element = select(list(choice.options), label, label, value=self.state.options[label], on_change=changed)
+        self.selects[label] = element.classes("wide" if " of " in label else "")
 
     def example(self, event: events.ValueChangeEventArguments) -> None:
         """Run an example."""
@@ -164,13 +164,13 @@ class _Page(JobPage[Workbench]):
             if self.text != state.text:  # otherwise it may be being edited
                 self.text = self.yaml.value = state.text
             self.show_results(self.remarks, self.show)
-            for label, made in self.selects.items():
+            for label, element in self.selects.items():
                 if not state.jobs.busy:
-                    made.value = state.options.get(label)
+                    element.value = state.options.get(label)
             self.first.visible = self.results.visible = state.current is not None
             if state.current is not None:
                 self.plot(state.current)
-        refused = any(made.error for made in self.numbers)
+        refused = any(field.error for field in self.numbers)
         old = state.error is not None or refused or self.yaml.value != self.text
         look = "waiting" if state.jobs.busy else "stale" if old else ""
         if look != self.look:
@@ -295,8 +295,8 @@ class _Page(JobPage[Workbench]):
                 self.change(lambda: with_values(now, {parameter.name: value}), form=False)
 
         label, words = name.replace(".", " ").replace("_", " "), meaning(scenario, parameter)
-        made = number(label, parameter.mark, float(parameter.nominal or 0.0), changed, words).mark(parameter.name)
-        self.numbers.append(made)
+        element = number(label, parameter.mark, float(parameter.nominal or 0.0), changed, words).mark(parameter.name)
+        self.numbers.append(element)
 
     def study(self, name: str) -> None:
         """Compute stability margins, or the attainable set, of the scenario that ran last."""

@@ -38,7 +38,7 @@ def page() -> None:
                 "Points that Martens and Boblan measured on a Festo DMSP-10-250: see them, fit them, build a joint.",
                 "Try it",
                 "/identify",
-                lambda: setattr(session().state(IdentificationState), "wanted", "dmsp-10-250-martens2017"),
+                lambda: setattr(session().state(IdentificationState), "example", "dmsp-10-250-martens2017"),
             )
             _way(
                 "The paper's knee",

@@ -180,8 +180,8 @@ class _Page(JobPage[StudyState]):
         with self.tolerances:
             for name, value in request.tolerances.items():
                 put, label = partial(request.tolerances.__setitem__, name), METRICS[name]
-                made = NumberField(name.replace("_", " "), value, *above, put, words=f"{label.title}.")
-                made.props(f'dense suffix="{label.shown_unit}"').classes("w-full").mark(name)
+                element = NumberField(name.replace("_", " "), value, *above, put, words=f"{label.title}.")
+                element.props(f'dense suffix="{label.shown_unit}"').classes("w-full").mark(name)
 
     def put(self, name: str, _: object, value: object) -> None:
         """Take a number of the request."""
@@ -190,7 +190,7 @@ class _Page(JobPage[StudyState]):
     def parameters(self, request: TuningRequest) -> None:
         """A choice of parameters, or of texts NAME=RANGE."""
         names = [parameter.name for parameter in list_parameters(self.bench.scenario or parse(START, self.folder))]
-        made = select(
+        element = select(
             list(dict.fromkeys((*request.over, *names))),
             "tuned; or all gains",
             "over",
@@ -200,7 +200,7 @@ class _Page(JobPage[StudyState]):
             new_value_mode="add-unique",
             on_change=lambda event: setattr(request, "over", tuple(event.value or ())),
         )
-        made.props("use-chips")
+        element.props("use-chips")
 
     def text(self) -> str:
         """The scenario of the page Run, as it last ran."""

@@ -133,6 +133,6 @@ def functions_of(
     exported = period
     measurement = plant.sample(initial, 0.0)[1]
     functions = of, begin, init, check, step, hold
-    made = ControllerFunctions(parameters, *functions, (), setpoint, measurement, plant, initial, period)
-    state = jax.eval_shape(lambda measurement: made.start(parameters, measurement), measurement)
-    return made._replace(state=jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state))
+    program = ControllerFunctions(parameters, *functions, (), setpoint, measurement, plant, initial, period)
+    state = jax.eval_shape(lambda measurement: program.start(parameters, measurement), measurement)
+    return program._replace(state=jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state))

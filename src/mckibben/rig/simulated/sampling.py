@@ -263,6 +263,6 @@ class SimulatedBackend(Backend, abc.ABC):
         if len(self._waiting) == 1 and len(self._waiting[0].time) == count:
             return self._waiting.pop()
         times, values, positions = (np.concatenate(parts) for parts in list(zip(*self._waiting, strict=True))[1:])
-        rest = Block(self._next, times[count:], values[count:], positions[count:])
-        self._waiting = [rest] if len(rest.time) else []
+        later = Block(self._next, times[count:], values[count:], positions[count:])
+        self._waiting = [later] if len(later.time) else []
         return Block(first, times[:count], values[:count], positions[:count])
