@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
+from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
@@ -23,7 +24,7 @@ from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.study.felt import Felt, felt_stiffness
-from mckibben.units import bar, deg
+from mckibben.units import HINGE, bar, deg
 
 Values = NDArray[np.float64]
 
@@ -173,11 +174,14 @@ def stiffness_tests(
     Raises
     ------
     RangeError
-        If an amplitude or rate is not positive, or too high.
+        If an amplitude or rate is not positive, or too high, or the joint is a slide.
     SimulationError
         If the plant needs more substeps.
     """
     report = progress or silent
+    if scenario.joint_type is not HINGE:
+        message, remedy = "the motion of these tests is imposed on a hinge", "see the stiffness in `mckibben envelope`"
+        raise RangeError(message, field="joint", remedy=remedy)
     plant, controller = scenario.plant(), scenario.control()
     closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.needed_substeps()
