@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3540,
     "statics": 570,
     "storage": 600,
-    "study": 3990,
+    "study": 4010,
     "web": 3050,
 }
 

@@ -10,6 +10,7 @@ from mckibben.control import OpenLoopControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.joint import Slide, SlidingMass
 from mckibben.muscle import no_muscle
+from mckibben.study.stiffness import stiffness_tests
 from mckibben.units import GRAVITY, N, bar, deg, kg, mm, ms
 
 SPECIMEN = mk.Specimen("linear", 200 * mm, domain=mk.Domain(-0.03, 0.3, 0.0, 6 * bar))
@@ -123,3 +124,13 @@ def test_only_a_muscle_that_is_not_there_needs_no_length():
     with pytest.raises(RangeError) as error:
         mk.AntagonisticJoint(Slide(rest_length2=165 * mm), SPRING, REAL)
     assert error.value.field == "geometry.rest_length1"
+
+
+def test_what_is_in_units_of_a_hinge_alone_refuses_a_slide():
+    axis = mk.Scenario.parse(AXIS)
+    with pytest.raises(ScenarioError) as error:
+        axis.suite()
+    assert error.value.problems[0].field == "joint"
+    with pytest.raises(RangeError) as refused:
+        stiffness_tests(axis, np.array([1e-3]), np.array([1.0]))
+    assert refused.value.field == "joint"

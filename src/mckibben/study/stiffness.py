@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
+from mckibben.errors import RangeError
 from mckibben.joint.route import closed_valve_stiffness, secant_stiffness
 from mckibben.mechanism.base import joints_in, over_joints
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
@@ -25,7 +26,7 @@ from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.study.felt import Felt, felt_stiffness, first_setpoints
-from mckibben.units import bar, deg
+from mckibben.units import HINGE, bar, deg
 
 Values = NDArray[np.float64]
 
@@ -212,12 +213,15 @@ def stiffness_tests(
     Raises
     ------
     RangeError
-        If an amplitude or rate is not positive, or too high.
+        If an amplitude or rate is not positive, or too high, or the joint is a slide.
     SimulationError
         If the plant needs more substeps.
     """
     report = progress or silent
     plant: PyTree = scenario.plant()
+    if plant.mechanism.joint_type is not HINGE:
+        message, remedy = "the motion of these tests is imposed on a hinge", "see the stiffness in `mckibben envelope`"
+        raise RangeError(message, field="joint", remedy=remedy)
     controller = scenario.control()
     closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.needed_substeps()

@@ -6,14 +6,15 @@ import os
 from collections.abc import Iterator, Mapping
 from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
 from mckibben.config.fields import Title
-from mckibben.config.model import parse_model
+from mckibben.config.model import fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
 from mckibben.errors import ScenarioError
+from mckibben.joint import AntagonisticJoint
 from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario
 from mckibben.scenario.scenario import (
@@ -45,6 +46,7 @@ from mckibben.study.compare.settings import (
 from mckibben.study.parameters import SweptParameter, parse_sweeps
 from mckibben.study.parameters.uncertainty import usual_variation
 from mckibben.units import (
+    HINGE,
     Accuracy,
     AngularAcceleration,
     AngularVelocity,
@@ -149,6 +151,13 @@ class Suite(ControllerSuite):
     control_period: PositiveTime
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
+
+    @field_validator("joint", mode="after")
+    @classmethod
+    def _turns(cls, value: AntagonisticJoint) -> AntagonisticJoint:
+        if value.joint_type is not HINGE:
+            fail_validation("is a slide: costs and gains of a comparison are those of a hinge", "use `mckibben tune`")
+        return value
 
     @classmethod
     def of(cls, scenario: Scenario, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Suite:
