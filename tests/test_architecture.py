@@ -103,7 +103,7 @@ BUDGET = {
     "control": 2660,
     "dataset": 4050,
     "experiment_design": 720,
-    "export": 2570,
+    "export": 2580,
     "identification": 3760,
     "joint": 1380,
     "robot": 80,
