@@ -103,7 +103,7 @@ BUDGET = {
     "control": 2650,
     "dataset": 4090,
     "experiment_design": 720,
-    "export": 2600,
+    "export": 2610,
     "identification": 3760,
     "joint": 1400,
     "robot": 80,

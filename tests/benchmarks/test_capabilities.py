@@ -28,3 +28,28 @@ def test_runs_and_batches_are_compiled_c_also_where_no_engine_is_asked_for(capab
     scenario = capabilities.SCENARIOS[name]().replace(duration=20e-3, substeps=12)
     assert scenario.run_once().engine == "native"
     assert run_many(scenario, {"command_delay": [0.0, scenario.control_period]}).engine == "native"
+
+
+QUICK = "envelope", "export --to mjcf"
+"""Capabilities that are tried whatever the page says: both take seconds, and need the references of all joints."""
+
+
+def columns_of(page):
+    """The answers of the page by robot and capability."""
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in page.splitlines() if row.startswith("|")]
+    (_, *robots), _, *answers = rows
+    return {robot: {name: cells[place] for name, *cells in answers} for place, robot in enumerate(robots)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["knee", "linear axis", "leg", "arm", "neck", "UMArm"])
+def test_the_page_says_what_works(capabilities, robot):
+    """All that it refuses is refused, and what is quick works; the benchmark itself tries all, and takes an hour."""
+    page = (ROOT / "docs" / "results" / "capabilities.md").read_text(encoding="utf-8")
+    column = columns_of(page)[robot]
+    assert [*column] == [*capabilities.COMMANDS, *capabilities.PYTHON]
+    names = [name for name, answer in column.items() if name in QUICK or answer == "no"]
+    found = capabilities.answers(robot, names)
+    assert {name: "yes" if answer == "yes" else "no" for name, answer in found.items()} == {n: column[n] for n in names}
+    for name in names:
+        assert name in QUICK or f"\n- {name}, {robot}: " in page

@@ -269,3 +269,9 @@ def test_the_compiler_of_a_plugin_may_have_options(tmp_path, monkeypatch):
     with pytest.raises(ExportError) as caught:
         build_plugin(library, [tmp_path / "plugin.c"], package)
     assert caught.value.field == "CC"
+
+
+def test_a_load_that_slides_is_refused():
+    with pytest.raises(ExportError) as caught:
+        mujoco_model(mk.Scenario.read("examples/linear-axis.yaml").plant())
+    assert caught.value.field == "load" and caught.value.remedy

@@ -31,7 +31,7 @@ from mckibben.plant import JointPlant
 from mckibben.plant.robot_plant import RobotPlant
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.units import GRAVITY
+from mckibben.units import GRAVITY, SLIDE
 
 _LIGHT = 1e-12  # mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass
 
@@ -448,7 +448,12 @@ def _unsupported_valves(valve: Actuator) -> Iterator[ExportError]:
 
 
 def _unsupported_load(load: Load) -> Iterator[ExportError]:
-    """Error for a load with a torque other than that of gravity on a mass."""
+    """Error for a load with a torque other than that of gravity on a mass that turns."""
+    if load.joint_type is SLIDE:
+        yield ExportError(
+            "the limb of a joint turns in MJCF, and this load slides", field="load", remedy="use --to fmu"
+        )
+        return
     angles, moment = np.linspace(-1, 1, 5), float(load.gravity_moment)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)
     if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
