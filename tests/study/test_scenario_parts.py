@@ -76,7 +76,7 @@ def test_a_valve_too_fast_for_the_substeps_is_refused_with_their_number():
 @pytest.mark.slow
 def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
     result = run_scenario(flow)
-    assert result.outcome.name == "COMPLETED"
+    assert not result.outcome.failed
     result.to_netcdf(tmp_path / "result.nc")
     with xr.open_dataset(tmp_path / "result.nc") as saved:
         assert float(abs(saved["opening1"]).max()) > 0.05

@@ -143,7 +143,7 @@ def simulate(
         plant.check_substeps(*resolved_at(plant, setpoints, start), control_period, substeps)
     run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine)
     record, final, used, resolution = run.solved(accuracy, substeps)
-    result = _result(run, record, final, used, resolution, scenario, reach, functools.cache(reached.notes))
+    result = _result(run, record, final, used, resolution, scenario, reach, reached.notes)
     if not resolution.resolved:
         warnings.warn(resolution.describe(result.joint_type), McKibbenWarning, stacklevel=user_level())
     if reach is not None:
