@@ -1,7 +1,6 @@
 """Calibration of robots on recordings of others: other laws, friction, masses, encoder zeros and noise."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,32 +8,13 @@ import pytest
 from mckibben.calibration import JointPrior, calibrate_scenario
 from mckibben.calibration.experiment import recording_of
 from mckibben.calibration.models import RobotModel
-from mckibben.component.schema import read_component
 from mckibben.control import Multisine, Reference, Sine, Sum
-from mckibben.muscle import MaxwellSlip, Muscle
+from mckibben.muscle import MaxwellSlip
 from mckibben.scenario import Scenario
-from mckibben.scenario.reading import read_mjcf
 from mckibben.units import deg, mm
 
 pytestmark = [pytest.mark.usefixtures("optimized"), pytest.mark.slow]
 SECONDS = 15.0
-ARM = """
-name: arm
-robot: robot.yaml
-valve: {time_constant: 20 ms, supply: 7 bar}
-reference:
-  shoulder side: {angle: 0 deg, stiffness: 6 N*m/rad}
-  shoulder: {angle: 0 deg, stiffness: 14 N*m/rad}
-  elbow: {angle: 0 deg, stiffness: 7.5 N*m/rad}
-  wrist: {angle: 0 deg, stiffness: 4 N*m/rad}
-controller:
-  class: computed_torque
-  feedback: {bandwidth: 130 rad/s}
-  observer: {bandwidth: 20 rad/s}
-  friction_compensation: true
-duration: 2 s
-control_period: 1 ms
-"""
 
 
 def foreign(robot, rng):
@@ -80,38 +60,19 @@ def moved(scenario, plant, rng, amplitudes, stiffness):
         dataclasses.replace(read, **{name: getattr(read, name)[part] for name in ("time", "angle", "pressures")})
         for part in (slice(half), slice(half, None))
     )
-    return first, second, whole.angle[::500], whole.pressures[::500], zero
+    return first, second
 
 
 def check(scenario, amplitudes, stiffness, seed=3):
-    """The error of the torques of held-out motion is halved, and that of the stiffness falls over all joints."""
+    """The error of the torques of held-out motion is halved."""
     rng = np.random.default_rng(seed)
     plant = foreign(scenario.robot, rng)
-    fitted, held_out, angle, pressures, zero = moved(scenario.with_fixed_model(), plant, rng, amplitudes, stiffness)
+    fitted, held_out = moved(scenario.with_fixed_model(), plant, rng, amplitudes, stiffness)
     fit = calibrate_scenario(scenario, [fitted], JointPrior(mass=0.05, inertia=0.1), held_out=[held_out])
     before, after = fit.held_out_errors
     assert after < 0.5 * before and f"{after:.2g} N*m" in fit.verdict()
-    true = np.array([plant.stiffness(tuple(own), tuple(both)) for own, both in zip(angle, pressures, strict=True)])
-    models = fit.prior_stiffness, fit.stiffness
-    values = [stiffness_of((angle + zero).T, tuple(pressures.T))[0] for stiffness_of in models]
-    errors = [np.sqrt(np.mean(np.square(value / true - 1))) for value in values]
-    assert errors[1] < errors[0]
-    return fit
 
 
-def test_a_leg_with_other_muscles_is_predicted(tmp_path):
+def test_a_leg_with_other_muscles_is_predicted():
     scenario = Scenario.read("examples/robot/lei-leg-control.yaml")
-    fit = check(scenario, np.array([7.0, 4.0, 12.0]) * deg, (15.0, 15.0, 15.0))
-    fit.save(tmp_path)
-    after = Scenario.read(tmp_path / "scenario.yaml")
-    assert after.robot.bodies[1].mass == pytest.approx(fit.quantities["thigh.mass"].value)
-    assert all(muscle.correction for muscle in after.robot.all_muscles)
-
-
-def test_an_arm_with_muscles_over_two_joints_is_predicted(tmp_path):
-    read_mjcf(Path("examples/robot/arm.xml"), read_component(Muscle, Path("examples/robot/arm-muscle.yaml"))).write(
-        tmp_path
-    )
-    (tmp_path / "reach.yaml").write_text(ARM, encoding="utf-8")
-    scenario = Scenario.read(tmp_path / "reach.yaml")
-    check(scenario, np.array([6.0, 10.0, 10.0, 10.0]) * deg, (6.0, 14.0, 7.5, 4.0))
+    check(scenario, np.array([7.0, 4.0, 12.0]) * deg, (15.0, 15.0, 15.0))
