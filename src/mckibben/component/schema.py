@@ -53,7 +53,7 @@ from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, read_text, validated
 from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
-from mckibben.units import HINGE, SYMBOLS, BoundedInt, Quantity
+from mckibben.units import HINGE, SYMBOLS, BoundedInt, JointType, Quantity
 
 C = TypeVar("C")
 
@@ -481,18 +481,9 @@ def write(component: object, field: ComponentField | None = None, *, context: Ma
         return relative_path(Path(origin), context.get("folder") or Path()) if origin.endswith(ENDINGS) else origin
     kind = type(component)
     field = ComponentField(kind) if field is None else field
-    values: Fields = {}
-    for name in field_types(kind, field.units):
-        value, default = getattr(component, name), declared_fields(kind)[name].default
-        implied = name in inherited_fields(component) if inherited_from(kind, name) else same(value, default)
-        if not implied:
-            values[name] = plain(value)
+    values = explicit_values(component, field.units)
     explicit_none = [name for name, value in values.items() if value is None]
-    for alias, (first, *others) in getattr(kind, "aliases", {}).items():
-        own = others or context.get("joint_type", HINGE).words(first) == alias  # one field has another name on a slide
-        if own and first in values and all(same(values.get(other), values[first]) for other in others):
-            values[alias] = values.pop(first)
-            values = {name: value for name, value in values.items() if name not in others}
+    values = under_aliases(kind, values, context.get("joint_type", HINGE))
     model = section_of(kind, field.units)
     named = None if kind is default_class(field.base) else name_in_files(field.base, kind)
     try:
@@ -505,6 +496,28 @@ def write(component: object, field: ComponentField | None = None, *, context: Ma
     to_file = getattr(field.base, "to_file", None)
     section = section if to_file is None else to_file(section)
     return named if list(section) == ["class"] else section
+
+
+def explicit_values(component: object, units: Units) -> Fields:
+    """Return the fields of a component that its section must hold: those not implied by a default or from around."""
+    kind = type(component)
+    values: Fields = {}
+    for name in field_types(kind, units):
+        value, default = getattr(component, name), declared_fields(kind)[name].default
+        implied = name in inherited_fields(component) if inherited_from(kind, name) else same(value, default)
+        if not implied:
+            values[name] = plain(value)
+    return values
+
+
+def under_aliases(kind: type, values: Fields, joint_type: JointType) -> Fields:
+    """Return the values with fields that one alias stands for under its name."""
+    for alias, (first, *others) in getattr(kind, "aliases", {}).items():
+        applies = others or joint_type.words(first) == alias  # one field has another name on a slide
+        if applies and first in values and all(same(values.get(other), values[first]) for other in others):
+            values[alias] = values.pop(first)
+            values = {name: value for name, value in values.items() if name not in others}
+    return values
 
 
 def write_text(component: object, *, folder: Path = Path(), base: type | None = None) -> str:
