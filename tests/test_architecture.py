@@ -97,7 +97,7 @@ BUDGET = {
     "catalog": 230,
     "cli": 1560,
     "codegen": 2580,
-    "component": 1030,
+    "component": 1040,
     "config": 570,
     "contract": 660,
     "control": 2650,
