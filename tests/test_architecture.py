@@ -97,7 +97,7 @@ BUDGET = {
     "catalog": 230,
     "cli": 1560,
     "codegen": 2580,
-    "component": 1030,
+    "component": 1040,
     "config": 570,
     "contract": 660,
     "control": 2660,
@@ -120,12 +120,12 @@ BUDGET = {
     "simulation": 3460,
     "statics": 570,
     "storage": 600,
-    "study": 3830,
+    "study": 3840,
     "web": 3130,
 }
 
 MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 457  # numbers at module level, to come to 500
+MOST_CONSTANTS = 459  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

@@ -53,7 +53,7 @@ from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, read_text, validated
 from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
-from mckibben.units import HINGE, SYMBOLS, BoundedInt, Quantity
+from mckibben.units import HINGE, SYMBOLS, BoundedInt, JointType, Quantity
 
 C = TypeVar("C")
 
@@ -488,11 +488,7 @@ def write(component: object, field: ComponentField | None = None, *, context: Ma
         if not implied:
             values[name] = plain(value)
     explicit_none = [name for name, value in values.items() if value is None]
-    for alias, (first, *others) in getattr(kind, "aliases", {}).items():
-        own = others or context.get("joint_type", HINGE).words(first) == alias  # one field has another name on a slide
-        if own and first in values and all(same(values.get(other), values[first]) for other in others):
-            values[alias] = values.pop(first)
-            values = {name: value for name, value in values.items() if name not in others}
+    values = _with_aliases(kind, values, context.get("joint_type", HINGE))
     model = section_of(kind, field.units)
     named = None if kind is default_class(field.base) else name_in_files(field.base, kind)
     try:
@@ -505,6 +501,16 @@ def write(component: object, field: ComponentField | None = None, *, context: Ma
     to_file = getattr(field.base, "to_file", None)
     section = section if to_file is None else to_file(section)
     return named if list(section) == ["class"] else section
+
+
+def _with_aliases(kind: type, values: Fields, joint_type: JointType) -> Fields:
+    """Values of fields, with one key for several that are the same, or for one that has another name on a joint."""
+    for alias, (first, *others) in getattr(kind, "aliases", {}).items():
+        applies = others or joint_type.words(first) == alias
+        if applies and first in values and all(same(values.get(other), values[first]) for other in others):
+            values[alias] = values.pop(first)
+            values = {name: value for name, value in values.items() if name not in others}
+    return values
 
 
 def write_text(component: object, *, folder: Path = Path(), base: type | None = None) -> str:

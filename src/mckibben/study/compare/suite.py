@@ -156,9 +156,7 @@ class Suite(ControllerSuite):
     @classmethod
     def _turns(cls, value: AntagonisticJoint) -> AntagonisticJoint:
         if value.joint_type is not HINGE:
-            fail_validation(
-                "is a slide: costs and gains of a comparison are those of a hinge", "use `mckibben tune`"
-            )
+            fail_validation("is a slide: costs and gains of a comparison are those of a hinge", "use `mckibben tune`")
         return value
 
     @classmethod
