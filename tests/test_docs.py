@@ -37,12 +37,16 @@ BLOCKS = {
 WHOLE = plain(read_document(blocks(DOCS / "scenarios.md")[0][1]).data)
 
 
+AXIS = plain(read_document((DOCS.parent / "examples" / "linear-axis.yaml").read_text(encoding="utf-8")).data)
+
+
 def in_whole(data: dict) -> Scenario:
-    """The whole scenario with other sections."""
-    joint = {**WHOLE["joint"], **data.get("joint", {})}
+    """The whole scenario with other sections, or that of an axis."""
+    whole = AXIS if "class: slide" in to_text(data) else WHOLE
+    joint = {**whole["joint"], **data.get("joint", {})}
     if "muscle1" in joint:
-        del joint["muscle"]
-    return Scenario.parse(to_text({**WHOLE, **data, "joint": joint}), folder=DOCS.parent / "examples" / "your-muscle")
+        joint.pop("muscle", None)
+    return Scenario.parse(to_text({**whole, **data, "joint": joint}), folder=DOCS.parent / "examples" / "your-muscle")
 
 
 @pytest.mark.parametrize("place", BLOCKS)

@@ -106,8 +106,10 @@ class Column:
     def for_joint(self, joint_type: JointType) -> Self:
         """Return the column for a joint of a type, from that of a hinge.
 
-        >>> Column("N*m/rad", "stiffness at the angle").for_joint(SLIDE)
-        Column(unit='N/m', title='stiffness at the position', shown='N/mm', digits=4, dims=())
+        >>> from mckibben.units import SLIDE
+        >>> column = Column("N*m/rad", "stiffness at the angle").for_joint(SLIDE)
+        >>> column.unit, column.title, column.shown
+        ('N/m', 'stiffness at the position', 'N/mm')
         """
         if joint_type is HINGE:
             return self

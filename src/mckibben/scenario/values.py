@@ -322,8 +322,11 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     wanted = with_values(scenario, values)
     pairs = list(zip(find_parameters(scenario, values), values.values(), strict=True))
     document = read_document(text)
-    by_name = {_place_in(document, parameter): parameter.write(value) for parameter, value in pairs}
-    by_place = {_with_indices(place): p.write(value) for p, value in pairs for place in p.places}
+    words = scenario.joint_type.words
+    by_name = {_place_in(document, parameter, words): parameter.write(value) for parameter, value in pairs}
+    by_place = {
+        _named(document, _with_indices(place), words): p.write(value) for p, value in pairs for place in p.places
+    }
     for written in (by_name, by_place):  # two equal muscles may stand in the text once or twice
         edited = edit_yaml(text, written)
         try:
@@ -335,11 +338,20 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     return anew if anew == text else edit_scenario(anew, values, folder=folder)  # which adds defaults among the values
 
 
-def _place_in(document: Document, parameter: ScenarioParameter) -> tuple[str | int, ...]:
+def _place_in(document: Document, parameter: ScenarioParameter, words: Callable[[str], str]) -> tuple[str | int, ...]:
     """Return the place of a parameter in a text; a constant may be a quantity alone."""
-    place = _with_indices(tuple(parameter.name.split(".")))
+    place = _named(document, _with_indices(tuple(parameter.name.split("."))), words)
     is_value = parameter.places[0][-1] == "value" and isinstance(document.value(place), dict)
     return (*place, "value") if is_value else place
+
+
+def _named(document: Document, place: tuple[str | int, ...], words: Callable[[str], str]) -> tuple[str | int, ...]:
+    """A place by the keys of a text, which has those of a hinge or of its joint's type."""
+    found: tuple[str | int, ...] = ()
+    for key in place:
+        around, name = document.value(found), words(key) if isinstance(key, str) else key
+        found = (*found, name if isinstance(around, dict) and name in around else key)
+    return found
 
 
 def _with_indices(place: Place) -> tuple[str | int, ...]:

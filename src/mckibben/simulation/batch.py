@@ -285,7 +285,7 @@ def simulate_many(
     >>> knee = catalog.joint("knee-table-2")
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
-    >>> simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
+    >>> simulate_many(plant, control, Reference(angle=Sine(0.03, 0.2), stiffness=72.5), duration=2.0,
     ...               over={"load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
     <Batch: 3 runs: 3 completed>
     """

@@ -171,7 +171,7 @@ def dynamic_stiffness(
     --------
     Constant pressures, and closed valves:
 
-    >>> from mckibben import IdealValve, catalog
+    >>> from mckibben import IdealValve, JointPlant, catalog
     >>> from mckibben.units import deg
     >>> plant = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), IdealValve())
     >>> state = plant.init_state(0.0, (3e5, 3e5))
