@@ -145,6 +145,14 @@ def test_what_no_run_can_have_is_named_with_its_line(old, new, field, tmp_path):
     assert problem.field == field and problem.line is not None and problem.remedy
 
 
+def test_a_run_of_a_robot_without_a_controller_asks_for_one():
+    scenario = RobotScenario.read("examples/robot/neck.yaml")
+    with pytest.raises(ScenarioError) as caught:
+        scenario.run_once(source="examples/robot/neck.yaml")
+    (problem,) = caught.value.problems
+    assert (problem.field, problem.line) == ("controller", None) and problem.remedy
+
+
 @pytest.mark.slow
 def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     scenario = RobotScenario.read(FULL)

@@ -228,6 +228,8 @@ class RobotScenario(StudiedScenario):
         return plant.with_period(self.control_period)
 
     def control(self) -> RobotController:
+        if not (self.controller or self.controllers):
+            raise _no_controller()
         whole = self.with_model()
         if whole.controller is not None:
             return whole.controller
@@ -299,8 +301,7 @@ class RobotScenario(StudiedScenario):
     def run_duration(self) -> float:
         """Duration [s]; `RangeError` without one."""
         if self.duration is None:
-            remedy = "give it `controller` or `controllers`, `reference` and `duration`, or use `mckibben robot`"
-            raise RangeError("the robot has no controller", field="controller", remedy=remedy)
+            raise _no_controller()
         return self.duration
 
     def starts(self) -> RobotStart:
@@ -385,6 +386,11 @@ class RobotScenario(StudiedScenario):
 def _inheriting(component: PyTree, scope: Callable[..., Scope], *where: str) -> PyTree:
     """A component with what it inherits from a scope, which is computed only if it inherits something."""
     return component if independent(component) is component else inherit(component, scope(*where))
+
+
+def _no_controller() -> RangeError:
+    remedy = "give it `controller` or `controllers`, `reference` and `duration`, or use `mckibben robot`"
+    return RangeError("the robot has no controller", field="controller", remedy=remedy)
 
 
 def _joint_scope(robot: Robot, valve: Any, command_delay: float | None, index: int) -> dict[str, Any]:

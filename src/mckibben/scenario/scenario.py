@@ -549,4 +549,5 @@ def _line_of(source: str, field: str) -> int | None:
     """Line of a field in a file; None without a file or the field."""
     if not Path(source).is_file():
         return None
-    return read_document(Path(source).read_text(encoding="utf-8")).line(tuple(field.split(".")))
+    document, place = read_document(Path(source).read_text(encoding="utf-8")), tuple(field.split("."))
+    return document.line(place) if place[:1] in document.lines else None
