@@ -179,8 +179,7 @@ def test_a_robot_is_tuned_with_its_disk_margin(tmp_path):
     done = CliRunner().invoke(app, ["tune", str(tmp_path / "one.yaml"), *options, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scalars"]
-    assert results["cost_before"]["value"] is None  # on a varied plant the gains of the file fail
-    assert results["cost"]["value"] < 1e5 and results["least_disk"]["value"] > 0.2
+    assert results["cost"]["value"] < results["cost_before"]["value"] and results["least_disk"]["value"] > 0.2
     tuned = RobotScenario.read(tmp_path / "out" / "one-tuned.yaml")
     many = run_many(tuned, {"controller.feedback.bandwidth": [20.0, 30.0]})
     one = with_values(tuned, {"controller.feedback.bandwidth": 30.0}).run_once()

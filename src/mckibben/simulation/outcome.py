@@ -118,6 +118,7 @@ class Demand(NamedTuple):
     angle: NDArray[np.float64]  # largest RMS error of the angle that follows [rad]
     stiffness: NDArray[np.float64]  # largest RMS error of the stiffness that follows [N*m/rad]
     travel: NDArray[np.float64]  # largest travel of a command that it needs [Pa/s]
+    at_rest: NDArray[np.float64]  # of this, what a constant reference needs, too [Pa/s]
 
     @classmethod
     def of(cls, angle: ArrayLike, stiffness: ArrayLike, duration: float, scale: float = 1.0) -> Demand:
@@ -142,13 +143,19 @@ class Demand(NamedTuple):
         level, (held, relative) = np.mean(np.abs(stiffness), axis=0), _LEAST_MOTION
         span, angle_rms, angle_strokes = _motion(angle, held * scale)
         _, stiffness_rms, stiffness_strokes = _motion(stiffness, relative * level)
-        strokes = 2 * (np.maximum(angle_strokes, stiffness_strokes) + 1) + duration
+        strokes = 2 * np.maximum(angle_strokes, stiffness_strokes)
+        at_rest = np.broadcast_to(STROKE * (2 + duration) / duration, np.shape(strokes))
         return cls(
             span,
             np.where(angle_rms > 0, FOLLOWED * angle_rms, LEFT_REFERENCE_AT * scale),
             FOLLOWED * np.where(stiffness_rms > 0, stiffness_rms, level),
-            STROKE * strokes / duration,
+            STROKE * strokes / duration + at_rest,
+            at_rest,
         )
+
+    def travel_of_all(self) -> NDArray[np.float64]:
+        """Largest travel [Pa/s] of a command that all joints need: a muscle may move for one after the other."""
+        return np.sum(self.travel - self.at_rest, axis=0) + self.at_rest[0]
 
 
 def _motion(values: NDArray, least: ArrayLike) -> tuple[NDArray[np.float64], ...]:
@@ -219,7 +226,7 @@ def outcomes(
         Outcome.SATURATED: metric("time_saturated") > 0,
     }
     if demand is not None:
-        needed = np.max(demand.travel, axis=0) if by_joint else demand.travel
+        needed = demand.travel_of_all() if by_joint else demand.travel
         conditions |= {
             Outcome.LEFT_REFERENCE: in_any(
                 np.asarray(angle_at_end) > np.maximum(demand.span, LEFT_REFERENCE_AT * scale)

@@ -373,7 +373,8 @@ class SimulationResult(Result):
             period = np.nanmax(self.metrics["oscillation_period"])
             sentence = f"{sentence}, with an amplitude of {amplitude} and a period of {period:.3g} s"
         if self.outcome is Outcome.CHATTER:
-            travel, needed = self.metrics["command_travel"] / bar, np.max(self.demand.travel) / bar
+            travel = self.metrics["command_travel"] / bar
+            needed = (self.demand.travel_of_all() if self.joints else self.demand.travel) / bar
             rate = self.metrics["command_reversals"]
             sentence = (
                 f"{sentence}; one reverses {rate:.3g} times and travels {travel:.3g} bar per second, of which the "
