@@ -196,7 +196,7 @@ def test_stiffness_of_rigs_of_another_law(foreign_rigs, mass, most):
         before.append(np.mean(np.square(prior - true)) / true.mean() ** 2)
         inside.append(np.mean(np.abs(value - true) < 1.96 * deviation))
     assert np.sqrt(np.mean(errors)) < most < 0.5 * np.sqrt(np.mean(before)) + 0.01
-    assert np.mean(inside) > 0.85
+    assert np.mean(inside) > 0.75  # fewer than two of eight rigs outside; with 95 % that is 94 % likely
     assert np.sqrt(np.mean(np.square(distances))) < 1.4  # 1 for priors that are right
 
 

@@ -94,14 +94,15 @@ def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
     found = cli("stiffness", "s.yaml", "--motion", "0.01..1 deg, 10 Hz", "--out", "kept")
     assert found.code == 0, found.err
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    held = {name: entry["value"] for name, entry in numbers["scalars"].items()}
-    secant, closed = (numbers["columns"][name]["values"] for name in ("secant", "closed_secant"))
+    tables = {table["title"]: table["columns"] for table in numbers["tables"]}
+    small = tables["Stiffness of small motion, without friction"]
+    held = {name: entry["values"][0] for name, entry in small.items()}
+    _, secant, closed = (entry["values"] for entry in tables["Closed forms, with friction"].values())
     # asked for in motion of 1 deg, the last amplitude; without friction it is less, with less motion more
     assert secant[-1] == pytest.approx(held["setpoint"], rel=5e-3) == 38.0
     assert held["isobaric"] < 20 < held["closed_valve"]
     assert secant[0] == pytest.approx(held["isobaric"] + 46.1, abs=0.5)
-    tables = {table["title"]: table["columns"] for table in numbers["tables"] if "Simulated" in table["title"]}
-    tests = {title: columns["10 Hz"]["values"] for title, columns in tables.items()}
+    tests = {title: columns["10 Hz"]["values"] for title, columns in tables.items() if "Simulated" in title}
     assert tests["Simulated: constant pressures"] == pytest.approx(secant, rel=1e-4)
     assert tests["Simulated: closed valves"] == pytest.approx(closed, rel=1e-4)
     # these valves hold the pressure, whatever the motion: no test with constant commands

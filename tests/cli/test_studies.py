@@ -41,7 +41,7 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path, each_progress):
         np.testing.assert_array_equal(table["angle_rmse"], swept["angle_rmse"])
     assert json.loads((kept / "results.json").read_text(encoding="utf-8"))["verdict"] == swept.verdict()
     assert " ".join(done.out.split()).startswith(swept.verdict())
-    assert re.search(r"completed +20 +50", done.out) and re.search(r"not run: no pressures.* +20 +50", done.out)
+    assert re.search(r"does not follow +20 +50", done.out) and re.search(r"not run: no pressures.* +20 +50", done.out)
     assert "40 of 40 runs" in done.err
 
     again = cli("sweep", "s.yaml", "--resume", "--out", "kept", "--details")

@@ -3,6 +3,7 @@
 import runpy
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -28,8 +29,8 @@ def test_a_scenario_starts_at_rest_and_runs_without_a_warning(path):
     assert abs(float(plant.rate(initial).velocity)) < 1e-6 and float(setpoint.angle) == float(initial.angle)
     if True not in plant.joint.springs:  # else the angle determines it
         assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(scenario.start.stiffness)
-    state = scenario.control().init(Measurement(initial.angle, initial.pressures))
-    assert np.isfinite(float(state.estimate))
+    state = scenario.control().with_period(scenario.control_period).init(Measurement(initial.angle, initial.pressures))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state))
     result = run_scenario(scenario)
     assert result.ok != (path.stem == "as-printed-constant-pid")  # the paper's PID errs by 57 % of its sine
 

@@ -160,7 +160,7 @@ class CompareResult(Result):
     def breaks(self) -> TableColumns:
         """Return the errors on changed plants, the disk margins that are too small, and how runs fail."""
         changes = next((changed.changes for changed in self.changed.values()), ())
-        cells = {name: (Column(), self.changed[name].cells) for name in self.order if name in self.changed}
+        cells = {name: (Column(), self.changed[name].cells) for name in self.order if name in self.changed and changes}
         return {"change": (Column(), list(changes)), **cells} if changes else {}
 
     @table("Tuned on the training runs", detail=True)
