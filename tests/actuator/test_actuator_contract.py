@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 import mckibben as mk
-from mckibben.actuator import SecondOrderValve
+from mckibben.actuator import SecondOrderValve, ValveGroup, ValvesByMuscle
 from mckibben.paper.tables import SETTINGS, plant_of
 
 C, SUPPLY = 5e-9, 7e5
@@ -26,6 +26,7 @@ EXAMPLES = (
     mk.UnequalValves(
         mk.Tube(mk.FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9), mk.FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12), reservoir_volume=1e-3, line_conductance=C
     ),
+    ValvesByMuscle((ValveGroup(("fast",), mk.FlowValve(C, SUPPLY)), ValveGroup(("*",), mk.SwitchingValves(C, SUPPLY, period=0.02)))).for_muscles(["fast", "slow"]),
 )  # fmt: skip
 """An instance of each class with fields, for the tests of all components."""
 SECOND = [valve for valve in CLOSED if isinstance(valve, SecondOrderValve)]

@@ -216,5 +216,5 @@ def test_the_command_line_runs_an_extension_before_it_reads_a_file(tmp_path):
     with pytest.raises(ScenarioError, match="no class 'LateValve'"):
         CliRunner().invoke(app, command, catch_exceptions=False)
     done = CliRunner().invoke(app, ["--extension", str(tmp_path / "late.py"), *command], catch_exceptions=False)
-    assert done.exit_code == 0
-    assert "completed" in json.loads(done.stdout)["verdict"]
+    assert done.exit_code == 1
+    assert "does not follow" in json.loads(done.stdout)["verdict"]  # in 50 ms

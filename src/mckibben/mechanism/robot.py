@@ -449,8 +449,11 @@ class Robot(Component):
 
 def _check_slopes(name: str, routed: Route, field: str) -> None:
     """Raise `RangeError` for a path without a direction, or of which no joint changes the length."""
-    slopes = [np.asarray(slope) for slope in routed.slopes.values()]
-    if any(np.isnan(slope).any() for slope in (np.asarray(routed.path), *slopes)):
+    try:
+        path, *slopes = (np.asarray(value, float) for value in (routed.path, *routed.slopes.values()))
+    except (TypeError, ValueError):  # of a geometry that varies
+        return
+    if any(np.isnan(value).any() for value in (path, *slopes)):
         remedy = "move one of them, or leave it out"
         raise RangeError(f"{name}: two points of its path coincide", field=field, remedy=remedy)
     if all(np.allclose(slope, 0.0) for slope in slopes):
