@@ -91,7 +91,7 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 1050,
+    "top": 1060,
     "actuator": 1060,
     "calibration": 1820,
     "catalog": 230,
@@ -117,11 +117,11 @@ BUDGET = {
     "rig": 4940,
     "scenario": 2320,
     "serial_protocol": 180,
-    "simulation": 3540,
+    "simulation": 3550,
     "statics": 570,
     "storage": 600,
     "study": 4010,
-    "web": 3070,
+    "web": 3080,
 }
 
 MOST_ANY = 710  # uses of `Any`
