@@ -23,6 +23,7 @@ from mckibben.mechanism.dynamics import joint_equations, joint_load
 from mckibben.mechanism.point_stiffness import place_of, point_jacobian, point_of, stiffness_matrix
 from mckibben.mechanism.terms import joint_terms
 from mckibben.plant import PerfectSensors
+from mckibben.result import Severity
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot
 from mckibben.scenario import batched, run_many, with_values
 from mckibben.statics.posture import HeldPosture
@@ -143,6 +144,12 @@ def test_what_no_run_can_have_is_named_with_its_line(old, new, field, tmp_path):
         RobotScenario.read(tmp_path / "one.yaml").run_once(source=str(tmp_path / "one.yaml"))
     (problem,) = caught.value.problems
     assert problem.field == field and problem.line is not None and problem.remedy
+
+
+def test_a_reference_that_leaves_the_stops_later_is_not_attainable():
+    text = ONE.replace("amplitude: 5 deg", "amplitude: 25 deg")
+    (remark,) = RobotScenario.parse(text + TORQUE).run_once().unattained
+    assert (remark.field, remark.severity) == ("reference", Severity.SEVERE)
 
 
 def test_a_run_of_a_robot_without_a_controller_asks_for_one():

@@ -58,11 +58,8 @@ class MuscleValves(Actuator):
                     remedy="give each muscle one valve, and the reservoir at the inlets of all beside them",
                 )
         if self.reservoir_volume is not None and not self.holds_air:
-            message, remedy = (
-                f"{own}: a reservoir at valves without air",
-                "leave it out, or give valves with a conductance",
-            )
-            raise RangeError(message, field="reservoir_volume", remedy=remedy)
+            remedy = "leave it out, or give valves with a conductance"
+            raise RangeError(f"{own}: a reservoir at valves without air", field="reservoir_volume", remedy=remedy)
 
     @property
     def _first(self) -> Any:

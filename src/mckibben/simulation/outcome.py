@@ -153,8 +153,10 @@ class Demand(NamedTuple):
             at_rest,
         )
 
-    def travel_of_all(self) -> NDArray[np.float64]:
-        """Largest travel [Pa/s] of a command that all joints need: a muscle may move for one after the other."""
+    def travel_needed(self, *, by_joint: bool) -> NDArray[np.float64]:
+        """Largest travel [Pa/s] of a command that the joints need: a muscle may move for one after the other."""
+        if not by_joint:
+            return self.travel
         return np.sum(self.travel - self.at_rest, axis=0) + self.at_rest[0]
 
 
@@ -226,7 +228,7 @@ def outcomes(
         Outcome.SATURATED: metric("time_saturated") > 0,
     }
     if demand is not None:
-        needed = demand.travel_of_all() if by_joint else demand.travel
+        needed = demand.travel_needed(by_joint=by_joint)
         conditions |= {
             Outcome.LEFT_REFERENCE: in_any(
                 np.asarray(angle_at_end) > np.maximum(demand.span, LEFT_REFERENCE_AT * scale)

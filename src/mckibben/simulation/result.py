@@ -374,7 +374,7 @@ class SimulationResult(Result):
             sentence = f"{sentence}, with an amplitude of {amplitude} and a period of {period:.3g} s"
         if self.outcome is Outcome.CHATTER:
             travel = self.metrics["command_travel"] / bar
-            needed = (self.demand.travel_of_all() if self.joints else self.demand.travel) / bar
+            needed = self.demand.travel_needed(by_joint=bool(self.joints)) / bar
             rate = self.metrics["command_reversals"]
             sentence = (
                 f"{sentence}; one reverses {rate:.3g} times and travels {travel:.3g} bar per second, of which the "

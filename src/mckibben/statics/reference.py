@@ -41,7 +41,7 @@ def check_postures(
         try:
             robot.check_posture(angles[index].tolist())
         except RangeError as error:
-            yield Remark.warning("reference", f"the reference leaves the range {at}: {error.message}", error.remedy)
+            yield Remark.severe("reference", f"the reference leaves the range {at}: {error.message}", error.remedy)
             return
         try:
             held = postures.posture(index)
