@@ -180,7 +180,7 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
 
 @pytest.mark.slow
 def test_a_robot_is_tuned_with_its_disk_margin(tmp_path):
-    scenario = RobotScenario.parse(ONE + TORQUE)
+    scenario = RobotScenario.parse(ONE + TORQUE.replace("40 rad/s", "15 rad/s"))  # too slow: the search finds better
     scenario.to_yaml(tmp_path / "one.yaml")
     options = ["--over", "controller.feedback.bandwidth=5..40 rad/s log", "--method", "local", "--iterations", "3"]
     done = CliRunner().invoke(app, ["tune", str(tmp_path / "one.yaml"), *options, "--out", str(tmp_path / "out")])
