@@ -196,7 +196,7 @@ class Lowering(ArrayRules):
             return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
         if name in _DECOMPOSED:
             return self._closed(_jaxpr_of(_DECOMPOSED[name], aval.shape, aval.dtype), arguments)
-        if name == "log1p" and aval.dtype == np.float32 and not self._graph.threads:
+        if name == "log1p" and aval.dtype == np.float32 and not (self._graph.threads or self._graph.library):
             if self._graph.single:
                 return self._closed(_jaxpr_of(log1p, aval.shape, aval.dtype), arguments)
             (logarithm,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
