@@ -137,7 +137,9 @@ def test_operations_on_bits_are_refused():
 def test_noise_is_drawn_as_in_jax():
     def noise(parameters, seed, index):
         key = jax.random.fold_in(jax.random.key(parameters["seed"]), index.astype(jnp.uint32))
-        return {"drawn": {"normal": jax.random.normal(key, (3,), jnp.float32), "bits": jax.random.bits(key, (2,), "uint32")}}
+        return {
+            "drawn": {"normal": jax.random.normal(key, (3,), jnp.float32), "bits": jax.random.bits(key, (2,), "uint32")}
+        }
 
     module, number = SourceModule("noise", {"seed": np.asarray(7)}), np.asarray(0)
     module.add("draw", "random numbers", noise, {"seed": number, "index": number})
