@@ -96,21 +96,21 @@ BUDGET = {
     "calibration": 1820,
     "catalog": 230,
     "cli": 1560,
-    "codegen": 2580,
+    "codegen": 2620,
     "component": 1040,
     "config": 570,
     "contract": 660,
     "control": 2650,
     "dataset": 4090,
     "experiment_design": 720,
-    "export": 2610,
+    "export": 2880,
     "identification": 3760,
     "joint": 1400,
     "robot": 80,
     "mechanism": 2040,
     "muscle": 1610,
     "numerics": 810,
-    "paper": 1180,
+    "paper": 1190,
     "plant": 770,
     "reachability": 1150,
     "report": 2060,
@@ -125,7 +125,7 @@ BUDGET = {
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 462  # numbers at module level, to come to 500
+MOST_CONSTANTS = 467  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

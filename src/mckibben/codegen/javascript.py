@@ -43,7 +43,6 @@ def write_js(module: SourceModule, comment: str = "") -> str:
 
 
 _BITS = {"and": "&", "or": "|", "xor": "^"}
-_UNSIGNED = "({} {} {}) >>> 0"  # operators of bits take numbers modulo 2^32, and give signed ones
 
 
 class _Writer(Writer):
@@ -55,7 +54,7 @@ class _Writer(Writer):
             if not _is_word(value) or any(argument.operation == "mul" for argument in arguments):  # beyond 2^53
                 raise _needs_64_bits(name)
             first, second = map(self._atom, arguments)
-            return _UNSIGNED.format(first, _BITS[name], second), 0
+            return f"({first} {_BITS[name]} {second}) >>> 0", 0  # from numbers modulo 2^32, whose result has a sign
         if name.startswith("shift_"):
             shift = f"{'*' if name == 'shift_left' else '/'} 2 ** {self._atom(arguments[1])}"
             text = f"{self._atom(arguments[0])} {shift}"

@@ -11,13 +11,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.javascript import write_js
@@ -43,7 +43,7 @@ COLUMNS = (
 )
 """Columns of a run on the page."""
 _AROUND = 0.5, 1.5  # of its value, the ends of a slider that is not asked for
-_ANGLES, _CONTRACTIONS = 49, 33  # of the drawing
+_POINTS = 49  # of the drawing, over the angle and over the contraction
 _WIDEST = 75 * deg
 _EXACT = 1e-9  # of the largest change of a number by a slider: it is linear but for rounding
 
@@ -141,15 +141,12 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
         "settings": _script(json.dumps(settings)),
         "program": _script(program),
     }
-    values |= {key: _script(_resource(file)) for key, file in _RESOURCES.items()}
+    values |= {"style": _resource("page.css"), "run": _resource("page-run.js"), "view": _resource("page-view.js")}
     return Exported({f"{name}.html": filled("page.html", values), "scenario.yaml": text}, tuple(left_out))
 
 
-_RESOURCES = {"style": "page.css", "run": "page-run.js", "view": "page-view.js"}
-
-
 def _resource(name: str) -> str:
-    return (files("mckibben.export") / "templates" / name).read_text(encoding="utf-8")
+    return _script((files("mckibben.export") / "templates" / name).read_text(encoding="utf-8"))
 
 
 def _script(text: str) -> str:
@@ -164,7 +161,7 @@ def page_program(parts: PyTree, name: str, period: float, substeps: int) -> Sour
     start, NaN for any.
     """
     numbers, fixed = eqx.partition(parts, eqx.is_inexact_array_like)
-    zero, whole = np.zeros(()), np.zeros((), int)
+    zero, whole = jnp.zeros(()), jnp.zeros((), int)
 
     def begun(parameters: PyTree, start: PyTree) -> tuple[PyTree, Array]:
         plant, controller, *_ = eqx.combine(parameters, fixed)
@@ -323,7 +320,7 @@ def _needed_substeps(scenario: Scenario, values: Mapping[str, float]) -> int:
         return 1
 
 
-def _described(slider: Slider) -> dict[str, Any]:
+def _described(slider: Slider) -> dict[str, object]:
     """A slider as the page needs it."""
     parameter, (low, high) = slider.swept.parameter, slider.swept.distribution.bounds
     return {
@@ -340,19 +337,19 @@ def _described(slider: Slider) -> dict[str, Any]:
 
 def _stiffness_range(parts: _Parts) -> list[float]:
     """Lowest and highest stiffness [N*m/rad] at which the joint holds its load at an angle of the drawing."""
-    plant, angles = parts.plant, np.linspace(-_WIDEST, _WIDEST, _ANGLES)
+    plant, angles = parts.plant, np.linspace(-_WIDEST, _WIDEST, _POINTS)
     low, high = plant.supplied_joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
     return [float(np.nanmin(low)), float(np.nanmax(high))]
 
 
-def _drawing(scenario: Scenario, parts: _Parts) -> dict[str, Any]:
+def _drawing(scenario: Scenario, parts: _Parts) -> dict[str, object]:
     """Points [m] of both muscles and pulleys over the angle, and sizes of the muscles over the contraction."""
     joint = scenario.joint
     low, high = joint.geometry.angle_range
-    angles = np.linspace(max(low, -_WIDEST), min(high, _WIDEST), _ANGLES)
+    angles = np.linspace(max(low, -_WIDEST), min(high, _WIDEST), _POINTS)
     linkage = Linkage(joint.geometry)
 
-    def rounded(points: Any) -> list:
+    def rounded(points: ArrayLike) -> list:
         return np.round(points, 5).tolist()
 
     def strands(angle: float) -> list[dict[str, list]]:
@@ -361,7 +358,7 @@ def _drawing(scenario: Scenario, parts: _Parts) -> dict[str, Any]:
 
     sizes = []
     for muscle in joint.muscles:
-        contractions = np.linspace(muscle.domain.contraction_min, muscle.domain.contraction_max, _CONTRACTIONS)
+        contractions = np.linspace(muscle.domain.contraction_min, muscle.domain.contraction_max, _POINTS)
         length, width = specimen_size(muscle.specimen, contractions)
         sizes.append({"contractions": rounded(contractions), "lengths": rounded(length),
                       "widths": None if width is None else rounded(width),

@@ -167,7 +167,7 @@
     const bodies = [0, 1].map(() => el("path", {stroke: "var(--text)", "stroke-width": 3.5}));
     el("circle", {r: 24, fill: "var(--panel)", stroke: "var(--text)", "stroke-width": 6});
     const notes = [0, 1].map(i => el("text", {"font-size": 46, fill: `var(--muscle${i + 1})`, "text-anchor": i ? "start" : "end", "font-weight": 600}));
-    const note = el("text", {"font-size": 46, fill: "var(--text)", "text-anchor": "end", x: -70, y: 16, "font-weight": 600});
+    const note = el("text", {"font-size": 46, fill: "var(--text)", "text-anchor": "end", x: -160, y: 70, "font-weight": 600});
     el("rect", {x: 560, y: 120, width: 34, height: 420, rx: 10, fill: "url(#scale)"});
     [TOP, TOP / 2, 0].forEach((p, i) => { el("text", {x: 545, y: 134 + 205 * i, "font-size": 38, fill: "var(--quiet)", "text-anchor": "end"}).textContent = `${p / 1e5}${i ? "" : " bar"}`; });
     const range = [D.angles[0], D.angles[D.angles.length - 1]];
