@@ -10,8 +10,10 @@ from mckibben.control import OpenLoopControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.joint import Slide, SlidingMass
 from mckibben.muscle import no_muscle
+from mckibben.rig import prepare
+from mckibben.scenario.parameters import find_parameter
 from mckibben.study.stiffness import stiffness_tests
-from mckibben.units import GRAVITY, N, bar, deg, kg, mm, ms
+from mckibben.units import GRAVITY, SLIDE, N, bar, deg, kg, mm, ms
 
 SPECIMEN = mk.Specimen("linear", 200 * mm, domain=mk.Domain(-0.03, 0.3, 0.0, 6 * bar))
 RATES = (2e3, 2e3, 2e3)  # N per contraction
@@ -134,3 +136,27 @@ def test_what_is_in_units_of_a_hinge_alone_refuses_a_slide():
     with pytest.raises(RangeError) as refused:
         stiffness_tests(axis, np.array([1e-3]), np.array([1.0]))
     assert refused.value.field == "joint"
+
+
+@pytest.mark.slow
+def test_a_sweep_has_names_and_units_of_a_slide():
+    axis = mk.Scenario.parse(AXIS).replace(duration=0.02)
+    assert find_parameter(axis, "position.amplitude").name == "reference.position.amplitude"
+    over = ["reference.position.amplitude=3..4 mm", "start.position=3..4 mm"]
+    swept = mk.sweep(axis, over, samples=4, metrics=["angle_rmse"])
+    assert swept.label("angle_rmse").shown_unit == "mm" and swept.table["angle_rmse"].attrs["units"] == "m"
+    assert [row[:2] for row in swept.statistics()] == [("position rmse", "mm")]
+
+
+@pytest.mark.slow
+def test_a_rig_has_limits_and_units_of_a_slide(tmp_path):
+    axis = mk.Scenario.parse(AXIS).replace(duration=0.05)
+    session = prepare(axis, paced=False, ideal=True)
+    start, at_rest = 4 * mm, session.start.angle
+    assert session.limits.highest_angle == pytest.approx(max(start, at_rest) + 10 * mm)
+    assert session.limits.angle_rate == pytest.approx(0.72)
+    shown = []
+    ran = session.run(tmp_path, progress=shown.append)
+    assert shown[0].joint_type is SLIDE
+    assert ran.result.joint_type is SLIDE and not ran.result["outside_domain"].any()
+    np.testing.assert_allclose(ran.result["angle"], axis.run_once()["angle"], atol=1e-6)  # which has an encoder

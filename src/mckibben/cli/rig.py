@@ -19,7 +19,7 @@ from mckibben.cli.help import Command, Commands
 from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_quantity, required_folder
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 from mckibben.storage.files import check_free, make_folder
-from mckibben.units import bar, deg, percent
+from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.rig import RunProgress
@@ -131,14 +131,15 @@ def run_line(*, quiet: bool) -> Iterator[Callable[[RunProgress], None] | None]:
 
 
 def _text(now: RunProgress) -> str:
-    angles = " ".join(f"{angle / deg:6.2f}" for angle in now.angles)
-    references = " ".join(f"{angle / deg:6.2f}" for angle in now.references)
+    size, unit = now.joint_type.size("deg"), now.joint_type.shown("deg")
+    angles = " ".join(f"{angle / size:6.2f}" for angle in now.angles)
+    references = " ".join(f"{angle / size:6.2f}" for angle in now.references)
     told = f" (reference {references})" if len(now.references) == 1 else ""
     pressures = [pressure / bar for pressure in now.pressures]
     several = len(pressures) > 2
     read = f"{min(pressures):.2f}..{max(pressures):.2f}" if several else " ".join(f"{p:5.2f}" for p in pressures)
     time = f"{now.time:6.2f} of {now.duration:.4g} s"
-    return f"{now.phase.name.lower()} {time}  {angles} deg{told}  {read} bar  missed {now.missed}"
+    return f"{now.phase.name.lower()} {time}  {angles} {unit}{told}  {read} bar  missed {now.missed}"
 
 
 rig = typer.Typer(

@@ -78,7 +78,8 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
         units=units_of(module, "Pa, gauge", scenario.joint_type),
     )
     angles, pressures = names.by_joint("angle"), names.by_muscle("pressure")
-    channels = [(channel, "rad") for channel in angles] + [(channel, "Pa") for channel in pressures]
+    unit = scenario.joint_type.unit
+    channels = [(channel, unit("rad")) for channel in angles] + [(channel, "Pa") for channel in pressures]
     channels += [("force", "N")] * bool(hardware.force)
     hello = Hello(
         f"mckibben {__version__} {hardware.board}",
@@ -86,7 +87,10 @@ def firmware_files(scenario: Scenario | RobotScenario, name: str, folder: Path, 
         scenario.digest,
         channels,
         [(channel, "Pa") for channel in names.valves],
-        [*((angle, "rad") for angle in angles), *((one, "N*m/rad") for one in names.by_joint("stiffness"))],
+        [
+            *((angle, unit("rad")) for angle in angles),
+            *((stiffness, unit("N*m/rad")) for stiffness in names.by_joint("stiffness")),
+        ],
     )
     sample = Sample(0, 0, 0, 0, 0, 0, (0.0,) * (len(channels) + len(names.muscles)))
     longest = max(DESCRIBED, len(sample.pack()), len(pack_numbers((0.0,) * len(hello.setpoints))))

@@ -200,8 +200,7 @@ def _lost(axes: Axes, swept_input: _Input, lost: NDArray[np.bool_]) -> None:
 
 
 def _label(swept: SweepResult, metric: str) -> str:
-    words = metric.replace("rmse", "RMSE").replace("_", " ").replace(".", ", ")
-    return f"{words} [{swept.label(metric).shown_unit.replace('*', '·')}]"
+    return f"{swept.words(metric).replace('rmse', 'RMSE')} [{swept.label(metric).shown_unit.replace('*', '·')}]"
 
 
 _UNKNOWN, _OUT = "#C9C9C9", "#FFFFFF"

@@ -21,7 +21,7 @@ from mckibben.units import bar, deg, mm, ms
 
 SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 """Units in messages by those of channels, with their scales."""
-_UNITS = {"angle": "rad", "force": "N", "pressure": "Pa", "valve": "Pa"}
+_UNITS = {"angle": ("rad", "m"), "force": ("N",), "pressure": ("Pa",), "valve": ("Pa",)}
 
 
 class Channel(NamedTuple):
@@ -54,6 +54,13 @@ class Channel(NamedTuple):
         ['pressure', 'pressure', 'pressure']
         """
         return self.name.partition(".")[0].rstrip("12")
+
+
+def check_unit(channel: Channel, *units: str) -> None:
+    """Raise `RigError` unless a channel is in one of some SI units."""
+    if channel.unit not in units:
+        message = f"{channel.name} is in {channel.unit}, and has to be in {' or '.join(units)}"
+        raise RigError(message, field=channel.name, remedy="give its gain, offset and range in SI")
 
 
 class ScaledChannel(ConfigModel):
@@ -218,10 +225,7 @@ class Backend(abc.ABC):
         try:
             self.open()
             for channel in (*self.inputs, *self.outputs):
-                unit = _UNITS.get(channel.quantity, channel.unit)
-                if channel.unit != unit:
-                    message = f"{channel.name} is in {channel.unit}, and has to be in {unit}"
-                    raise RigError(message, field=channel.name, remedy="give its gain, offset and range in SI")
+                check_unit(channel, *_UNITS.get(channel.quantity, (channel.unit,)))
         except BaseException:
             self.close()
             raise

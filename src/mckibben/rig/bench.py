@@ -126,7 +126,7 @@ class JointLimits(Checked):
         super().__post_init__()
         if not self.lowest_angle < self.highest_angle:
             raise RangeError(
-                f"limits: the angle may be {self.lowest_angle / deg:g}..{self.highest_angle / deg:g} deg",
+                f"limits: lowest_angle {self.lowest_angle:g} is not below highest_angle {self.highest_angle:g}",
                 remedy="give the lower one first",
             )
 

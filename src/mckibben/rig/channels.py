@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, Self
 
+from mckibben.units import HINGE, JointType, deg
+
 if TYPE_CHECKING:
     from mckibben.scenario import StudiedScenario
 
 
 class Channels(NamedTuple):
-    """Ends of the names of the channels, by joint and by muscle.
+    """Ends of the names of the channels, by joint and by muscle, and how the joints move.
 
     A single joint without a name has the channels "angle", "pressure1", "pressure2", "valve1" and "valve2"; a robot has
     "angle.hip", "pressure.hip1" and so on.
@@ -24,13 +26,22 @@ class Channels(NamedTuple):
 
     joints: tuple[str, ...] = ("",)
     muscles: tuple[str, ...] = ("1", "2")
+    joint_type: JointType = HINGE
 
     @classmethod
     def of(cls, scenario: StudiedScenario) -> Self:
         """Channels of a scenario."""
         if not scenario.joint_names:
-            return cls()
-        return cls(*(tuple(f".{name}" for name in names) for names in (scenario.joint_names, scenario.muscle_names)))
+            return cls(joint_type=scenario.joint_type)
+        joints, muscles = (
+            tuple(f".{name}" for name in names) for names in (scenario.joint_names, scenario.muscle_names)
+        )
+        return cls(joints, muscles, scenario.joint_type)
+
+    @property
+    def least_motion(self) -> float:
+        """Change of an angle [rad], or a position [m], that counts as a motion."""
+        return 0.5 * deg * self.joint_type.scale
 
     @property
     def is_named(self) -> bool:

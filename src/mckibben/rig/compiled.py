@@ -227,7 +227,7 @@ class ControlProgram:
 
     def __init__(self, controller: Controller | RobotController, channels: Channels = Channels()) -> None:  # noqa: B008
         controller = numeric(controller)
-        joints, muscles = map(len, channels)
+        joints, muscles = len(channels.joints), len(channels.muscles)
         zero = jax.ShapeDtypeStruct((), float)
         measurement = _measurement(channels.is_named, (zero,) * joints, (zero,) * muscles)
         state = jax.eval_shape(controller.init, measurement)

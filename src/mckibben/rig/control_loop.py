@@ -17,14 +17,14 @@ from jaxtyping import PyTree
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import McKibbenError, RigError, StoppedError
-from mckibben.rig.backend import Backend, Block
+from mckibben.rig.backend import Backend, Block, check_unit
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.channels import Channels
 from mckibben.rig.compiled import ControlProgram
 from mckibben.rig.joint_record import COMMANDED_AT, Phase, RowLayout, columns
 from mckibben.rig.record import Recorder
 from mckibben.rig.safety import MOST_READ, PROBED, JointMonitor, StopFlag
-from mckibben.units import bar, deg
+from mckibben.units import HINGE, JointType, bar
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
 _SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
@@ -102,7 +102,7 @@ class RunProgress(NamedTuple):
     time, duration
         Time and duration [s].
     phase, angles, pressures
-        Phase of the run, and latest angles [rad] and pressures [Pa].
+        Phase of the run, and latest angles [rad], of a slide positions [m], and pressures [Pa].
     references
         Reference angles [rad]; none before the controller runs.
     missed
@@ -116,6 +116,7 @@ class RunProgress(NamedTuple):
     pressures: Sequence[float]
     references: Sequence[float]
     missed: int
+    joint_type: JointType = HINGE
 
 
 @dataclass(frozen=True)
@@ -279,6 +280,9 @@ def _channels(backend: Backend, plan: RunPlan) -> tuple[list[int], list[int]]:
             f"the inputs of the rig are {', '.join(inputs)}, its outputs {', '.join(outputs)}",
             remedy=f"a {what} needs {', '.join(readings)}, and {' and '.join(valves)} alone",
         )
+    for channel in backend.inputs:
+        if channel.name in plan.channels.by_joint("angle"):
+            check_unit(channel, plan.channels.joint_type.unit("rad"))
     numbers = [valves.index(name) for name in outputs]
     for valve, number in zip(backend.outputs, numbers, strict=True):
         lowest, highest = plan.command_limits[number]
@@ -291,9 +295,6 @@ def _channels(backend: Backend, plan: RunPlan) -> tuple[list[int], list[int]]:
             )
     return [inputs.index(name) for name in readings], numbers
 
-
-MOVED = 0.5 * deg
-"""Change of the angle [rad] that counts as a motion."""
 
 _TAUT = 0.01  # N*m, least torque of a muscle that is not slack
 
@@ -388,13 +389,14 @@ class ChannelProbe:
             )
         torques = np.reshape(self.torques, (len(names), joints))[muscle]
         strongest = int(np.argmax(np.abs(torques)))
-        if abs(torques[strongest]) > _TAUT and angles @ torques < -MOVED * abs(torques[strongest]):
-            name = self.channels.by_joint("angle")[strongest]
+        against = angles @ torques < -self.channels.least_motion * abs(torques[strongest])
+        if abs(torques[strongest]) > _TAUT and against:
+            name, kind = self.channels.by_joint("angle")[strongest], self.channels.joint_type
             raise StoppedError(
-                f"{with_muscle}, {name} moves by {angles[strongest] / deg:.2g} deg, against the muscle",
+                f"{with_muscle}, {name} moves by {kind.show(angles[strongest], 'deg', 2)}, against the muscle",
                 field=name,
                 value=float(angles[strongest]),
-                unit="rad",
+                unit=kind.unit("rad"),
                 remedy="check the direction of the angle sensor, and whether the muscles are swapped",
             )
 
@@ -418,7 +420,7 @@ class ControlLoop:
     progress: Callable[[RunProgress], None] | None
 
     def __post_init__(self) -> None:
-        plan, joints, muscles = self.plan, *map(len, self.plan.channels)
+        plan, joints, muscles = self.plan, len(self.plan.channels.joints), len(self.plan.channels.muscles)
         self._columns, self._valves = _channels(self.backend, plan)
         self.monitor = JointMonitor(self.backend, self.limits, plan.period, plan.channels, plan.ranges)
         self._layout = RowLayout.of(plan.channels)
@@ -463,12 +465,13 @@ class ControlLoop:
         They may swing beyond their limits until then.
         """
         names, periods = self.plan.channels.by_joint("angle"), math.ceil(self.plan.probing / self._probe.parts)
+        kind, least = self.plan.channels.joint_type, self.plan.channels.least_motion
         angles: deque[list[float]] = deque(maxlen=periods)
-        while len(angles) < periods or (moved := np.ptp(angles, axis=0)).max() > MOVED:
+        while len(angles) < periods or (moved := np.ptp(angles, axis=0)).max() > least:
             self.stop_flag.check()
             if self._next * self.plan.period > _RESTING:
                 raise StoppedError(
-                    f"{names[moved.argmax()]} of the vented rig moves by {moved.max() / deg:.2g} deg",
+                    f"{names[moved.argmax()]} of the vented rig moves by {kind.show(moved.max(), 'deg', 2)}",
                     field=names[moved.argmax()],
                     remedy="hold it still, or check the angle sensor",
                 )
@@ -519,7 +522,8 @@ class ControlLoop:
             duration, phase = self.plan.periods * self.plan.period, self.plan.phase(number)
             joints = len(self.plan.channels.joints)
             read = reading[:joints], reading[joints:]
-            self.progress(RunProgress(time, duration, phase, *read, references, self._missed))
+            kind = self.plan.channels.joint_type
+            self.progress(RunProgress(time, duration, phase, *read, references, self._missed, kind))
 
     def _rows(self, block: Block, clock: float, *, venting: bool = False) -> list[list[float]]:
         """Rows of samples, without commands."""

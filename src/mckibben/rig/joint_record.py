@@ -18,6 +18,7 @@ from mckibben.muscle import MuscleState, NoCreep, NoFriction
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.result import Column, Listing, Remark
 from mckibben.rig.channels import Channels
+from mckibben.rig.compiled import rated_commands
 from mckibben.simulation import Feasibility, SimulationResult
 from mckibben.simulation.result import columns_of_run
 from mckibben.simulation.trajectories import Record
@@ -65,14 +66,15 @@ def columns(telemetry: Sequence[str], channels: Channels = Channels()) -> list[m
 
     Without a command, those from `commanded_at` on are NaN, but for the reading.
     """
+    kind, unit = channels.joint_type, channels.joint_type.unit
     parts = (
-        (channels.by_joint("angle"), "rad"),
+        (channels.by_joint("angle"), unit("rad")),
         (channels.by_muscle("pressure"), "Pa"),
-        (channels.by_joint("desired_angle"), "rad"),
-        (channels.by_joint("desired_stiffness"), "N*m/rad"),
+        (channels.by_joint("desired_angle"), unit("rad")),
+        (channels.by_joint("desired_stiffness"), unit("N*m/rad")),
         (channels.by_muscle("command"), "Pa"),
         (("limited",), "1"),
-        *(((f"{_PREFIX}{name}",), attributes(name.partition(".")[0]).get("units", "")) for name in telemetry),
+        *(((f"{_PREFIX}{name}",), attributes(name.partition(".")[0], kind).get("units", "")) for name in telemetry),
     )
     values = (mcap.Column(name, unit, "float64") for names, unit in parts for name in names)
     return [*(mcap.Column(*column) for column in _SAMPLE), *values]
@@ -136,7 +138,9 @@ def measured_run(
     run = MeasuredRun.of(columns)
     if run is None:
         return None
-    angles, pressures = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
+    angles, readings = run.rows(channels.by_joint("angle")), run.rows(channels.by_muscle("pressure"))
+    air = [highest > 0 for _, highest in rated_commands(plant)]  # without it, a reading is noise
+    pressures = tuple(reading * filled for reading, filled in zip(readings, air, strict=True))
     velocities = tuple(np.gradient(angle, period) for angle in angles)
     states = _states((plant, start), (angles, velocities, pressures))
     telemetry: dict[str, PyTree] = {}
@@ -163,6 +167,7 @@ def measured_run(
         notes=lambda: [*notes],
         joints=plant.mechanism.joint_names,
         muscles=plant.mechanism.muscle_names,
+        joint_type=plant.mechanism.joint_type,
     )
 
 

@@ -44,7 +44,7 @@ from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg, ms
 
-_BEYOND = 10 * deg  # of the angle limits beyond the reference
+_BEYOND = 10 * deg  # of the angle limits beyond the reference, on a hinge
 _ABOVE = 1.05  # pressure limit over the rated pressure
 
 
@@ -157,13 +157,13 @@ class JointSession:
     def leniency(self) -> str:
         """Warning if a physical joint can cross its range of angles in the time for which samples may be late."""
         limits, wait = self.limits, max(self.limits.late, self.limits.silence)
-        ranges = self.plan.ranges if self.plan else {}
-        rooms = [high - low for name, (low, high) in ranges.items() if name.startswith("angle")]
+        rooms = [high - low for name, (low, high) in self.plan.ranges.items() if name.startswith("angle")]
         travel, room = wait * limits.angle_rate, min([limits.highest_angle - limits.lowest_angle, *rooms])
         if not self.backend.physical or travel < room:
             return ""
         allowed = f"late: {limits.late / ms:g} ms and silence: {limits.silence / ms:g} ms hide a slow line"
-        moved = f"meanwhile the joint may move by {travel / deg:.0f} deg, and its range is {room / deg:.0f} deg"
+        far, range_ = (self.plan.channels.joint_type.show(size, "deg", 3) for size in (travel, room))
+        moved = f"meanwhile the joint may move by {far}, and its range is {range_}"
         return f"{allowed}: {moved}; by default they are {JointLimits.late / ms:g} and {JointLimits.silence / ms:g} ms"
 
     def run(
@@ -329,10 +329,12 @@ def _limits(
         Angles [rad] that each joint takes, shape (angles, joints).
     """
     given = {name: value for name, value in rig.limits if value is not None}
-    lowest, highest = (extremes.min(axis=0) - _BEYOND).tolist(), (extremes.max(axis=0) + _BEYOND).tolist()
+    beyond = _BEYOND * channels.joint_type.scale
+    lowest, highest = (extremes.min(axis=0) - beyond).tolist(), (extremes.max(axis=0) + beyond).tolist()
     pressures = [_ABOVE * high for _, high in rated_commands(plant)]
     widest = {"lowest_angle": min(lowest), "highest_angle": max(highest), "pressure": max(pressures)}
-    limits = JointLimits(**widest | given)
+    rate = JointLimits.angle_rate * channels.joint_type.scale
+    limits = JointLimits(**{"angle_rate": rate} | widest | given)
     if not channels.is_named:
         if rig.limits_of:
             raise _no_limit(rig, next(iter(rig.limits_of)), "give `limits`: the joint has no name")

@@ -62,7 +62,7 @@ class _Parameters:
         elif isinstance(value, Start):
             for name, field_info in type(value).model_fields.items():
                 mark = next(mark for mark in _marks(field_info) if isinstance(mark, Quantity))
-                self._add(f"{key}.{name}", ((key, name),), mark, getattr(value, name))
+                self._add(f"{key}.{self.joint_type.words(name)}", ((key, name),), mark, getattr(value, name))
         elif mark is not None and key == "command_delay":
             self._add(key, ((key,),), mark, _UNSET[key] if value is None else value)
         elif value is None:
@@ -97,7 +97,7 @@ class _Parameters:
                 self._add_other(part, key, form, listed=part.listed and key not in shared)
 
     def _add_number(self, part: _Part, key: str, mark: Mark) -> None:
-        name, kind, value = f"{part.name}.{key}", type(part.component), getattr(part.component, key)
+        name, kind, value = f"{part.name}.{self._key_of(part, key)}", type(part.component), getattr(part.component, key)
         if declared_fields(kind)[key].metadata.get("static"):
             self.refused[name] = _COMPILED, _IN_FILE
         elif value is None and (group := next((group for group in kind.together if key in group), ())):
@@ -107,9 +107,14 @@ class _Parameters:
             self._add(shown, part.within(key), mark, _nominal(key, value), listed=part.listed)
             self.spellings[name] = shown
 
+    def _key_of(self, part: _Part, key: str) -> str:
+        """Key of a field in the file, where a slide has another one: `position` for `angle`."""
+        alias = self.joint_type.words(key)
+        return alias if type(part.component).aliases.get(alias) == (key,) else key
+
     def _add_other(self, part: _Part, key: str, form: Any, *, listed: bool) -> None:
         """Add the component, or the list of components or of numbers of a signal, in a field; refuse other fields."""
-        name, value, places = f"{part.name}.{key}", getattr(part.component, key), part.within(key)
+        name, value, places = f"{part.name}.{self._key_of(part, key)}", getattr(part.component, key), part.within(key)
         inside, items = component_field(form), value if isinstance(value, tuple) else ()
         mark = _mark(get_args(form)[0]) if items and isinstance(part.component, Signal) else None
         if inside is not None and isinstance(value, Component):

@@ -10,7 +10,7 @@ from mckibben.control.base import Setpoint
 from mckibben.errors import RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.rig import JointLimits, JointSession, Sensing, Timing
-from mckibben.rig.control_loop import realtime_process_settings
+from mckibben.rig.control_loop import RunPlan, realtime_process_settings
 from mckibben.rig.joint_record import Phase
 from mckibben.rig.safety import JointMonitor
 from mckibben.units import bar, deg, kPa, ms
@@ -230,7 +230,8 @@ class SlowBackend:
 )
 def test_the_status_names_a_slow_line_and_limits_that_hide_it(changes, problems, lenient):
     limits = dataclasses.replace(LIMITS, **changes)
-    session = JointSession(None, None, None, None, SlowBackend(), limits, None, None, {})
+    plan = RunPlan(np.zeros((1, 2)), 1e-3, 0, 0, (0.0, 0.0), ())
+    session = JointSession(None, None, None, None, SlowBackend(), limits, plan, None, {})
     rows = list(session.status())
     assert sum(bool(row.problem) for row in rows) == problems
     assert bool(session.leniency) == lenient == any(row.name == "limits" for row in rows)

@@ -26,7 +26,7 @@ class Sensing(Checked):
     Parameters
     ----------
     angle_step
-        Resolution of the encoders [rad], 14 bits per revolution; 0 for none.
+        Resolution of the encoders [rad], 14 bits per revolution, of a slide 1 mm for 1 deg; 0 for none.
     pressure_noise
         Standard deviation of each sample [Pa].
     """
@@ -36,12 +36,14 @@ class Sensing(Checked):
 
     def sensors(self, channels: Channels) -> tuple[Sensor, ...]:
         """The sensors of angles and pressures."""
-        angles = (Channel(name, "rad", -170 * deg, 170 * deg, "simulated") for name in channels.by_joint("angle"))
+        kind = channels.joint_type
+        unit, highest = kind.unit("rad"), 170 * deg * kind.scale
+        angles = (Channel(name, unit, -highest, highest, "simulated") for name in channels.by_joint("angle"))
         pressures = (
             Channel(name, "Pa", -0.5 * bar, 10.2 * bar, "simulated") for name in channels.by_muscle("pressure")
         )
         return (
-            *(Sensor(channel=channel, resolution=self.angle_step) for channel in angles),
+            *(Sensor(channel=channel, resolution=self.angle_step * kind.scale) for channel in angles),
             *(Sensor(channel=channel, noise=self.pressure_noise) for channel in pressures),
         )
 

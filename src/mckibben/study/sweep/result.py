@@ -23,6 +23,7 @@ from mckibben.simulation.metrics import Metric, Metrics, metrics_of
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import SweptParameter
 from mckibben.study.study import Table
+from mckibben.units import JointType
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,7 +83,7 @@ class SweepResult(RunTable):
             variables[swept.name] = "run", values, about_input
         for name, values in columns.items():
             if name != "outcome":
-                variables[name] = "run", values, _attributes(name)
+                variables[name] = "run", values, _attributes(name, scenario.joint_type)
         variables |= outcome_variable(columns["outcome"])
         attrs = {"title": scenario.name, "scenario": about["scenario"], "manifest": json.dumps(about, sort_keys=True)}
         return cls(xr.Dataset(variables, attrs=attrs), scenario, tuple(about["model_follows"]), computed)
@@ -107,7 +108,11 @@ class SweepResult(RunTable):
 
     def label(self, metric: str) -> Metric:
         """Return unit and meaning of a metric."""
-        return metrics_of(Metrics)[metric.partition(".")[0]]
+        return metrics_of(Metrics)[metric.partition(".")[0]].for_joint(self.nominal.joint_type)
+
+    def words(self, metric: str) -> str:
+        """Return the name of a metric in tables and figures."""
+        return self.nominal.joint_type.words(metric.replace("_", " ").replace(".", ", "))
 
     def values(self, metric: str) -> NDArray[np.float64]:
         """Return a metric [SI] of the runs that did not fail and have a value of it."""
@@ -155,7 +160,7 @@ class SweepResult(RunTable):
         ranks = self.correlations().rename_axis("parameter").reset_index()
         ranks = ranks.melt("parameter", var_name="metric", value_name="Spearman").dropna()
         ranks = ranks.sort_values("Spearman", key=abs, ascending=False, kind="stable").head(10)
-        ranks["metric"] = ranks["metric"].str.replace("_", " ").str.replace(".", ", ")
+        ranks["metric"] = ranks["metric"].map(self.words)
         if ranks.size:
             yield Listing.of("Rank correlations, strongest first", list(map(str, ranks)), ranks.to_numpy().tolist())
 
@@ -170,7 +175,7 @@ class SweepResult(RunTable):
             values = self._frame[metric].dropna() / label.size
             if values.size:
                 numbers = *values.quantile([0.5, 0.05, 0.95]).tolist(), values.max(), values.idxmax(), values.size
-                rows.append((metric.replace("_", " ").replace(".", ", "), label.shown_unit, *numbers))
+                rows.append((self.words(metric), label.shown_unit, *numbers))
         return rows
 
     def correlations(self, *, least_runs: int = 3) -> pd.DataFrame:
@@ -192,8 +197,8 @@ class SweepResult(RunTable):
         return pd.DataFrame({name: self[name].astype(float) for name in self.inputs} | metrics)
 
 
-def _attributes(column: str) -> dict[str, str]:
+def _attributes(column: str, joint_type: JointType) -> dict[str, str]:
     """Attributes of a column, with the joint of a metric of one."""
     name, _, joint = column.partition(".")
-    about = attributes(name)
+    about = attributes(name, joint_type)
     return about | {"long_name": f"{about['long_name']}, {joint}"} if joint else about
