@@ -212,6 +212,7 @@ def test_a_weight_that_is_not_the_stated_one_is_named(foreign_rigs):
     assert named >= 3
 
 
+@pytest.mark.slow
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
     angle, pressures = np.array([0.05]), (np.array([4.8e5]), np.array([4.5e5]))
     value, _ = with_weight.stiffness(angle, pressures)

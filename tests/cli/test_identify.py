@@ -124,6 +124,7 @@ def test_every_law_is_ranked_with_reasons_and_kept(cli, tmp_path):
     assert "bands.png" in left and "ranking.png" not in left and "ranking.png" not in again.err
 
 
+@pytest.mark.slow
 def test_outliers_can_be_kept(cli, tmp_path):
     table = catalog.dataset("dmsp-10-250-martens2017").table
     force = table["force"].to_numpy().copy()

@@ -47,6 +47,7 @@ def test_an_axis_runs_with_margins(cli, tmp_path, own, against):
     assert batched(scenario, extremes(uncertainty(scenario))).disk_margins(20).min() >= LEAST_DISK_MARGIN
 
 
+@pytest.mark.slow
 def test_a_test_and_a_robot_are_valid(cli):
     for kind, command in (("bench", ("rig", "run", "--dry-run")), ("robot", ("robot", "pressures"))):
         assert cli("new", kind, f"{kind}.yaml").code == 0

@@ -111,8 +111,7 @@ def test_a_slow_creep_and_weights_that_are_typed_in_are_no_faults():
     assert len(record.plateaus().dataset) == 21
 
 
-@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
-@pytest.mark.parametrize("begin", [0.2, 0.55])
+@pytest.mark.parametrize(("name", "begin"), [("pressure", 0.2), ("contraction", 0.55), ("force", 0.2)])
 def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     samples = Samples()
     stuck(samples, name, begin, 40)
@@ -146,8 +145,7 @@ def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
         assert right(samples.record().plateaus().dataset)
 
 
-@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
-@pytest.mark.parametrize("seconds", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize(("name", "seconds"), [("pressure", 1.0), ("contraction", 2.0), ("force", 1.0), ("force", 5.0)])
 def test_a_late_signal_is_a_question(name, seconds, tmp_path):
     samples = Samples()
     late(samples, name, seconds)
@@ -201,8 +199,7 @@ def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_p
         assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
 
 
-@pytest.mark.parametrize(("name", "shift"), [("pressure", 1.013 * bar), ("force", 60.0)])
-@pytest.mark.parametrize("begin", [0.3, 0.55])
+@pytest.mark.parametrize(("name", "shift", "begin"), [("pressure", 1.013 * bar, 0.3), ("force", 60.0, 0.55)])
 def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begin, tmp_path):
     time = np.arange(0, 30, 0.05)
     columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
@@ -215,8 +212,7 @@ def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begi
     assert "accept=order" in caught.value.problems[0].remedy
 
 
-@pytest.mark.parametrize("before", [False, True])
-@pytest.mark.parametrize("begin", [0.25, 0.5, 0.75])
+@pytest.mark.parametrize(("begin", "before"), [(0.25, False), (0.5, True), (0.75, False)])
 def test_a_gauge_that_turns_absolute_within_loops_or_at_a_change_of_the_level_is_a_question(begin, before, tmp_path):
     time = np.arange(0, 30, 0.05)
     columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
@@ -239,8 +235,7 @@ def test_a_force_that_is_not_linear_in_the_pressure_is_no_gauge_that_turned_abso
     assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
 
 
-@pytest.mark.parametrize("kind", ["strokes", "stairs"])
-@pytest.mark.parametrize("begin", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize(("kind", "begin"), [("strokes", 0.3), ("stairs", 0.5), ("strokes", 0.8)])
 def test_a_gauge_pressure_that_turns_absolute_is_a_question(kind, begin):
     samples = Samples(kind, friction=6.0 if kind == "strokes" else 0.0)
     absolute(samples, begin)

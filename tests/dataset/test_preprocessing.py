@@ -50,6 +50,7 @@ def read(path, *, length=LENGTH, pressure="pressure_bar", **options):
     return read_dataset(path, columns=columns, initial_length=length, **options)
 
 
+@pytest.mark.slow
 def test_intervals_of_plain_files_hold_the_truth(written):
     for seed in range(5):
         pressure, contraction, force, side = measured(seed, offset=3.0)

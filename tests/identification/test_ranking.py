@@ -96,6 +96,7 @@ def test_what_is_left_has_to_determine_the_law():
     assert not entry.flags
 
 
+@pytest.mark.slow
 def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_its_bound():
     """Three of the map's four contractions do not determine an exponential, but the map determines Eq. 2."""
     ranking = mk.rank(mk.catalog.dataset(MAP), [ReynoldsLaw, mk.ExponentialLaw, HuntLaw])
@@ -202,6 +203,7 @@ def with_friction():
     return mk.rank(loops(), [ReynoldsLaw, mk.ExponentialLaw, OURS])
 
 
+@pytest.mark.slow
 def test_laws_are_ranked_with_the_friction_that_a_fit_of_them_alone_finds(with_friction):
     best = with_friction.best
     alone = mk.identify(loops(), "exponential")
