@@ -96,7 +96,7 @@ BUDGET = {
     "calibration": 1820,
     "catalog": 230,
     "cli": 1560,
-    "codegen": 2580,
+    "codegen": 2670,
     "component": 1040,
     "config": 570,
     "contract": 660,
@@ -125,7 +125,7 @@ BUDGET = {
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 462  # numbers at module level, to come to 500
+MOST_CONSTANTS = 463  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
