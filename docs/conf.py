@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # sphinx-gallery imports the scr
 KNEE = Path(__file__).parents[1] / "examples" / "pre-contracted-step-pid.yaml"
 
 project = "mckibben"
-author = "The mckibben developers"
+author = "The mckibben contributors"
 copyright = f"2026, {author}"
 version = release = mckibben.__version__
 
