@@ -249,12 +249,11 @@ def test_positions_out_of_reach_are_named_before_the_run():
 def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
     heavy = "robot.bodies.1.mass=0.4 kg..40 kg"  # the heaviest cannot be held
     scenario = RobotScenario.parse(ONE.replace("lower: -20 deg", "offset: 20 deg, lower: -20 deg") + TORQUE)
-    suite = RobotSuite.of(
-        scenario, conditions=(heavy,), tuning=TuningSettings(untuned=("PID", "decoupling", "scenario"))
-    )
+    names = "scenario", "PID", "PID with feedforward", "decoupling"
+    suite = RobotSuite.of(scenario, conditions=(heavy,), tuning=TuningSettings(untuned=names))
     suite.to_yaml(tmp_path / "suite.yaml")
     again = RobotSuite.read(tmp_path / "suite.yaml")
-    assert again == suite and list(again.controllers) == ["scenario", "PID", "decoupling"]
+    assert again == suite and tuple(again.controllers) == names
     runs = draw(again, 8, 3)
     for name in ("scenario", "PID"):
         batch = evaluate(runs, name, {})
