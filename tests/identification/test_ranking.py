@@ -267,6 +267,7 @@ def test_the_blocks_of_held_loads_are_loads():
 
 
 @pytest.mark.parametrize("law", [HuntLaw, mk.muscle.TsagarakisCaldwellLaw])
+@pytest.mark.slow
 def test_a_law_without_force_or_slope_at_some_weights_is_refused_and_not_a_fault(law):
     pressure = np.tile(np.concatenate([np.linspace(1.5, 6, 10), np.linspace(5.8, 1.7, 9)]), 4) * bar
     load, unloading = np.repeat([50.0, 100.0, 150.0, 200.0], 19), np.tile(np.arange(19) < 10, 4)

@@ -119,6 +119,7 @@ def test_intervals_contain_the_misfit_of_a_wrong_law():
     assert band.confidence.contains(truth) and band.prediction.contains(truth)
 
 
+@pytest.mark.slow
 def test_left_out_lowest_and_highest_pressures_are_covered_at_no_more_than_some_three_times_the_error():
     inside, ratios = [], []
     for name in catalog.names("datasets"):
