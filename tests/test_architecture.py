@@ -109,7 +109,7 @@ BUDGET = {
     "robot": 80,
     "mechanism": 2040,
     "muscle": 1610,
-    "numerics": 810,
+    "numerics": 820,
     "paper": 1190,
     "plant": 770,
     "reachability": 1150,
