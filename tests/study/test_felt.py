@@ -1,5 +1,7 @@
 """What a push feels, against the closed form of a joint at constant pressures, and the joint as a robot."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from mckibben.robot import RobotScenario
 from mckibben.scenario import Scenario
 from mckibben.study.felt import Felt, felt_stiffness
 from mckibben.study.stiffness import FeltStiffness
+from tests.joint.test_slide import AXIS
 from tests.reachability.test_robots import ONE
 from tests.robot.conftest import as_joint
 
@@ -24,6 +27,17 @@ reference: {angle: 0 deg, stiffness: 10.4 N*m/rad}
 duration: 1 s
 control_period: 1 ms
 """
+
+
+@pytest.mark.slow
+def test_a_push_of_a_slide_is_a_force_and_feels_its_mass():
+    axis = AXIS.replace("friction: {force: 2 N, presliding: 0.1 mm}\n", "")
+    axis = re.sub("controller: .*", "controller: {class: open_loop, pressure1: 0 bar, pressure2: 4 bar}", axis)
+    scenario = Scenario.parse(axis.replace("valve: {time_constant: 20 ms}", "valve: ideal"))
+    felt = felt_stiffness(scenario, torque=0.5, frequencies=(0.5, 3.0))[""]
+    rate = 2 * np.pi * felt.frequency
+    np.testing.assert_allclose(felt.impedance, felt.isobaric - 2 * rate**2 + 100j * rate, rtol=1e-4)
+    assert FeltStiffness(scenario, {"": felt}).comparison()["isobaric"][0].shown_unit == "N/mm"
 
 
 @pytest.mark.slow
@@ -49,7 +63,9 @@ def test_a_joint_as_a_robot_feels_the_same_and_the_position_loop_adds_to_the_sti
     assert knee.torque == alone.torque == 0.7 and knee.setpoint == alone.setpoint == 14.0
     np.testing.assert_allclose(knee.impedance, alone.impedance, rtol=1e-4)
     np.testing.assert_allclose(knee.pushed, alone.pushed, rtol=1e-4)
+    assert knee.isobaric == pytest.approx(alone.isobaric, rel=1e-6)
     assert knee.isobaric == pytest.approx(14.0, rel=0.01)
+    assert knee.small_motion == pytest.approx(alone.small_motion, rel=1e-6)
     assert knee.magnitude[0] > 2 * knee.setpoint
     assert drawn(FeltStiffness(robot, ours)).axes[0].lines
 

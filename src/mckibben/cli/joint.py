@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from mckibben.simulation import Margins, SimulationResult
     from mckibben.study.stiffness import FeltStiffness
 
-_MOTION = "0.01..10 deg, 0.1..10 Hz"
-
 
 @command
 def simulate(scenario: ScenarioFile, animate: Path | None = None, *, force: bool) -> SimulationResult:
@@ -75,26 +73,26 @@ def stiffness(
     Parameters
     ----------
     motion : RANGES
-        Amplitudes and rates of the motion, by default 0.01..10 deg, 0.1..10 Hz; of a robot only if given, as it takes
-        minutes.
+        Amplitudes and rates of the motion, by default 0.01..10 deg, of a slide 0.01..10 mm, and 0.1..10 Hz; of a robot
+        only if given, as it takes minutes.
     push : TORQUE
-        Amplitude of the push (default: a tenth of half the range of torque that the joint attains).
+        Amplitude of the push, of a slide a force (default: a tenth of half the range that the joint attains).
     """
-    torque = None if push is None else parse_quantity("--push", push, "N*m", positive=True)
-    first, second = parse_pair("--motion", _MOTION if motion is None else motion, _MOTION)
-    amplitudes, rates = parse_limits("--motion", first, "rad"), parse_limits("--motion", second, "Hz")
     import numpy as np
 
     from mckibben.component.checks import check_positive
-
-    check_positive("--motion", "rad", amplitude=amplitudes[0])
-    check_positive("--motion", "Hz", rate=rates[0])
-
     from mckibben.scenario import Scenario
     from mckibben.study.felt import felt_stiffness
     from mckibben.study.stiffness import FeltStiffness, stiffness_tests
 
     read = Scenario.read(scenario)
+    kind = read.joint_type
+    torque = None if push is None else parse_quantity("--push", push, kind.unit("N*m"), positive=True)
+    usual = f"0.01..10 {kind.shown('deg')}, 0.1..10 Hz"
+    first, second = parse_pair("--motion", usual if motion is None else motion, usual)
+    amplitudes, rates = parse_limits("--motion", first, kind.unit("rad")), parse_limits("--motion", second, "Hz")
+    check_positive("--motion", kind.unit("rad"), amplitude=amplitudes[0])
+    check_positive("--motion", "Hz", rate=rates[0])
     if read.joint_names and motion is None:
         return FeltStiffness(read, felt_stiffness(read, torque=torque, progress=progress))
     grid = np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5))

@@ -51,6 +51,11 @@ class Reference(Component):
         angle = self.angle(time)
         return Setpoint(angle, jnp.full_like(angle, jnp.nan) if self.stiffness is None else self.stiffness(time))
 
+    def held(self) -> Reference:
+        """Return its first setpoint, held."""
+        stiffness = None if self.stiffness is None else float(self.stiffness(0.0))
+        return Reference(float(self.angle(0.0)), stiffness)
+
 
 JointModel = Annotated[AntagonisticJoint, Inherited(lambda scope: scope["joint"])]
 """A controller's model of the joint; in a file, by default, the joint of the plant."""

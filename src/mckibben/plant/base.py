@@ -123,6 +123,15 @@ class Plant(Component):
     def disturbances(self) -> tuple[Disturbance, ...]:
         """Disturbances of all joints."""
 
+    @abc.abstractmethod
+    def with_disturbances(self, disturbances: Sequence[Disturbance]) -> Self:
+        """Return the plant with other disturbances, one of each joint."""
+
+    def with_ideal_io(self) -> Self:
+        """Return the plant with perfect sensors, and without disturbances and delay of the commands."""
+        plant = self.with_disturbances((NoDisturbance(),) * len(self.disturbances))
+        return dataclasses.replace(plant, sensors=PerfectSensors(), command_delay=None, delay_periods=0)
+
     def true_measurement(self, state: PlantState) -> Measurement:
         """Return what perfect sensors measure: angle [rad] and gauge pressures [Pa]."""
         return Measurement(state.angle, state.pressures)  # type: ignore[arg-type]  # of any number of joints

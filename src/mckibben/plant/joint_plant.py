@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,7 +26,6 @@ from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant.base import Angles, Plant
-from mckibben.plant.sensors import PerfectSensors
 from mckibben.plant.state import PlantState
 
 Scalar = Float[Array, ""]
@@ -105,10 +104,9 @@ class JointPlant(Plant):
         limits = tuple(rated if supply is None else jnp.minimum(jnp.asarray(rated), supply) for rated, supply in both)
         return rated_for(self.joint, limits)
 
-    def with_ideal_io(self) -> JointPlant:
-        """Return the plant with perfect sensors, and without disturbance and delay of the commands."""
-        sensors, disturbance = PerfectSensors(), NoDisturbance()
-        return dataclasses.replace(self, sensors=sensors, disturbance=disturbance, command_delay=None, delay_periods=0)
+    def with_disturbances(self, disturbances: Sequence[Disturbance]) -> Self:
+        (disturbance,) = disturbances
+        return dataclasses.replace(self, disturbance=disturbance)
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the total stiffness [N*m/rad], of muscles (Eq. 8) and gravity, at an angle [rad] and pressures."""

@@ -8,7 +8,7 @@ import math
 import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ from mckibben.actuator.base import Actuator
 from mckibben.component.checks import check_count, check_positive, known_numbers
 from mckibben.errors import RangeError, SimulationError
 from mckibben.mechanism.base import RobotMeasurement
-from mckibben.mechanism.disturbance import Disturbance, NoDisturbance
+from mckibben.mechanism.disturbance import Disturbance
 from mckibben.mechanism.dynamics import (
     at_rest,
     mobilities,
@@ -31,7 +31,6 @@ from mckibben.muscle import MuscleState
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import Plant
-from mckibben.plant.sensors import PerfectSensors
 from mckibben.plant.state import PlantState
 from mckibben.units import GRAVITY, Gravity, show
 
@@ -89,11 +88,10 @@ class RobotPlant(Plant):
     def disturbances(self) -> tuple[Disturbance, ...]:
         return tuple(joint.disturbance for joint in self.robot.joints)
 
-    def with_ideal_io(self) -> RobotPlant:
-        """Return the plant with perfect sensors, and without disturbances and delay of the commands."""
-        joints = tuple(dataclasses.replace(joint, disturbance=NoDisturbance()) for joint in self.robot.joints)
-        robot = dataclasses.replace(self.robot, joints=joints)
-        return dataclasses.replace(self, robot=robot, sensors=PerfectSensors(), command_delay=None, delay_periods=0)
+    def with_disturbances(self, disturbances: Sequence[Disturbance]) -> Self:
+        joints = zip(self.robot.joints, disturbances, strict=True)
+        disturbed = tuple(dataclasses.replace(joint, disturbance=disturbance) for joint, disturbance in joints)
+        return dataclasses.replace(self, robot=dataclasses.replace(self.robot, joints=disturbed))
 
     def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, RobotMeasurement]:
         state, (angles, pressures) = super().sample(state, period)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.reachability import Envelope, JointReach, Selection, StaticEnvelope, static_envelope
 from mckibben.reachability.static import AttainableRange, Values
 from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
@@ -33,7 +34,7 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, FeltStiffness, MotionTests, StiffnessTests
-from mckibben.units import bar, deg, kPa, mm
+from mckibben.units import JointType, bar, deg, kPa, mm
 
 if TYPE_CHECKING:
     from mckibben.calibration import ValveCalibration
@@ -325,27 +326,29 @@ def felt_stiffness(result: FeltStiffness) -> Figure:
     result
         Result of `mckibben.study.stiffness.stiffness_tests`, or of a robot.
     """
-    columns = min(len(result.felt), 3)
-    rows = math.ceil(len(result.felt) / columns)
+    kind, columns = result.scenario.joint_type, min(len(result.felt), 3)
+    rows, size = math.ceil(len(result.felt) / columns), kind.size("N*m/rad")
     figure = blank(DOUBLE if columns > 1 else 0.6 * DOUBLE, 2.3 * rows + 0.7)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid[len(result.felt) :]:
         axes.set_visible(False)
     for i, (axes, (name, felt)) in enumerate(zip(grid, result.felt.items(), strict=False)):
-        push = f"felt by a push{f' of {felt.torque:g} N·m' * (columns == 1)}"
-        axes.plot(felt.frequency, felt.magnitude, "o-", color=VERMILLION, label=push)
-        axes.axhline(felt.isobaric, color=BLUE, linestyle=(0, (4, 2)), label="isobaric: what is controlled")
+        torque = kind.show(felt.torque, "N*m").replace("*", "·")
+        push = f"felt by a push{f' of {torque}' * (columns == 1)}"
+        axes.plot(felt.frequency, felt.magnitude / size, "o-", color=VERMILLION, label=push)
+        axes.axhline(felt.isobaric / size, color=BLUE, linestyle=(0, (4, 2)), label="isobaric: what is controlled")
         if felt.small_motion > 0:
             look: Look = {"color": BLACK, "linestyle": (0, (1, 1.5))}
-            axes.axhline(felt.small_motion, label="motion by 0.1° at constant pressures", **look)
+            amplitude = kind.show(SMALL_MOTION * kind.scale, "deg")
+            axes.axhline(felt.small_motion / size, label=f"motion by {amplitude} at constant pressures", **look)
         axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]")
-        axes.set_ylim(bottom=0.5 * min(felt.isobaric, felt.magnitude.min()))
+        axes.set_ylim(bottom=0.5 * min(felt.isobaric, felt.magnitude.min()) / size)
         plain_numbers(axes.xaxis)
         plain_numbers(axes.yaxis)
         if name:
-            letter(axes, i, f"{name}, {felt.torque:g} N·m")
+            letter(axes, i, f"{name}, {torque}")
     for axes in grid[::columns]:
-        axes.set_ylabel(_STIFFNESS)
+        axes.set_ylabel(kind.label("stiffness", "N*m/rad"))
     legend_above(figure, grid[0], columns=1 if columns == 1 else 3)
     return figure
 
@@ -366,59 +369,59 @@ def stiffness(tests: StiffnessTests) -> Figure:
     """
     names = list(next(iter(tests.motions.values())).tests)
     varied = [name for name in names if name not in (HELD, CLOSED)]
-    count = len(tests.motions)
+    count, kind = len(tests.motions), tests.scenario.joint_type
     figure = blank(DOUBLE, 2.3 * count + 0.6)
     grid = figure.subplots(count, 1 + len(varied), squeeze=False)
     for row, (joint, motion) in enumerate(tests.motions.items()):
-        _over_amplitude(grid[row, 0], motion)
-        _over_rates(list(grid[row, 1:]), motion, varied)
+        _over_amplitude(grid[row, 0], motion, kind)
+        _over_rates(list(grid[row, 1:]), motion, varied, kind)
         titles = "constant pressures, closed valves", *(SHOWN[name] for name in varied)
         for i, (axes, title) in enumerate(zip(grid[row], titles, strict=True)):
             letter(axes, row * len(titles) + i, f"{joint}: {title}" if joint else title)
             axes.set_xscale("log")
             plain_numbers(axes.xaxis)
     for axes in grid[-1]:
-        axes.set_xlabel("amplitude [deg]")
+        axes.set_xlabel(kind.label("amplitude", "deg"))
     legend_above(figure, grid[0, 0], grid[0, -1], columns=4)
     return figure
 
 
-def _over_amplitude(axes: Axes, motion: MotionTests) -> None:
+def _over_amplitude(axes: Axes, motion: MotionTests, kind: JointType) -> None:
     """Draw the tests that do not depend on the rate [N*m/rad] over the amplitude [deg]."""
     forms = (
         (HELD, motion.secant, motion.isobaric, BLUE),
         (CLOSED, motion.closed_secant, motion.closed_valve, VERMILLION),
     )
-    amplitudes = motion.amplitude / deg
+    amplitudes, size = motion.amplitude / kind.size("deg"), kind.size("N*m/rad")
     for name, secant, slope, color in forms:
-        axes.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
+        axes.plot(amplitudes, secant / size, color=color, label=f"{SHOWN[name]}, closed form")
         label = f"{SHOWN[name]}, without friction"
-        axes.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
+        axes.axhline(slope / size, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
         test = motion.tests[name]
-        for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
+        for row, marker, diameter in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
             look: Look = {"color": color, "linestyle": "", "marker": marker}
-            look |= {"markersize": size, "fillstyle": "none"}
-            axes.plot(amplitudes, test.stiffness[row], label=label, **look)
+            look |= {"markersize": diameter, "fillstyle": "none"}
+            axes.plot(amplitudes, test.stiffness[row] / size, label=label, **look)
     axes.set_ylim(bottom=0.0)
-    axes.set_ylabel(_STIFFNESS)
+    axes.set_ylabel(kind.label("stiffness", "N*m/rad"))
 
 
-def _over_rates(panels: Sequence[Axes], motion: MotionTests, names: Sequence[str]) -> None:
+def _over_rates(panels: Sequence[Axes], motion: MotionTests, names: Sequence[str], kind: JointType) -> None:
     """Draw tests [N*m/rad] over the amplitude [deg], one curve per rate; the controller's on a logarithmic axis."""
-    amplitudes, shades = motion.amplitude / deg, pressure_colours()
+    amplitudes, shades, size = motion.amplitude / kind.size("deg"), pressure_colours(), kind.size("N*m/rad")
     for axes, name in zip(panels, names, strict=True):
         for secant, color in ((motion.secant, BLUE), (motion.closed_secant, VERMILLION)):
-            axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
+            axes.plot(amplitudes, secant / size, color=color, linewidth=2.6, alpha=0.3)
         test = motion.tests[name]
         values = test.magnitude if name == CONTROLLED else test.stiffness
         for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
             color = shades(k / max(len(test.frequency) - 1, 1))
-            axes.plot(amplitudes, row, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
+            axes.plot(amplitudes, row / size, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
         if name == CONTROLLED:
             axes.set_yscale("log")
             plain_numbers(axes.yaxis)
-            axes.set_ylabel("magnitude [N·m/rad]")
+            axes.set_ylabel(kind.label("magnitude", "N*m/rad"))
         else:
             axes.set_ylim(bottom=0.0)
 

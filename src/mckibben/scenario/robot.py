@@ -65,6 +65,7 @@ from mckibben.scenario.scenario import (
 from mckibben.simulation.accuracy import ACCURACY
 from mckibben.simulation.feasibility import held_by_pairs
 from mckibben.simulation.problem import sampling_times
+from mckibben.statics.attainable import attainable_statics
 from mckibben.statics.posture import holding_torques, is_affine
 from mckibben.statics.pressures import pressures_for_joint_stiffness
 from mckibben.units import (
@@ -253,6 +254,16 @@ class RobotScenario(StudiedScenario):
     @property
     def muscle_names(self) -> tuple[str, ...]:
         return self.robot.muscle_names
+
+    def attainable_torques(self) -> dict[str, tuple[float, float]]:
+        robot, angles = self.robot, self._first()[0]
+        if robot.has_disjoint_pairs:
+            pairs = {self.joint_names[joint]: (robot.pair(joint), angles[joint]) for joint in robot.pairs}
+            ranges = {name: pair.attainable_torque(angle) for name, (pair, angle) in pairs.items()}
+            return {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
+        torques = holding_torques(robot, angles, RobotPlant.gravity)
+        ranges = attainable_statics(robot, angles, torques=torques, supply=self.supply)
+        return {name: torque for name, (torque, *_) in ranges.items()}
 
     def references(self) -> dict[str, Reference]:
         return self._joint_references[0]

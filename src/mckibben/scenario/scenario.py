@@ -237,6 +237,10 @@ class StudiedScenario(RunSettings):
     def initial(self, plant: Any) -> PlantState:
         """Return the state of a plant at the start; raises `McKibbenError` if there is none."""
 
+    @abc.abstractmethod
+    def attainable_torques(self) -> dict[str, tuple[float, float]]:
+        """Return the attainable torques [N*m] of each joint that moves, by name, at the first setpoints."""
+
     def reference_remarks(self) -> Iterable[Remark]:
         """Remarks on references that are not exactly those of the file."""
         return ()
@@ -517,6 +521,10 @@ class Scenario(StudiedScenario):
         return self.signals
 
     references = reference
+
+    def attainable_torques(self) -> dict[str, tuple[float, float]]:
+        low, high = self.plant().supplied_joint.attainable_torque(float(self.reference()(0.0).angle))
+        return {"": (float(low), float(high))}
 
     def starts(self) -> AtRest:
         stiffness = self.start.stiffness

@@ -70,6 +70,9 @@ class _TestStand(Plant):
     def disturbances(self) -> tuple[Disturbance, ...]:
         return self.plant.disturbances
 
+    def with_disturbances(self, disturbances: Sequence[Disturbance]) -> _TestStand:
+        return dataclasses.replace(self, plant=self.plant.with_disturbances(disturbances))
+
     def fastest_rates(self, angles: PyTree, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         return self.plant.fastest_rates(angles, stiffness)
 
@@ -183,7 +186,7 @@ def dynamic_stiffness(
     if (controller is None) != (setpoint is None):
         raise RangeError("a controller and its setpoint go together", remedy="give both, or neither")
     amplitudes, frequencies = (np.atleast_1d(np.asarray(counts, float)) for counts in (amplitude, frequency))
-    check_positive("dynamic_stiffness", "rad", amplitude=amplitudes)
+    check_positive("dynamic_stiffness", plant.mechanism.joint_type.unit("rad"), amplitude=amplitudes)
     check_positive("dynamic_stiffness", "Hz", frequency=frequencies)
     counts = np.round(1 / (frequencies * _SAMPLES * control_period)).astype(int)
     if np.any(counts < 1):

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
-from mckibben.control import Reference
-from mckibben.joint import AntagonisticJoint
+from mckibben.joint.antagonistic import SMALL_MOTION
+from mckibben.joint.route import secant_stiffness
+from mckibben.mechanism.base import joints_in
 from mckibben.mechanism.disturbance import Disturbance
 from mckibben.notebook import Progress, silent
-from mckibben.numerics.compiled import jit
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.numerics.elementary import floating
+from mckibben.plant import Plant
 from mckibben.result import Column, TableColumns
-from mckibben.scenario import Scenario
-from mckibben.scenario.robot import RobotScenario
+from mckibben.scenario import StudiedScenario
 from mckibben.simulation import simulate
-from mckibben.statics.attainable import attainable_statics
-from mckibben.statics.posture import holding_torques
+from mckibben.units import JointType
 
 Values = NDArray[np.float64]
 
@@ -50,7 +49,7 @@ class Felt(NamedTuple):
     isobaric: float
     """Isobaric stiffness [N*m/rad] of the muscles, held without a push."""
     small_motion: float
-    """Stiffness [N*m/rad] of slow motion by 0.1 deg at constant pressures, with friction; NaN if it is not known."""
+    """Stiffness [N*m/rad] of slow motion by 0.1 deg, or 0.1 mm, at constant pressures, with friction."""
     torque: float
     """Amplitude of the push [N*m]."""
     frequency: Values
@@ -72,14 +71,14 @@ class Felt(NamedTuple):
         """Amplitude of the angle [rad]."""
         return self.torque / self.magnitude
 
-    def columns(self) -> TableColumns:
+    def columns(self, joint_type: JointType) -> TableColumns:
         """Felt stiffness over the frequency."""
-        stiffness = Column("N*m/rad", digits=3)
+        stiffness = Column("N*m/rad", digits=3).for_joint(joint_type)
         return {
             "frequency": (Column("Hz", digits=2), self.frequency),
             "felt": (stiffness, self.magnitude),
             "phase": (Column("rad", "", "deg", digits=3), np.angle(self.impedance)),
-            "deflection": (Column("rad", "", "deg", digits=2), self.deflection),
+            "deflection": (Column("rad", "", "deg", digits=2).for_joint(joint_type), self.deflection),
             "isobaric": (stiffness, self.pushed),
         }
 
@@ -95,28 +94,39 @@ class _Push(Disturbance):
 
 
 class _Run(NamedTuple):
-    """Angles [rad] and isobaric stiffness [N*m/rad] of a run, shape (joints, periods), and the last pressures [Pa]."""
+    """Angles [rad] and isobaric stiffness [N*m/rad] of a run, shape (joints, periods), and pressures [Pa]."""
 
     angles: Values
     stiffness: Values
-    pressures: tuple[float, ...]
+    pressures: Values
 
 
-class _Loop(NamedTuple):
-    """A closed loop that holds its first setpoints, which are pushed."""
+class _Loop:
+    """A closed loop that holds the first setpoints of a scenario, and whose joints are pushed."""
 
-    names: Sequence[str]
-    setpoints: Sequence[tuple[float, float]]  # angle [rad] and stiffness [N*m/rad]
-    torques: Sequence[float]  # of pushes [N*m]
-    pairs: dict[int, AntagonisticJoint]
-    period: float
-    run: Callable[[int, float, float, float], _Run]  # joint, torque, frequency, duration
+    def __init__(self, scenario: StudiedScenario) -> None:
+        plant, asked = scenario.plant(), first_setpoints(scenario)
+        self._plant, self._controller, self._start = plant, scenario.control(), scenario.starts()
+        references = scenario.references()
+        self._reference = {name: references[name].held() for name in scenario.joint_names} or references.held()
+        self._position = plant.complete_state(scenario.initial(plant)).position
+        self._times = {"control_period": scenario.control_period, "substeps": scenario.needed_substeps()}
+        self.setpoints, self.period = joints_in(asked), scenario.control_period
 
-    def felt(self, joint: int, torque: float | None, frequencies: Sequence[float], tell: Callable[[], None]) -> Felt:
-        """Push one of the joints."""
-        amplitude = self.torques[joint] if torque is None else torque
+    def run(self, joint: int, torque: float, frequency: float, duration: float) -> _Run:
+        """Push a joint by a sine [N*m] of a frequency [Hz]."""
+        pushes = [_Push(torque * (number == joint), frequency) for number in range(len(self.setpoints))]
+        options: dict[str, Any] = {"initial": self._start, "duration": duration, "warn_infeasible": False}
+        result = simulate(
+            self._plant.with_disturbances(pushes), self._controller, self._reference, **options, **self._times
+        )
+        angles, pressures = np.atleast_2d(result["angle"]), result["pressure"]
+        stiffness = _isobaric(*numeric((self._plant, self._position, angles, pressures)))
+        return _Run(angles, np.asarray(stiffness), pressures)
+
+    def felt(self, joint: int, amplitude: float, frequencies: Sequence[float], tell: Callable[[], None]) -> Felt:
+        """Push one of the joints by an amplitude [N*m]."""
         at_rest = self.run(joint, 0.0, 1.0, _SETTLING)
-        angle = float(at_rest.angles[joint, -1])
         counts = np.unique([max(round(1 / (f * self.period)), _FEWEST) for f in frequencies])[::-1]
         impedance, pushed, settled = [], [], []
         for count in counts:
@@ -135,15 +145,12 @@ class _Loop(NamedTuple):
             impedance.append(-1j * amplitude * held / moved)
             pushed.append(run.stiffness[joint, -cycles * count :].mean())
             settled.append(change < _STEADY)
-        small, pair = np.nan, self.pairs.get(joint)
-        if pair is not None:
-            first = 2 * list(self.pairs).index(joint)
-            small = float(_small(pair, angle, (at_rest.pressures[first], at_rest.pressures[first + 1])))
+        last = at_rest.angles[:, -1], at_rest.pressures[:, -1]
         return Felt(
-            angle,
-            self.setpoints[joint][1],
+            float(at_rest.angles[joint, -1]),
+            float(self.setpoints[joint].stiffness),
             float(at_rest.stiffness[joint, -round(0.5 / self.period) :].mean()),
-            small,
+            float(_small_motion(*numeric((self._plant, self._position, *last)), joint=joint)),
             amplitude,
             1 / (counts * self.period),
             np.array(impedance),
@@ -153,7 +160,7 @@ class _Loop(NamedTuple):
 
 
 def felt_stiffness(
-    scenario: Scenario | RobotScenario,
+    scenario: StudiedScenario,
     *,
     torque: float | None = None,
     frequencies: Sequence[float] = FREQUENCIES,
@@ -177,7 +184,7 @@ def felt_stiffness(
     Returns
     -------
     dict
-        By the name of the joint, which is empty in a scenario of one joint.
+        By the name of the joint, which is empty in a scenario of one joint; locked joints are left out.
 
     Raises
     ------
@@ -188,22 +195,23 @@ def felt_stiffness(
     """
     check_positive("felt_stiffness", "Hz", frequencies=frequencies)
     if torque is not None:
-        check_positive("felt_stiffness", "N*m", torque=torque)
-    report = progress or silent
-    loop = _loop_of_joint(scenario) if isinstance(scenario, Scenario) else _loop_of_robot(scenario)
-    found, done = {}, 0
-    for joint, name in enumerate(loop.names):
+        check_positive("felt_stiffness", scenario.joint_type.unit("N*m"), torque=torque)
+    report, loop = progress or silent, _Loop(scenario)
+    ranges, names = scenario.attainable_torques(), scenario.joint_names or ("",)
+    felt, done = {}, 0
+    for name, (low, high) in ranges.items():
 
         def tell(name: str = name) -> None:
             nonlocal done
-            report(f"pushing {name}".strip(), done / (len(frequencies) * len(loop.names)))
+            report(f"pushing {name}".strip(), done / (len(frequencies) * len(ranges)))
             done += 1
 
-        found[name] = loop.felt(joint, torque, frequencies, tell)
-    return found
+        amplitude = float(f"{_SHARE * (high - low) / 2:.1g}") if torque is None else torque
+        felt[name] = loop.felt(names.index(name), amplitude, frequencies, tell)
+    return felt
 
 
-def first_setpoints(scenario: Scenario | RobotScenario) -> PyTree:
+def first_setpoints(scenario: StudiedScenario) -> PyTree:
     """Return the first setpoint of an unnamed joint, or a tuple of those of all joints."""
     references: PyTree = scenario.references()
     if not scenario.joint_names:
@@ -211,58 +219,20 @@ def first_setpoints(scenario: Scenario | RobotScenario) -> PyTree:
     return tuple(references[name](0.0) for name in scenario.joint_names)
 
 
-def _loop_of_joint(scenario: Scenario) -> _Loop:
-    asked = first_setpoints(scenario)
-    setpoint = float(asked.angle), float(asked.stiffness)
-    held = scenario.model_copy(update={"disturbance": _Push()})
-    plant, controller, reference = held.plant(), held.control(), Reference(*setpoint)
-    start, substeps = held.initial(plant), scenario.needed_substeps()
+@jit_arrays
+def _isobaric(plant: Plant, position: PyTree, angles: Array, pressures: Array) -> Array:
+    """Isobaric stiffness [N*m/rad] in the form of a position, by joint, at angles and pressures over the last axis."""
 
-    def run(_: int, torque: float, frequency: float, duration: float) -> _Run:
-        pushed = dataclasses.replace(plant, disturbance=_Push(torque, frequency))
-        times = {"duration": duration, "control_period": held.control_period, "substeps": substeps}
-        result = simulate(pushed, controller, reference, initial=start, warn_infeasible=False, **times)
-        pressures = result["pressure1"], result["pressure2"]
-        stiffness = np.asarray(plant.joint.stiffness(result["angle"], pressures))
-        return _Run(result["angle"][None], stiffness[None], tuple(float(pressure[-1]) for pressure in pressures))
+    def at(angles: Array, pressures: Array) -> Array:
+        return jnp.stack(plant.mechanism.stiffness(plant.mechanism.like_joints(tuple(angles), position), (*pressures,)))
 
-    low, high = plant.supplied_joint.attainable_torque(setpoint[0])
-    pairs = {0: plant.joint}
-    return _Loop([""], [setpoint], [_push_of(float(low), float(high))], pairs, held.control_period, run)
+    return jax.vmap(at, in_axes=1, out_axes=1)(angles, pressures)
 
 
-def _loop_of_robot(scenario: RobotScenario) -> _Loop:
-    robot, names = scenario.robot, scenario.joint_names
-    setpoints = [(float(asked.angle), float(asked.stiffness)) for asked in first_setpoints(scenario)]
-    constant = {name: Reference(*setpoint) for name, setpoint in zip(names, setpoints, strict=True)}
-    joints = tuple(dataclasses.replace(joint, disturbance=_Push()) for joint in robot.joints)
-    update = {"reference": constant, "robot": dataclasses.replace(robot, joints=joints)}
-    held = scenario.with_model(fixed=True).model_copy(update=update)
-    plant, controller, references, start = held.plant(), held.control(), held.references(), held.starts()
-    substeps = scenario.needed_substeps()
-
-    def run(joint: int, torque: float, frequency: float, duration: float) -> _Run:
-        pushed = eqx.tree_at(lambda plant: plant.robot.joints[joint].disturbance, plant, _Push(torque, frequency))
-        times = {"duration": duration, "control_period": held.control_period, "substeps": substeps}
-        result = simulate(pushed, controller, references, initial=start, warn_infeasible=False, **times)
-        return _Run(result["angle"], result["stiffness"], tuple(result["pressure"][:, -1].tolist()))
-
-    angles, ranges = [angle for angle, _ in setpoints], {}
-    pairs = {index: robot.pair(index) for index in robot.pairs} if robot.has_disjoint_pairs else {}
-    if not pairs:
-        ranges = attainable_statics(robot, angles, torques=holding_torques(robot, angles), supply=scenario.supply)
-    torques = [
-        _push_of(*(map(float, pairs[i].attainable_torque(angles[i])) if pairs else ranges[name].torque))
-        for i, name in enumerate(names)
-    ]
-    return _Loop(names, setpoints, torques, pairs, held.control_period, run)
-
-
-def _push_of(low: float, high: float) -> float:
-    """Amplitude of a push [N*m] from a range of torque, to one digit."""
-    return float(f"{_SHARE * (high - low) / 2:.1g}")
-
-
-@jit
-def _small(joint: AntagonisticJoint, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Array:
-    return joint.secant_stiffness(angle, pressures, joint.small_motion)
+@jit_arrays
+def _small_motion(plant: Plant, position: PyTree, angles: Array, pressures: Array, joint: int) -> Array:
+    """Stiffness [N*m/rad] of small motion of one joint, with friction, at constant pressures."""
+    mechanism = plant.mechanism
+    over = mechanism.routes_over(mechanism.like_joints(tuple(angles), position), joint)
+    amplitude = SMALL_MOTION * mechanism.joint_type.scale
+    return secant_stiffness(over, joint, angles[joint], tuple(pressures), amplitude)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
-from mckibben.errors import RangeError
 from mckibben.joint.route import closed_valve_stiffness, secant_stiffness
 from mckibben.mechanism.base import joints_in, over_joints
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
@@ -22,11 +21,10 @@ from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import Plant, PlantState
 from mckibben.result import Column, Listing, Remark, Result, TableColumns, table
-from mckibben.scenario import Scenario
-from mckibben.scenario.robot import RobotScenario
+from mckibben.scenario import StudiedScenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.study.felt import Felt, felt_stiffness, first_setpoints
-from mckibben.units import HINGE, bar, deg
+from mckibben.units import JointType, bar
 
 Values = NDArray[np.float64]
 
@@ -49,30 +47,31 @@ class FeltStiffness(Result):
 
     figures = ("felt_stiffness",)
 
-    scenario: Scenario | RobotScenario
+    scenario: StudiedScenario
     felt: dict[str, Felt]
     """By the name of the joint, which is empty in a scenario of one joint."""
 
     def verdict(self) -> str:
         """Return the stiffness that is felt at the lowest and the highest frequency, beside the setpoint."""
-        texts = []
+        texts, show = [], self.scenario.joint_type.show
         for name, felt in self.felt.items():
             ends = zip(felt.magnitude[[0, -1]], felt.frequency[[0, -1]], strict=True)
-            pushes = " and ".join(f"{stiffness:.3g} N*m/rad at {rate:.2g} Hz" for stiffness, rate in ends)
-            of = f"{name}: " * bool(name)
-            texts.append(f"{of}setpoint {felt.setpoint:.3g} N*m/rad, a push of {felt.torque:g} N*m feels {pushes}")
+            pushes = " and ".join(f"{show(stiffness, 'N*m/rad', 3)} at {rate:.2g} Hz" for stiffness, rate in ends)
+            setpoint = f"setpoint {show(felt.setpoint, 'N*m/rad', 3)}, " if np.isfinite(felt.setpoint) else ""
+            push = f"{setpoint}a push of {show(felt.torque, 'N*m')} feels {pushes}"
+            texts.append(f"{name}: {push}" if name else push)
         return "; ".join(texts)
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on pushes that change the mean stiffness, and on motion that does not settle."""
+        show = self.scenario.joint_type.show
         for name, felt in self.felt.items():
             of, change = f"{name}: " * bool(name), felt.pushed / felt.isobaric - 1
             at = int(np.argmax(np.abs(change)))
             if abs(change[at]) > _PUMPED:
-                text = f"{of}a push of {felt.torque:g} N*m at {felt.frequency[at]:.2g} Hz changes the mean isobaric "
-                text += (
-                    f"stiffness from {felt.isobaric:.3g} to {felt.pushed[at]:.3g} N*m/rad: the loop works against it"
-                )
+                before, after = (show(value, "N*m/rad", 3) for value in (felt.isobaric, felt.pushed[at]))
+                text = f"{of}a push of {show(felt.torque, 'N*m')} at {felt.frequency[at]:.2g} Hz changes the mean "
+                text += f"isobaric stiffness from {before} to {after}: the loop works against it"
                 yield Remark.warning("pushed", text, "lower the bandwidth of the feedback, or use impedance control")
             if not felt.settled.all():
                 rates = ", ".join(f"{rate:.2g}" for rate in felt.frequency[~felt.settled])
@@ -83,9 +82,10 @@ class FeltStiffness(Result):
     @table("Stiffness of the joint, and what a push feels")
     def comparison(self) -> TableColumns:
         """The isobaric stiffness and that of small motion beside what is felt."""
-        stiffness, pushes = Column("N*m/rad", digits=3), list(self.felt.values())
+        kind, pushes = self.scenario.joint_type, list(self.felt.values())
+        stiffness = Column("N*m/rad", digits=3).for_joint(kind)
         columns: TableColumns = {"joint": (Column(), list(self.felt))} if all(self.felt) else {}
-        columns["push"] = Column("N*m", digits=2), [push.torque for push in pushes]
+        columns["push"] = Column("N*m", digits=2).for_joint(kind), [push.torque for push in pushes]
         for name in ("setpoint", "isobaric", "small_motion"):
             columns[name] = stiffness, [getattr(push, name) for push in pushes]
         for place, rate in enumerate(pushes[0].frequency):
@@ -95,8 +95,11 @@ class FeltStiffness(Result):
     @table(detail=True)
     def pushes(self) -> list[Listing]:
         """The pushes of each joint."""
+        kind = self.scenario.joint_type
         return [
-            Listing(f"Push of {push.torque:g} N*m{' on ' * bool(name)}{name}", push.columns(), detail=True)
+            Listing(
+                f"Push of {kind.show(push.torque, 'N*m')}{' on ' * bool(name)}{name}", push.columns(kind), detail=True
+            )
             for name, push in self.felt.items()
         ]
 
@@ -124,26 +127,27 @@ class MotionTests(NamedTuple):
     tests: dict[str, DynamicStiffness]
     """Simulated, by name."""
 
-    def verdict(self) -> str:
+    def verdict(self, kind: JointType) -> str:
         """Return what is held, and the range of the stiffness over the amplitudes."""
         pressures = " and ".join(f"{pressure / bar:.3g}" for pressure in self.pressures)
-        held = f"held at {round(self.angle / deg, 3) + 0.0:g} deg by {pressures} bar"
-        return f"{held}: {self.secant.min():.4g} to {self.secant.max():.4g} N*m/rad at constant pressures"
+        held = f"held at {round(self.angle / kind.size('deg'), 3) + 0.0:g} {kind.shown('deg')} by {pressures} bar"
+        return f"{held}: {kind.span((self.secant.min(), self.secant.max()), 'N*m/rad')} at constant pressures"
 
-    def listings(self, name: str, closed_depends_on_rate: bool) -> Iterator[Listing]:
+    def listings(self, name: str, kind: JointType, closed_depends_on_rate: bool) -> Iterator[Listing]:
         """Yield the closed forms over the amplitude, and each simulated test over the rates; a name is of the joint."""
         of = f"{name}: " * bool(name)
-        amplitude = Column("rad", "amplitude", "deg", digits=3), self.amplitude
-        over = {"amplitude": amplitude, SHOWN[HELD]: (_STIFFNESS, self.secant)}
-        yield Listing(f"{of}Closed forms, with friction", over | {SHOWN[CLOSED]: (_STIFFNESS, self.closed_secant)})
+        amplitude = Column("rad", "amplitude", "deg", digits=3).for_joint(kind), self.amplitude
+        shown = _STIFFNESS.for_joint(kind)
+        over = {"amplitude": amplitude, SHOWN[HELD]: (shown, self.secant)}
+        yield Listing(f"{of}Closed forms, with friction", over | {SHOWN[CLOSED]: (shown, self.closed_secant)})
         for test, found in self.tests.items():
             stiffness = found.magnitude if test == CONTROLLED else found.stiffness
             columns: TableColumns = {"amplitude": amplitude}
             for rate, values, loss in zip(found.frequency, stiffness, found.loss, strict=True):
-                columns[f"{rate:.3g} Hz"] = _STIFFNESS, values
-                columns[f"loss at {rate:.3g} Hz"] = _STIFFNESS, loss
-            shown = test == CONTROLLED or (test == CLOSED and closed_depends_on_rate)
-            yield Listing(f"{of}Simulated: {SHOWN[test]}", columns, detail=not shown)
+                columns[f"{rate:.3g} Hz"] = shown, values
+                columns[f"loss at {rate:.3g} Hz"] = shown, loss
+            detail = not (test == CONTROLLED or (test == CLOSED and closed_depends_on_rate))
+            yield Listing(f"{of}Simulated: {SHOWN[test]}", columns, detail=detail)
 
 
 class StiffnessTests(FeltStiffness):
@@ -156,7 +160,8 @@ class StiffnessTests(FeltStiffness):
 
     def verdict(self) -> str:
         """Return what is held, and the range of the stiffness over the amplitudes."""
-        texts = [f"{name or self.scenario.name}, {motion.verdict()}" for name, motion in self.motions.items()]
+        kind = self.scenario.joint_type
+        texts = [f"{name or self.scenario.name}, {motion.verdict(kind)}" for name, motion in self.motions.items()]
         return "; ".join([*texts, super().verdict()])
 
     @table("Stiffness of small motion, without friction")
@@ -169,17 +174,22 @@ class StiffnessTests(FeltStiffness):
         columns["isobaric"] = Column("N*m/rad", SHOWN[HELD]), [motion.isobaric for motion in motions]
         columns["closed_valve"] = Column("N*m/rad", SHOWN[CLOSED]), [motion.closed_valve for motion in motions]
         columns["polytropic_index"] = Column("1"), [motion.polytropic_index for motion in motions]
-        return columns
+        kind = self.scenario.joint_type
+        return {name: (mark.for_joint(kind), values) for name, (mark, values) in columns.items()}
 
     @table()
     def simulated(self) -> list[Listing]:
         """The tests of each joint."""
         warm = getattr(self.scenario.valve, "wall_conductance", None) is not None
-        return [listing for name, motion in self.motions.items() for listing in motion.listings(name, warm)]
+        return [
+            listing
+            for name, motion in self.motions.items()
+            for listing in motion.listings(name, self.scenario.joint_type, warm)
+        ]
 
 
 def stiffness_tests(
-    scenario: Scenario | RobotScenario,
+    scenario: StudiedScenario,
     amplitudes: ArrayLike,
     rates: ArrayLike,
     *,
@@ -213,24 +223,22 @@ def stiffness_tests(
     Raises
     ------
     RangeError
-        If an amplitude or rate is not positive, or too high, or the joint is a slide.
+        If an amplitude or rate is not positive, or too high.
     SimulationError
         If the plant needs more substeps.
     """
     report = progress or silent
     plant: PyTree = scenario.plant()
-    if plant.mechanism.joint_type is not HINGE:
-        message, remedy = "the motion of these tests is imposed on a hinge", "see the stiffness in `mckibben envelope`"
-        raise RangeError(message, field="joint", remedy=remedy)
     controller = scenario.control()
     closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.needed_substeps()
     setpoint = first_setpoints(scenario)
-    held = over_joints(lambda own: Setpoint(*(jnp.full(round(2.0 / period), float(x)) for x in own)), setpoint)
+    count = round(2.0 / period)
+    held = over_joints(lambda values: Setpoint(*(jnp.full(count, float(value)) for value in values)), setpoint)
     report("settling", 0.0)
     start = plant.complete_state(scenario.initial(plant))
-    parts = numeric((plant, controller, held, start))
-    state, _ = compiled_episode(*parts, period=np.asarray(period), substeps=substeps)
+    arguments = numeric((plant, controller, held, start))
+    state, _ = compiled_episode(*arguments, period=np.asarray(period), substeps=substeps)
 
     plants: dict[str, Plant] = {
         HELD: dataclasses.replace(plant, valve=IdealValve()),
@@ -241,16 +249,16 @@ def stiffness_tests(
     valve: PyTree = closed.valve
     index = valve.polytropic_index if valve.wall_conductance is None else HEAT_CAPACITY_RATIO
     names = scenario.joint_names or ("",)
-    motions, count = {}, 0
+    motions, done = {}, 0
     for joint, name in enumerate(names):
         tests = {}
-        for test, own in plants.items():
-            report(f"{name} {test}".strip(), count / (len(plants) * len(names)))
-            count += 1
+        for test, tested in plants.items():
+            report(f"{name} {test}".strip(), done / (len(plants) * len(names)))
+            done += 1
             control: dict[str, PyTree] = {"controller": controller, "setpoint": setpoint} if test == CONTROLLED else {}
-            started = state if own.valve_of(0) is plant.valve_of(0) else state._replace(air=())
+            started = state if tested.valve_of(0) is plant.valve_of(0) else state._replace(air=())
             times = {"control_period": period, "substeps": substeps}
-            tests[test] = dynamic_stiffness(own, started, amplitudes, rates, joint=joint, **control, **times)
+            tests[test] = dynamic_stiffness(tested, started, amplitudes, rates, joint=joint, **control, **times)
         amplitude = tests[HELD].amplitude
         numbers = _closed_forms(*numeric((plant, state, amplitude, index, valve.dead_volume)), joint=joint)
         isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
