@@ -8,7 +8,7 @@ gravity take is among the forces on each body (`mckibben.mechanism.tree.moved_bo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mckibben.mechanism.tree import BodyInertia, Composite, Frame, TreeHinge, moved_bodies, solve_symmetric
 from mckibben.numerics.elementary import Number
@@ -78,7 +78,7 @@ def accelerations(
     support: Vector,
     torques: Sequence[Number],
     forces: Sequence[tuple[int, Vector, Vector]] = (),
-) -> list[Number]:
+) -> list[Any]:
     """Return the accelerations of slides and free hinges under forces [N] and torques [N*m] on them.
 
     The arguments are those of `mckibben.mechanism.tree.equations`, whose solution they are.
