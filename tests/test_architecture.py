@@ -107,7 +107,7 @@ BUDGET = {
     "identification": 3760,
     "joint": 1400,
     "robot": 80,
-    "mechanism": 2040,
+    "mechanism": 2140,
     "muscle": 1610,
     "numerics": 820,
     "paper": 1190,
