@@ -101,7 +101,7 @@ BUDGET = {
     "config": 570,
     "contract": 660,
     "control": 2650,
-    "dataset": 4120,
+    "dataset": 4140,
     "experiment_design": 720,
     "export": 2610,
     "identification": 3760,
