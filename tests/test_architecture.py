@@ -101,7 +101,7 @@ BUDGET = {
     "config": 570,
     "contract": 660,
     "control": 2660,
-    "dataset": 4110,
+    "dataset": 4130,
     "experiment_design": 720,
     "export": 2880,
     "identification": 3760,
