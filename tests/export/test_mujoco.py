@@ -19,7 +19,8 @@ from mckibben.export import export
 from mckibben.export.mjcf import mujoco_model
 from mckibben.export.mujoco import build_plugin, import_mujoco, load_mujoco
 from mckibben.export.muscle_plugin import plugin_source
-from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip
+from mckibben.joint import Slide, SlidingMass
+from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip, no_muscle
 from mckibben.scenario import run_scenario
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")
@@ -176,6 +177,11 @@ def runs(tmp_path_factory, knee):
         "second": mk.JointPlant(
             mk.AntagonisticJoint(knee.geometry, growing, creeping), LOAD, SecondOrderValve(60.0, damping=0.5)
         ),
+        "slide": mk.JointPlant(
+            mk.AntagonisticJoint(Slide(rest_length2=0.165), no_muscle(), knee.muscle2),
+            SlidingMass(mass=2.0, damping=60.0, incline=0.5),
+            mk.IdealValve(),
+        ),
         "stretch": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, knee.muscle1, knee.muscle2, SPRING), LOAD, FLOW),
     }
     return plants, build(tmp_path_factory.mktemp("runs"), plants)
@@ -220,6 +226,18 @@ def test_a_return_spring_needs_no_command(runs):
         mujoco.mj_forward(model, data)
         wanted = float(plants["spring"].joint.torque(angle, (0.0, 3e5)))
         assert data.qfrc_actuator[0] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_mass_on_a_slope_accelerates_as_it_should(runs):
+    plants, models = runs
+    model = mujoco.MjModel.from_xml_string(models["slide"].xml)
+    data, plant = mujoco.MjData(model), plants["slide"]
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+    for position in (-0.01, 0.0, 0.01):
+        data.qpos[0], data.qvel[0], data.ctrl[:] = position, 0.2, (0.0, 3e5)
+        mujoco.mj_forward(model, data)
+        force = plant.joint.torque(position, (0.0, 3e5))
+        assert data.qacc[0] == pytest.approx(float(plant.load.acceleration(position, 0.2, force)), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -270,9 +288,3 @@ def test_the_compiler_of_a_plugin_may_have_options(tmp_path, monkeypatch):
     with pytest.raises(ExportError) as caught:
         build_plugin(library, [tmp_path / "plugin.c"], package)
     assert caught.value.field == "CC"
-
-
-def test_a_load_that_slides_is_refused():
-    with pytest.raises(ExportError) as caught:
-        mujoco_model(mk.Scenario.read("examples/linear-axis.yaml").plant())
-    assert caught.value.field == "load" and caught.value.remedy

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 import mckibben as mk
 from mckibben.control import OpenLoopControl
 from mckibben.errors import RangeError, ScenarioError
+from mckibben.export.controller import controller_functions
 from mckibben.joint import Slide, SlidingMass
 from mckibben.muscle import no_muscle
 from mckibben.rig import prepare
@@ -156,3 +157,8 @@ def test_a_rig_has_limits_and_units_of_a_slide(tmp_path):
     assert shown[0].joint_type is SLIDE
     assert ran.result.joint_type is SLIDE and not ran.result["outside_domain"].any()
     np.testing.assert_allclose(ran.result["angle"], axis.run_once()["angle"], atol=1e-6)  # which has an encoder
+
+
+def test_a_controller_of_one_muscle_has_finite_inputs_for_an_fmu():
+    setpoint = controller_functions(mk.Scenario.parse(AXIS)).setpoint
+    assert (setpoint.angle, setpoint.stiffness) == pytest.approx((4 * mm, 0.0))

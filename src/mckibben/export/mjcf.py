@@ -31,7 +31,7 @@ from mckibben.plant import JointPlant
 from mckibben.plant.robot_plant import RobotPlant
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
-from mckibben.units import GRAVITY, SLIDE
+from mckibben.units import GRAVITY, HINGE, SLIDE, JointType
 
 _LIGHT = 1e-12  # mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass
 
@@ -297,15 +297,17 @@ def anchors(joint: Joint, moved: Transmission) -> tuple[Vector, Vector]:
     return across.scaled(x) + up.scaled(z), across.scaled(moving[0]) + up.scaled(moving[1])
 
 
-def _hung(name: str, inertial: Attributes, joint: Joint, limit: Compliance | None) -> _Body:
-    """A body on its hinge, which is none if locked; `limit` is the compliance of its stops."""
+def _hung(
+    name: str, inertial: Attributes, joint: Joint, limit: Compliance | None, joint_type: JointType = HINGE
+) -> _Body:
+    """A body on its hinge or slide, which is none if locked; `limit` is the compliance of its stops."""
     neutral = float(joint.offset) + float(joint.locked or 0.0)
     axis = numbers_text(joint.direction)
     placed = {"name": name, "pos": numbers_text(joint.place.vector), "axisangle": f"{axis} {neutral!r}"}
     axle = joint.direction.scaled(0.016)
     body = _Body(placed, inertial, shapes=[{"class": "axle", "fromto": numbers_text((*-axle, *axle))}])
     if joint.locked is None:
-        hinge = {"name": joint.name, "type": "hinge", "axis": axis, "damping": repr(float(joint.damping))}
+        hinge = {"name": joint.name, "type": joint_type.name, "axis": axis, "damping": repr(float(joint.damping))}
         hinge["armature"] = repr(float(joint.rotor_inertia or 0.0))
         if joint.spring is not None:
             hinge |= {"stiffness": repr(float(joint.spring)), "springref": repr(float(joint.spring_angle))}
@@ -336,13 +338,14 @@ def _inertial_of(body: Body | None) -> Attributes:
 
 def _joint(plant: JointPlant, start: PyTree) -> Assembly:
     """The joint of a scenario: its base is turned so that gravity points to the hanging angle."""
-    _raise(*_unsupported_valves(plant.valve), *_unsupported_load(plant.load))
-    point, tilt = mass_point(plant.load), -float(plant.load.hanging_angle)
-    damping, axis = float(plant.load.damping), (0.0, -1.0, 0.0)
+    load, joint_type = plant.load, plant.joint.joint_type
+    _raise(*_unsupported_valves(plant.valve), *_unsupported_load(load))
+    point, axis, tilt = mass_point(load), tuple(np.asarray(load.axis, float).tolist()), -float(load.hanging_angle)
+    damping = float(load.damping)
     hinge = Joint("joint", axis, -math.pi, math.pi, "limb", damping=damping, friction=plant.friction)
     base = _Body({"name": "base", "axisangle": f"{numbers_text(axis)} {tilt!r}"}, _inertial_of(None))
     inertial = _inertial(point.mass, (0, 0, -point.distance), point.inertia, point.inertia, point.inertia)
-    limb = _hung("limb", inertial, hinge, None)
+    limb = _hung("limb", inertial, hinge, None, joint_type)
     limb.bone(Vector(0.0, 0.0, -point.distance or -0.1))
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
     assembly = Assembly(plant, start, [base, limb], [hinge], [0])
@@ -448,16 +451,15 @@ def _unsupported_valves(valve: Actuator) -> Iterator[ExportError]:
 
 
 def _unsupported_load(load: Load) -> Iterator[ExportError]:
-    """Error for a load with a torque other than that of gravity on a mass that turns."""
-    if load.joint_type is SLIDE:
-        yield ExportError(
-            "the limb of a joint turns in MJCF, and this load slides", field="load", remedy="use --to fmu"
-        )
-        return
+    """Error for a load with a torque other than that of gravity on a mass that turns or slides."""
     angles, moment = np.linspace(-1, 1, 5), float(load.gravity_moment)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)
+    if load.joint_type is SLIDE:
+        moment = float(load.total_inertia) * gravity_of(load)
+        hanging = np.full_like(angles, -moment * np.asarray(load.axis, float)[2])
     if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
-        yield _cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
+        remedy = "give a PendulumLoad or a GeneralLoad, or on a slide a SlidingMass"
+        yield _cannot("load", "a load with a torque other than gravity", remedy)
 
 
 def _raise(*errors: ExportError) -> None:
@@ -497,7 +499,9 @@ def mass_point(load: Load) -> MassPoint:
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
     _raise(*_unsupported_load(load))
     mass, assumed = _known_mass(load), ()
-    if mass is None:
+    if mass is None and load.joint_type is SLIDE:
+        mass = inertia
+    elif mass is None:
         mass = 2 * moment**2 / (inertia * gravity**2) or 1.0
         assumed = (f"mass of the load: {mass:.4g} kg is assumed, as only its inertia and torque are known",)
     distance = moment / (mass * gravity) if gravity else 0.0

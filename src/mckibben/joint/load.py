@@ -64,6 +64,11 @@ class Load(Component):
     def gravity_moment(self) -> Float[Array, ""]:
         """G [N*m], the largest torque of gravity; negative for an inverted load."""
 
+    @property
+    def axis(self) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+        """Unit vector about which it turns, or along which it slides; x is forwards, z up."""
+        return (0.0, -1.0, 0.0)
+
     def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> Load:
         """Return the load with an additional point mass [kg] on the limb, at a distance [m] from the axis.
 
@@ -271,6 +276,7 @@ class SlidingMass(Load):
 
     short_name = "sliding_mass"
     joint_type = SLIDE
+    hanging_angle = 0.0  # it does not turn
     estimated_mass = "mass"
 
     mass: PositiveMass
@@ -285,6 +291,11 @@ class SlidingMass(Load):
     @property
     def gravity_moment(self) -> Float[Array, ""]:
         return jnp.zeros_like(floating(self.mass))  # the weight does not depend on the position
+
+    @property
+    def axis(self) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+        sine, cosine = sincos(self.incline)
+        return cosine, 0.0, sine
 
     def gravity_torque(self, angle: ArrayLike) -> Float[Array, "..."]:
         return jnp.full_like(floating(angle), -self.mass * self.gravity * sincos(self.incline)[0])
