@@ -143,9 +143,13 @@ class Shape(NamedTuple):
 
 
 @functools.cache
+def parsed(path: str) -> ast.Module:
+    return ast.parse(Path(path).read_text(encoding="utf-8"))
+
+
+@functools.cache
 def shape(path: str) -> Shape:
-    text = Path(path).read_text(encoding="utf-8")
-    tree = ast.parse(text)
+    text, tree = Path(path).read_text(encoding="utf-8"), parsed(path)
     docstrings: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node, clean=False):
@@ -200,7 +204,7 @@ def test_no_function_is_of_grade_d():
     complexity = pytest.importorskip("radon.complexity", reason="radon is not installed (make does it)")
     found = {}
     for name, path in SOURCES.items():
-        for block in complexity.cc_visit(Path(path).read_text(encoding="utf-8")):
+        for block in complexity.cc_visit_ast(parsed(path)):
             for function in (block, *getattr(block, "methods", ())):
                 if type(function).__name__ == "Function" and function.complexity > 20:
                     found[f"{name}.{function.name}"] = function.complexity
@@ -211,7 +215,7 @@ def test_no_function_is_of_grade_d():
 def imported(module: str) -> set[str]:
     """Modules that a module imports, also within functions and for types alone."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(SOURCES[module])):
         if isinstance(node, ast.ImportFrom):
             whole = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= whole & SOURCES.keys() or {node.module or ""}
@@ -234,7 +238,7 @@ def test_no_import_by_text():
     reference = re.compile(r"mckibben(\.\w+)+(:\w+)?")
     homes = set()
     for name, path in SOURCES.items():
-        for node in ast.walk(ast.parse(Path(path).read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
             texts = [arg.value for arg in node.args if isinstance(arg, ast.Constant)] if called else []
             by_name = called.endswith("import_module") and any(reference.fullmatch(str(text)) for text in texts)
@@ -271,7 +275,7 @@ def declares(kind: type) -> bool:
 @pytest.mark.slow
 def test_only_the_command_line_prints():
     for name, path in SOURCES.items():
-        tree = ast.parse(Path(path).read_text())
+        tree = parsed(path)
         calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
         if not name.startswith(("mckibben.cli", "mckibben.study", "mckibben.storage")):
             assert "print" not in calls, name
@@ -285,7 +289,7 @@ SHARED = {"Calibration", "Column", "Joint", "Measured", "Study", "Table"}
 def test_no_two_further_public_classes_have_one_name():
     homes: dict[str, list[str]] = {}
     for name, path in SOURCES.items():
-        for node in ast.parse(Path(path).read_text()).body:
+        for node in parsed(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(name)
     assert {cls for cls, where in homes.items() if len(where) > 1} <= SHARED
@@ -301,7 +305,7 @@ def test_kinds_of_actuators_are_told_apart_in_their_modules_only():
     assert {"Valve", "AirValve", "Tube", "UnequalValves"} <= kinds
     found = []
     for name, path in SOURCES.items():
-        for node in ast.walk(ast.parse(Path(path).read_text())):
+        for node in ast.walk(parsed(path)):
             called = getattr(node, "func", None)
             if getattr(called, "id", "") in ("isinstance", "issubclass") and not name.startswith("mckibben.actuator"):
                 found += [(name, one.id) for one in ast.walk(node.args[1]) if getattr(one, "id", "") in kinds]

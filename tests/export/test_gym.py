@@ -155,6 +155,7 @@ def test_air_costs(env, scenario):
     assert rewards[1] - rewards[0] == pytest.approx(0.1 * used[0] / 5e-3, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_random_plants_are_within_their_ranges_and_belong_to_a_seed(env, envs, scenario):
     masses = np.asarray(env.joint.plants.varying.plant.load.mass2)
     assert masses.shape == (8,)

@@ -146,6 +146,7 @@ def test_beyond_the_pressures_the_misfit_grows_with_the_distance(fit):
 # --- the rule -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     assert (fit.robust.by, fit.robust.groups) == (Grouping.PRESSURE, 10)
     assert fit_law(ExponentialLaw, map_of_martens).robust.groups == 16

@@ -27,6 +27,7 @@ def rig():
     return mk.read_dataset(RIG)
 
 
+@pytest.mark.slow
 def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     """The rig's friction is 12 N over 0.5 mm (`mckibben.rig.SimulatedIsobaricTest`)."""
     found = identify_with_friction(ExponentialLaw, rig)

@@ -233,6 +233,7 @@ def test_a_point_is_a_spring_of_its_stiffness_about_its_reference():
     np.testing.assert_allclose(jacobian.T @ pressed, springs, atol=0.02)
 
 
+@pytest.mark.slow
 def test_positions_out_of_reach_are_named_before_the_run():
     with pytest.raises(UnreachableError) as caught:
         RobotScenario.parse(POINT.replace("-705 mm", "-830 mm")).references()

@@ -255,6 +255,7 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
     assert set(scenario.joint.remarks) <= set(run.presented.remarks)
 
 
+@pytest.mark.slow
 @visits
 async def test_an_outlier_is_named_and_can_be_kept(user):
     pressure, contraction = (np.ravel(axis) for axis in np.meshgrid(np.arange(3, 7) * bar, np.arange(0, 12, 2) / 100))
