@@ -35,7 +35,7 @@ from mckibben.simulation.outcome import FOLLOWED, LEAST_MOTION, LEFT_REFERENCE_A
 from mckibben.simulation.trajectories import column_of, trajectory
 from mckibben.study.parameters.sampling import SweptParameter, parse_sweeps
 from mckibben.study.parameters.uncertainty import uncertainty
-from mckibben.units import deg, quantity
+from mckibben.units import HINGE, deg, quantity
 
 COLUMNS = (
     *("angle", "desired_angle", "stiffness", "desired_stiffness", "torque", "pressure1", "pressure2", "command1"),
@@ -100,7 +100,7 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
         For a robot or a slide, for a controller that knows setpoints in advance, for parts that need 64-bit integers,
         and for a slider on which the numbers of plant or controller do not depend linearly.
     """
-    if isinstance(scenario, RobotScenario) or scenario.joint_type.scale != 1.0:
+    if isinstance(scenario, RobotScenario) or scenario.joint_type is not HINGE:
         raise ExportError("the page draws a hinge", field="joint", remedy="write the controller of others with --to js")
     parts = _parts(scenario)
     if parts.controller.samples_ahead:
@@ -116,10 +116,8 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
     first = parts.reference(0.0)
     settings = {
         "name": scenario.name,
-        "program": name,
         "period": scenario.control_period,
         "periods": round(scenario.duration / scenario.control_period),
-        "encoder": float(np.asarray(parts.plant.sensors.angle_resolution)),
         "startsAtReference": bool(start[0] == first.angle and (np.isnan(start[1]) or start[1] == first.stiffness)),
         "columns": COLUMNS,
         "stiffness": _stiffness_range(parts),
