@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.dataset.faults import RecordedSignals
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar, percent
 
@@ -144,6 +145,23 @@ def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
     stuck(samples, "force", 0.55, 40)
     with pytest.warns(McKibbenWarning, match="force is stuck"):
         assert right(samples.record().plateaus().dataset)
+
+
+@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
+@pytest.mark.parametrize("levels", [(1.5, 3.0), (1.5, 2.5, 3.5)])
+def test_a_late_signal_of_loops_at_few_pressures_is_a_question_with_the_delay(name, levels):
+    """Few large changes; of a periodic motion the shortest delay is named."""
+    time, rng = np.arange(0, 60 * len(levels), 0.05), np.random.default_rng(0)
+    phase = 2 * np.pi * time / 11
+    signals = {"pressure": np.array(levels)[(time // 60).astype(int)] * bar, "contraction": 0.09 * (1 - np.cos(phase))}
+    signals["force"] = law(signals["pressure"], signals["contraction"]) - 6 * np.sign(np.sin(phase))
+    signals[name] = np.interp(time - 2, time, signals[name])
+    noisy = {
+        key: signals[key] + rng.normal(0, size, len(time)) for key, size in zip(signals, (300, 2e-5, 0.4), strict=True)
+    }
+    asked = RecordedSignals(Recording.of(time=time, **noisy, slack_force=2.0).table).questions()
+    (message,) = (query.problem.message for query in asked if "apart" in query.problem.message)
+    assert message.startswith(name) and float(message.split(" are ")[1].split()[0]) == pytest.approx(2, abs=0.3)
 
 
 @pytest.mark.parametrize("name", ["pressure", "contraction", "force"])

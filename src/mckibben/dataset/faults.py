@@ -33,7 +33,6 @@ _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 """Changes of one of these, the other at rest, which the force of a taut muscle follows."""
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
-_EVENTS = 16  # effective number of changes, twice the terms of a fit
 _FEWEST = 4  # points before and after an offset
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
@@ -228,7 +227,8 @@ class RecordedSignals:
 
         Least squares of the changes of the force from block to block, or of the contraction where weights hang, with
         those of the others. A delay is one that explains half of the variance, and leaves less than half of what is
-        left at once, where more is left than by a delay of a block more or less: else the motion is periodic.
+        left at once, where that is more than what a delay of a block more or less leaves: else the motion is periodic.
+        Of those that leave no more than twice the least, it is the shortest.
         """
         means = self._at_equal_times()
         steps = {name: np.diff(part) for name, part in means.items()}
@@ -236,13 +236,16 @@ class RecordedSignals:
             return
         lags = range(-_LAGS, _LAGS + 1)
         for response in [name for name in ("force", "contraction") if name in steps]:
-            energy = steps[response] ** 2
-            if energy.sum() ** 2 < _EVENTS * (energy @ energy):
-                continue  # too few changes
             trials = {(name, lag): _unexplained(means, response, name, lag) for name in steps for lag in lags}
-            (name, lag), least = min(trials.items(), key=lambda trial: trial[1])
+            least = min(trials.values())
+            lowest = {
+                trial: share
+                for trial, share in trials.items()
+                if share <= min(trials.get((trial[0], trial[1] + block), share) for block in (-1, 1))
+            }
+            name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
             at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
-            beside = max(trials.get((name, lag + block), 0.0) for block in (-1, 1))
+            beside = min(trials.get((name, lag + block), 0.0) for block in (-1, 1))
             if max(2 * least, beside) < min(1.0, at_once):
                 seconds = show(abs(lag) * self.size * self.interval, "s", 2)
                 text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
