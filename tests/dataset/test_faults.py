@@ -129,6 +129,17 @@ def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     assert "is stuck" in data.table.attrs["preprocessing"]
 
 
+def test_loops_of_which_too_much_is_lost_say_that_there_is_no_friction(tmp_path):
+    samples = Samples("loops")
+    stuck(samples, "force", 0.02, 234)
+    samples.record().to_netcdf(tmp_path / "a.nc")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        data = read_dataset(tmp_path / "a.nc", accept=["order", "rows"])
+    assert "direction" not in data.table
+    assert any("no friction is identified" in str(warning.message) for warning in caught)
+
+
 def test_a_pressure_that_is_set_at_once_while_the_force_is_stuck_is_no_jump():
     samples = Samples()
     samples.pressure = np.round(samples.pressure / bar) * bar + np.random.default_rng(0).normal(

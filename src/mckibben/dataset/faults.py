@@ -226,9 +226,9 @@ class RecordedSignals:
         """Signal that changes earlier or later than the others.
 
         Least squares of the changes of the force from block to block, or of the contraction where weights hang, with
-        those of the others. A delay is one that explains half of the variance, and leaves less than half of what is
-        left at once, where that is more than what a delay of a block more or less leaves: else the motion is periodic.
-        Of those that leave no more than twice the least, it is the shortest.
+        those of the others. A delay explains half of the variance, and leaves less than half of what is left at once.
+        Several delays of one signal are those of a periodic motion: then they have to leave less also by a block more
+        or less, and it is the shortest of those that leave no more than twice the least.
         """
         means = self._at_equal_times()
         steps = {name: np.diff(part) for name, part in means.items()}
@@ -246,7 +246,8 @@ class RecordedSignals:
             name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
             at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
             beside = min(trials.get((name, lag + block), 0.0) for block in (-1, 1))
-            if max(2 * least, beside) < min(1.0, at_once):
+            delays = [trial for trial, share in lowest.items() if trial[0] == name and 2 * share < min(1.0, at_once)]
+            if len(delays) == 1 or (delays and beside < at_once):
                 seconds = show(abs(lag) * self.size * self.interval, "s", 2)
                 text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
                 yield question(text, "order", field=name, remedy=_REMEDY)
