@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.dataset.faults import RecordedSignals
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar, percent
 
@@ -127,6 +128,17 @@ def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     assert "is stuck" in data.table.attrs["preprocessing"]
 
 
+def test_loops_of_which_too_much_is_lost_say_that_there_is_no_friction(tmp_path):
+    samples = Samples("loops")
+    stuck(samples, "force", 0.02, 234)
+    samples.record().to_netcdf(tmp_path / "a.nc")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        data = read_dataset(tmp_path / "a.nc", accept=["order", "rows"])
+    assert "direction" not in data.table
+    assert any("no friction is identified" in str(warning.message) for warning in caught)
+
+
 def test_a_pressure_that_is_set_at_once_while_the_force_is_stuck_is_no_jump():
     samples = Samples()
     samples.pressure = np.round(samples.pressure / bar) * bar + np.random.default_rng(0).normal(
@@ -145,7 +157,29 @@ def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
         assert right(samples.record().plateaus().dataset)
 
 
+<<<<<<< HEAD
 @pytest.mark.parametrize(("name", "seconds"), [("pressure", 1.0), ("contraction", 2.0), ("force", 1.0), ("force", 5.0)])
+=======
+@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
+@pytest.mark.parametrize("levels", [(1.5, 3.0), (1.5, 2.5, 3.5)])
+def test_a_late_signal_of_loops_at_few_pressures_is_a_question_with_the_delay(name, levels):
+    """Few large changes; of a periodic motion the shortest delay is named."""
+    time, rng = np.arange(0, 60 * len(levels), 0.05), np.random.default_rng(0)
+    phase = 2 * np.pi * time / 11
+    signals = {"pressure": np.array(levels)[(time // 60).astype(int)] * bar, "contraction": 0.09 * (1 - np.cos(phase))}
+    signals["force"] = law(signals["pressure"], signals["contraction"]) - 6 * np.sign(np.sin(phase))
+    signals[name] = np.interp(time - 2, time, signals[name])
+    noisy = {
+        key: signals[key] + rng.normal(0, size, len(time)) for key, size in zip(signals, (300, 2e-5, 0.4), strict=True)
+    }
+    asked = RecordedSignals(Recording.of(time=time, **noisy, slack_force=2.0).table).questions()
+    (message,) = (query.problem.message for query in asked if "apart" in query.problem.message)
+    assert message.startswith(name) and float(message.split(" are ")[1].split()[0]) == pytest.approx(2, abs=0.3)
+
+
+@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
+@pytest.mark.parametrize("seconds", [1.0, 2.0, 5.0])
+>>>>>>> truth
 def test_a_late_signal_is_a_question(name, seconds, tmp_path):
     samples = Samples()
     late(samples, name, seconds)

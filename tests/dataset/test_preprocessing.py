@@ -208,6 +208,14 @@ def test_passes_need_reversals():
     assert passes(one, np.random.default_rng(0).uniform(0, 0.2, 30)) is None
 
 
+def test_passes_need_reversals_at_most_points_and_not_at_most_pressures():
+    """After a loss two short strokes at pressures of their own leave the directions of the others known."""
+    loop, stroke = np.r_[np.linspace(0, 0.2, 20), np.linspace(0.2, 0, 20)], np.linspace(0, 0.1, 10)
+    groups = np.repeat([0, 1, 2, 3], [40, 10, 10, 40])
+    direction, _ = passes(groups, np.concatenate([loop, stroke, stroke[::-1], loop]))
+    assert direction[[5, 35, 45, 55, 95]].tolist() == ["unloading", "loading", "unloading", "loading", "loading"]
+
+
 def test_points_without_levels_have_blocks_all_the_same(written):
     pressure, contraction, force, _ = measured(scatter=0.3)
     data = read(written(pressure, contraction, force))
