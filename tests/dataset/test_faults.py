@@ -157,9 +157,6 @@ def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
         assert right(samples.record().plateaus().dataset)
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize(("name", "seconds"), [("pressure", 1.0), ("contraction", 2.0), ("force", 1.0), ("force", 5.0)])
-=======
 @pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
 @pytest.mark.parametrize("levels", [(1.5, 3.0), (1.5, 2.5, 3.5)])
 def test_a_late_signal_of_loops_at_few_pressures_is_a_question_with_the_delay(name, levels):
@@ -177,9 +174,7 @@ def test_a_late_signal_of_loops_at_few_pressures_is_a_question_with_the_delay(na
     assert message.startswith(name) and float(message.split(" are ")[1].split()[0]) == pytest.approx(2, abs=0.3)
 
 
-@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
-@pytest.mark.parametrize("seconds", [1.0, 2.0, 5.0])
->>>>>>> truth
+@pytest.mark.parametrize(("name", "seconds"), [("pressure", 1.0), ("contraction", 2.0), ("force", 1.0), ("force", 5.0)])
 def test_a_late_signal_is_a_question(name, seconds, tmp_path):
     samples = Samples()
     late(samples, name, seconds)
