@@ -1,11 +1,16 @@
 """A slide: one muscle against a spring or a weight, or two, in mm, N and N/mm."""
 
+import dataclasses
+import re
+
 import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import mckibben as mk
+from mckibben.calibration import JointPrior, Sweeps, calibrate_scenario
+from mckibben.calibration.experiment import simulated
 from mckibben.control import OpenLoopControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.export.controller import controller_functions
@@ -159,6 +164,37 @@ def test_a_rig_has_limits_and_units_of_a_slide(tmp_path):
     np.testing.assert_allclose(ran.result["angle"], axis.run_once()["angle"], atol=1e-6)  # which has an encoder
 
 
+def controlled_by(controller):
+    return mk.Scenario.parse(re.sub("controller: .*", f"controller: {controller}", AXIS))
+
+
+@pytest.mark.slow
+def test_a_single_muscle_follows_under_predictive_control():
+    run = controlled_by("{class: predictive}").run_once()
+    assert not run.outcome.failed and float(run.metrics["angle_rmse"]) < 0.1 * mm
+
+
+def test_a_single_muscle_has_no_impedance():
+    with pytest.raises(ScenarioError) as error:
+        controlled_by("{class: decoupling, feedback: {bandwidth: 20 rad/s}, impedance: true}")
+    (problem,) = error.value.problems
+    assert problem.field == "controller.impedance" and problem.remedy
+
+
 def test_a_controller_of_one_muscle_has_finite_inputs_for_an_fmu():
     setpoint = controller_functions(mk.Scenario.parse(AXIS)).setpoint
     assert (setpoint.angle, setpoint.stiffness) == pytest.approx((4 * mm, 0.0))
+
+
+@pytest.mark.slow
+def test_the_sweeps_of_a_slide_find_the_strength_of_its_muscle():
+    nominal = mk.Scenario.parse(AXIS).with_fixed_model()
+    stronger = dataclasses.replace(nominal.joint.muscle2, strength=1.1)
+    axis = nominal.replace(joint=dataclasses.replace(nominal.joint, muscle2=stronger))
+    sweeps, results = Sweeps(-6 * mm, 6 * mm, 20.0), {}
+    for name, part in sweeps.parts(axis, results):
+        results[name] = simulated(part)
+    fit = calibrate_scenario(axis, sweeps.recordings(results), JointPrior(mass=0.02))
+    force, zero = fit.quantities["muscle2.force"], fit.quantities["zero"]
+    assert abs(force.value - 1.1) < 3 * force.deviation < 0.2
+    assert zero.unit == "m" and "load.inertia" not in fit.quantities

@@ -111,7 +111,7 @@ class Corrected(NamedTuple):
 
 def _others(model: Moved, prior: JointPrior) -> dict[str, float]:
     """Prior deviations of the parameters that are not a muscle's; of damping relative to critical damping."""
-    each = {f"{joint}zero": prior.zero for joint in model.joint_names}
+    each = {f"{joint}zero": prior.zero * model.joint_type.scale for joint in model.joint_names}
     each |= {f"{joint}damping": prior.damping for joint in model.joint_names}
     each |= {"added_mass": prior.added_mass, "distance": prior.distance}
     return each | {f"{name}.load_cell": prior.load_cell for name in model.muscle_names} | model.priors(prior)
@@ -152,9 +152,9 @@ def samples_of(model: Moved, recording: JointRecording, *, lengths: float = 6.0)
     angle, pressures = fit(recording.angle), fit(_in_the_muscles(recording, period))
     path = np.stack(paths_of(model, angle), axis=1)
     slips = np.stack([SLIPS * _presliding(muscle) for muscle in model.muscles])
-    enough = np.all(
-        np.maximum.accumulate(path) - np.minimum.accumulate(path) > lengths * slips[:, -1] / SLIPS[-1], axis=1
-    )
+    travel = np.maximum.accumulate(path) - np.minimum.accumulate(path)
+    passive = [is_spring(muscle) for muscle in model.muscles]
+    enough = np.all((travel > lengths * slips[:, -1] / SLIPS[-1]) | passive, axis=1)
     if not enough.any() or (begin := int(np.argmax(enough))) > enough.size // 2:
         travelled = float(np.ptp(path, axis=0).min())
         message, remedy = f"muscle lengths change by no more than {travelled / mm:.2g} mm", "sweep larger angles"

@@ -38,7 +38,7 @@ from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.mechanism import Robot
 from mckibben.numerics.batching import recheck
-from mckibben.result import Column, Listing, Remark, column, table
+from mckibben.result import Column, Listing, Remark, TableColumns, column, table
 
 _FILTER = 0.04  # s, standard deviation of the filter of the equations
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
@@ -147,7 +147,7 @@ class JointCalibration(Calibration):
         """Errors of each recording by the model before and after."""
         recordings = (*self.recordings, *self.held_out)
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
-        error = Column("N*m", digits=3)
+        error = Column("N*m", digits=3).for_joint(self.model.joint_type)
         columns: dict[str, tuple[Column, Any]] = {
             "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
             "used as": (Column(), ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)),
@@ -158,9 +158,11 @@ class JointCalibration(Calibration):
 
     def verdict(self) -> str:
         """Mean stiffness along the recordings, after and before with 95 % intervals, and the determined quantities."""
+        kind = self.model.joint_type
+        size = kind.size("N*m/rad")
         before, after = (
             ", ".join(
-                f"{mean:.3g} +- {1.96 * deviation:.2g}"
+                f"{mean / size:.3g} +- {1.96 * deviation / size:.2g}"
                 for mean, deviation in zip(
                     np.atleast_1d(value.mean(axis=0)),
                     np.atleast_1d(np.sqrt(np.mean(np.square(deviations), axis=0))),
@@ -171,14 +173,20 @@ class JointCalibration(Calibration):
         )
         held_out = ""
         if self.held_out:
-            held_out = "; torques held out err by {1:.2g} N*m, {0:.2g} before".format(*self.held_out_errors)
-        return f"stiffness {after} N*m/rad (95 %), {before} before{held_out}; {super().verdict()}"
+            earlier, later = (kind.show(error, "N*m", 2) for error in self.held_out_errors)
+            held_out = f"; {kind.words('torques')} held out err by {later}, {earlier} before"
+        return f"stiffness {after} {kind.shown('N*m/rad')} (95 %), {before} before{held_out}; {super().verdict()}"
+
+    def declared(self) -> TableColumns:
+        kind = self.model.joint_type
+        return {name: (mark.for_joint(kind), values) for name, (mark, values) in super().declared().items()}
 
     def remarks(self) -> list[Remark]:
         """Contradictions of model and recordings, laws that are no muscle's, and quantities far from the model."""
         remarks = []
         if self.unexplained > _UNEXPLAINED:
-            text = f"the recordings contradict the model: {self.unexplained:.0%} of the torque is unexplained"
+            what = self.model.joint_type.words("torque")
+            text = f"the recordings contradict the model: {self.unexplained:.0%} of the {what} is unexplained"
             remarks.append(Remark.warning("residual", text, f"{_CHECK}, and which recordings had the weight"))
         if self.held_out and not self.predicts:
             text = "the model before predicts the recordings that were held out better, and is kept in the files"
@@ -303,7 +311,8 @@ def quantities_of(problem: CalibrationProblem, posterior: LocalMinimum) -> dict[
     estimates = {}
     for name, value in values.items():
         deviation = math.sqrt(slopes[name] @ posterior.covariance @ slopes[name])
-        unit, logarithmic = _UNITS.get(name.rpartition(".")[2], "1"), name.endswith(_LOGARITHMIC)
+        unit = problem.model.joint_type.unit(_UNITS.get(name.rpartition(".")[2], "1"))
+        logarithmic = name.endswith(_LOGARITHMIC)
         number = math.exp(value) if logarithmic else float(value)
         scale = number if logarithmic else 1.0
         of_muscle = name.rpartition(".")[0] in problem.model.muscle_names

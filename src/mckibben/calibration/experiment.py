@@ -44,6 +44,7 @@ from mckibben.units import deg
 
 _PRESSURES = ("pressure1", "pressure2")
 _BAND = 0.7  # swept fraction of the attainable stiffness
+_WIDEST = 10 * deg  # amplitude of fast motion, on a hinge
 _FAST = (1.0, 1.45, 1.95, 2.45, 2.95, 3.45, 4.0)  # Hz
 _PHASES = tuple(math.pi * k * k / len(_FAST) % (2 * math.pi) for k in range(len(_FAST)))  # M. Schroeder, 1970
 _HEAD = """\
@@ -58,7 +59,7 @@ class Sweeps:
     Attributes
     ----------
     lowest, highest
-        Angles [rad].
+        Angles [rad], of a slide positions [m].
     duration
         Duration of all parts [s].
     added_mass, distance, weight_inertia
@@ -140,9 +141,9 @@ class Sweeps:
         """Sweeps within the attainable set of the controller's model, in periods of angle and stiffness."""
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         (low, high), duration = self._attainable(scenario), self._part_duration(scenario)
+        stiffness = Sine(_BAND * (high - low) / 2, stiffnesses / duration, offset=(low + high) / 2)
         signals = Reference(
-            Sine(amplitude, sweeps / duration, offset=middle),
-            Sine(_BAND * (high - low) / 2, stiffnesses / duration, offset=(low + high) / 2),
+            Sine(amplitude, sweeps / duration, offset=middle), stiffness if scenario.follows_stiffness else None
         )
         control = independent(scenario.control())
         if (load := field_of(control, "load")) is not None:
@@ -150,20 +151,19 @@ class Sweeps:
         changes = {"controller": control, "load": self._weighted(scenario.load, mass), "duration": duration}
         return part_of(scenario, f"calibration with {mass:g} kg, slow", middle, signals=signals, **changes)
 
-    def _fast(
-        self, scenario: Scenario, model: HingeModel, mass: float, *, widest: float = 10 * deg, trials: int = 8
-    ) -> Scenario:
-        """Multisine whose amplitude moves a model by `widest`, or by 90 % of the way to the next of the angles.
+    def _fast(self, scenario: Scenario, model: HingeModel, mass: float, *, trials: int = 8) -> Scenario:
+        """Multisine whose amplitude moves a model by 10 deg or 10 mm, or by 90 % of the way to the next of the angles.
 
         Raises `ParameterError` if the model does not come near that in some trials.
         """
         middle, duration = (self.lowest + self.highest) / 2, self._part_duration(scenario)
-        target = min(widest, 0.9 * (self.highest - self.lowest) / 2)
+        target = min(_WIDEST * scenario.joint_type.scale, 0.9 * (self.highest - self.lowest) / 2)
         load = self._weighted(model.load, mass)
         plant = scenario.model_copy(update={"joint": model.joint, "load": load}).plant()
         low, high = (float(bound[0]) for bound in _bands((model.joint, [load], middle), np.array([middle]))[0])
-        edge = (1 - _BAND) / 2 * (high - low)
-        ends = np.array([plant.equilibrium(middle, stiffness=K).pressures for K in (low + edge, high - edge)], float)
+        edge, follows = (1 - _BAND) / 2 * (high - low), scenario.follows_stiffness
+        held = (low + edge, high - edge) if follows else (None,)
+        ends = np.array([plant.equilibrium(middle, stiffness=K).pressures for K in held], float)
         swept = [
             Sine(half, 2 / duration, offset=mean) for mean, half in zip(ends.mean(0), np.ptp(ends, 0) / 2, strict=True)
         ]
@@ -179,7 +179,7 @@ class Sweeps:
                 middle,
                 controller=OpenLoopControl(first, second, model_of(scenario)),
                 load=self._weighted(scenario.load, mass),
-                signals=Reference(middle, (low + high) / 2),
+                signals=Reference(middle, (low + high) / 2 if follows else None),
                 duration=duration,
             )
             moved = np.abs(run_scenario(part.model_copy(update={"joint": model.joint, "load": load}))["angle"] - middle)
@@ -188,15 +188,18 @@ class Sweeps:
             amplitude *= float(
                 np.clip(math.sqrt(0.92 * target / moved.max()), 0.5, 2.0)
             )  # resonance: more than in proportion
+        far = scenario.joint_type.show(target, "deg", 3)
         raise ParameterError(
-            f"no differential pressure moves the model by {target / deg:.3g} deg with {mass:g} kg",
+            f"no differential pressure moves the model by {far} with {mass:g} kg",
             remedy="give wider --angles, or a smaller weight",
         )
 
     def _weighted(self, load: Load, mass: float) -> Load:
         """Return a load with the weight."""
         loaded = jax.tree.map(float, _loaded((load, mass, self.distance)))
-        return replace(loaded, inertia=loaded.inertia + (self.weight_inertia if mass else 0.0))
+        if not (mass and self.weight_inertia):
+            return loaded
+        return replace(loaded, inertia=loaded.inertia + self.weight_inertia)
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; `ParameterError` if there is none."""
@@ -222,13 +225,14 @@ def _loaded(shared: tuple[Load, Array, Array], _: None) -> Load:
 def _bands(shared: tuple[AntagonisticJoint, list[Load], Array], angle: Array) -> list[Pair]:
     """Attainable stiffness [N*m/rad] with each load at an angle, of muscles that are well taut.
 
-    Their tension is 15 % of the highest force at the middle contraction, as a muscle may be weaker than its model.
+    Their tension is 15 % of the highest force at the middle contraction, as a muscle may be weaker than its model; that
+    of a muscle alone is what load and spring need.
     """
     joint, loads, centre = shared
     middle = joint.contractions(centre, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
-    least: Any = 0.15 * jnp.stack(highest).min()
+    least: Any = 0.0 if any(joint.springs) else 0.15 * jnp.stack(highest).min()
     return [stiffness_range(joint, angle, -load.gravity_torque(angle), None, least) for load in loads]
 
 
@@ -309,7 +313,7 @@ def simulated(part: Scenario) -> SimulationResult:
     """
     sensors = part.sensors
     if isinstance(sensors, PerfectSensors):
-        sensors = SampledSensors(Sensing.angle_step, Sensing.pressure_noise)
+        sensors = SampledSensors(Sensing.angle_step * part.joint_type.scale, Sensing.pressure_noise)
     result = run_scenario(part.model_copy(update={"sensors": sensors}))
     names = "angle", *_PRESSURES
     if not np.isfinite(result["angle"]).all():

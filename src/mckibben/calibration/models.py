@@ -16,7 +16,7 @@ from mckibben.joint.route import Route
 from mckibben.mechanism import Robot
 from mckibben.mechanism.dynamics import joint_equations
 from mckibben.muscle import Muscle
-from mckibben.units import GRAVITY
+from mckibben.units import GRAVITY, HINGE, SLIDE, JointType
 
 Number = Any  # float | Array
 
@@ -38,6 +38,10 @@ class Moved(Protocol):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Prefix of the quantities of each joint."""
+
+    @property
+    def joint_type(self) -> JointType:
+        """How the joints move."""
 
     @property
     def muscle_names(self) -> tuple[str, ...]:
@@ -95,6 +99,10 @@ class HingeModel(NamedTuple):
         return ("",)
 
     @property
+    def joint_type(self) -> JointType:
+        return self.joint.joint_type
+
+    @property
     def muscle_names(self) -> tuple[str, ...]:
         return "muscle1", "muscle2"
 
@@ -107,12 +115,16 @@ class HingeModel(NamedTuple):
 
     def priors(self, prior: Any) -> dict[str, float]:
         mass = {"load.mass": prior.mass} if self.load.estimated_mass else {}
+        if self.joint_type is SLIDE:  # its inertia is the mass, and its moment arms are 1
+            return mass
         return mass | {"load.inertia": prior.inertia, "arm_scale": prior.arm_scale}
 
     @property
     def absolute(self) -> dict[str, Number]:
         name = self.load.estimated_mass
         mass = {"load.mass": getattr(self.load, name)} if name else {}
+        if self.joint_type is SLIDE:
+            return mass
         return mass | {"load.inertia": self.load.total_inertia + self.inertia}
 
     @property
@@ -129,12 +141,12 @@ class HingeModel(NamedTuple):
         changes = {"damping": load.damping + values["damping"]}
         if name:
             changes[name] = getattr(load, name) * values["load.mass"]
+        changed = self.with_muscles(muscles)._replace(load=dataclasses.replace(load, **changes))
+        if self.joint_type is SLIDE:
+            return changed
         geometry = ScaledArms(self.joint.geometry, values["arm_scale"])
-        return HingeModel(
-            dataclasses.replace(self.with_muscles(muscles).joint, geometry=geometry),
-            dataclasses.replace(load, **changes),
-            (values["load.inertia"] - 1) * load.total_inertia,
-        )
+        joint, inertia = dataclasses.replace(changed.joint, geometry=geometry), values["load.inertia"] - 1
+        return changed._replace(joint=joint, inertia=inertia * load.total_inertia)
 
     def routes(self, angles: Sequence[Number]) -> Sequence[Route]:
         return self.joint.routes(angles[0])
@@ -168,6 +180,10 @@ class RobotModel(NamedTuple):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return tuple(f"{name}." for name in self.robot.joint_names)
+
+    @property
+    def joint_type(self) -> JointType:
+        return HINGE
 
     @property
     def muscle_names(self) -> tuple[str, ...]:

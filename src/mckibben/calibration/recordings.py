@@ -80,7 +80,7 @@ class JointPrior(Checked):
     load_cell
         Gains of the load cells, relative.
     zero
-        Encoder zero [rad].
+        Encoder zero [rad]; of a slide 1 mm for 1 deg.
     arm_scale
         Scale of the moment arms.
     valve, delay, supply, polytropic_index, critical_ratio

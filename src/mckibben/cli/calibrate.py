@@ -24,6 +24,7 @@ from mckibben.cli.options import (
 from mckibben.cli.reading import Reading
 from mckibben.cli.rig import run_line
 from mckibben.errors import ParameterError, StoppedError, quoted
+from mckibben.units import SLIDE, JointType
 
 if TYPE_CHECKING:
     from mckibben.calibration import Calibration, JointPrior, JointRecording, Sweeps, ValveExperiment
@@ -40,7 +41,7 @@ def calibrate(
     weight: str = "",
     limb: str = "",
     valves: bool = False,
-    angles: str = "-10..10 deg",
+    angles: str = "",
     duration: str = "",
     rig: Path | None = None,
     recording: Files = None,
@@ -62,13 +63,13 @@ def calibrate(
     ----------
     weight : MASS, LENGTH
         A known weight to clip on, its centre at a distance from the axis: '0.5 kg, 200 mm'; with the radius of a disc,
-        '2 kg, 200 mm, 50 mm'.
+        '2 kg, 200 mm, 50 mm'; on a slide '0.5 kg'.
     limb : KNOWN
         'weighed' if the mass of the load is known to 2 % and its inertia to 5 %, else 'estimated'.
     valves
         Identify the valves instead, by steps and a multisine of their commands.
     angles : RANGE
-        Angles to sweep, or to stay within.
+        Angles to sweep, or to stay within (default: -10..10 deg, of a slide -10..10 mm).
     duration : TIME
         Duration of all parts, 20 to 600 s (default: 60 s, or 120 s with --valves).
     rig : RIG.yaml
@@ -90,7 +91,6 @@ def calibrate(
     if valves:
         check_unused("--valves", weight=weight, held_out=held_out, weighted=weighted, limb=limb, tube=tube)
     _check_files(weight, recording, weighted, held_out)
-    load = _weight(weight)
     seconds = parse_quantity("--duration", duration or ("120 s" if valves else "60 s"), "s")
     out = required_folder(out, "calibration")
     from mckibben import calibration
@@ -100,9 +100,10 @@ def calibrate(
 
     check_within("calibrate", 20.0, 600.0, "s", remedy="give another --duration", duration=seconds)
     results_folder(out, calibration.Calibration.file_names(), force)
-    low, high = parse_limits("--angles", angles, "rad")
     deviations = _prior(limb, prior, valves=valves)
     read = Scenario.read(scenario)
+    kind, load = read.joint_type, _weight(weight, read.joint_type)
+    low, high = parse_limits("--angles", angles or f"-10..10 {kind.shown('deg')}", kind.unit("rad"))
     if read.joint_names:
         _check_robot(scenario, recording, valves=valves)
     channels = Channels.of(read)
@@ -158,19 +159,21 @@ def _prior(limb: str, file: Path | None, *, valves: bool) -> JointPrior:
     return JointPrior(**_LIMBS[limb])
 
 
-def _weight(text: str) -> dict[str, Any]:
+def _weight(text: str, joint_type: JointType) -> dict[str, Any]:
     """Mass [kg] of a weight, distance of its centre from the axis [m], and its own inertia, as of a recording."""
     if not text:
         return {}
+    if joint_type is SLIDE:
+        return {"added_mass": parse_quantity("--weight", text, "kg", positive=True)}
     mass, length, *radius = (
-        [part.strip() for part in text.split(",")]
+        [number.strip() for number in text.split(",")]
         if text.count(",") == 2
         else parse_pair("--weight", text, "0.5 kg, 200 mm")
     )
     kilograms = parse_quantity("--weight", mass, "kg", positive=True)
-    own = parse_quantity("--weight", radius[0], "m") ** 2 / 2 * kilograms if radius else 0.0  # of a disc about its axis
+    disc = parse_quantity("--weight", radius[0], "m") ** 2 / 2 * kilograms if radius else 0.0  # about its axis
     metres = parse_quantity("--weight", length, "m", positive=True)
-    return {"added_mass": kilograms, "distance": metres, "weight_inertia": own}
+    return {"added_mass": kilograms, "distance": metres, "weight_inertia": disc}
 
 
 def _tube(scenario: Scenario, text: str, *, simulated: bool) -> float:

@@ -12,6 +12,7 @@ from mckibben.control.feedback import Feedback
 from mckibben.control.linearisation import LinearisedState, LinearisingControl
 from mckibben.control.model_based import FrictionShare, ModelBasedControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.errors import RangeError
 from mckibben.joint.geometry import Pair
 from mckibben.units import PositiveTime
 
@@ -92,6 +93,12 @@ class DecouplingControl(ModelBasedControl[LinearisedState], LinearisingControl):
     friction_in_observer: FrictionShare | None = eqx.field(kw_only=True, default=None)
     preview: PositiveTime | None = eqx.field(kw_only=True, static=True, default=None)
     impedance: bool = eqx.field(kw_only=True, static=True, default=False)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.impedance and any(self.model.springs):
+            message = "DecouplingControl: an impedance has the stiffness of the setpoint, and one muscle alone has none"
+            raise RangeError(message, field="impedance", value=True, remedy="leave it out, or use two muscles")
 
     def init(self, measurement: Measurement) -> LinearisedState:
         return self.init_linearised((measurement.angle,), measurement.pressures)

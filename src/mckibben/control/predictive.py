@@ -35,11 +35,11 @@ Iterations = Annotated[int, BoundedInt(1, 100)]
 Scalar = Float[Array, ""]
 
 _FREQUENCY_MEMORY = 0.1  # s: time constant of the estimate of the reference's frequency
-_STILL = 1e-6  # rad^2/s^2: a slower reference has no frequency
+_STILL = 1e-6  # rad^2/s^2, on a hinge: a slower reference has no frequency
 _SERIES = 0.3  # stage over valve time constant: below it the hold weights are a series
 _RAMP = 1e3  # stages: a lag with which pressures change linearly within a stage
 _AT_ONCE = 1e-3  # stages: a lag with which a pressure is at its target at the end of the stage
-_ANGLE_STEP = 0.02  # rad: of the finite differences of the local model
+_ANGLE_STEP = 0.02  # rad, on a hinge: of the finite differences of the local model
 
 
 class ComingReference(NamedTuple):
@@ -190,11 +190,13 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         (setpoint,), (angle,), ahead, valves = expected
         ahead = ahead.of_joint()
         reference = ahead.reference
+        if self._is_alone:  # its stiffness is what the angle determines
+            setpoint = setpoint._replace(stiffness=ahead.stiffness)
         new = 1 - exp(-jnp.asarray(period) / _FREQUENCY_MEMORY)
         jerk_velocity, velocity_sq = state.averages
         jerk_velocity = jerk_velocity + new * (reference.jerk * reference.velocity - jerk_velocity)
         velocity_sq = velocity_sq + new * (reference.velocity**2 - velocity_sq)
-        frequency_sq = -jerk_velocity / (velocity_sq + _STILL)
+        frequency_sq = -jerk_velocity / (velocity_sq + _STILL * self.model.joint_type.scale**2)
 
         local = local_model(self.model, angle, ahead.pressures, minimum_tension=self.minimum_tension)
         stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
@@ -214,6 +216,11 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
         limited = [limit for limit, spring in zip(first.limited, self.model.springs, strict=True) if not spring]
         estimates = estimates._replace(sent=(commands, *estimates.sent[:-1]), saturated=limited[0] | limited[-1])
         return PredictiveState(estimates, (jerk_velocity, velocity_sq), policy), commands
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether one muscle controls the angle alone."""
+        return any(self.model.springs)
 
     def telemetry(self, state: PredictiveState) -> dict[str, Scalar]:
         return self.estimates_telemetry(state.estimates)
@@ -276,11 +283,11 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
             for size, value, slope in zip((1.0, bar, bar), local.stiffness, local.stiffness_slope, strict=True)
         )
         stiffness_error = offset._replace(value=offset.value - per_stiffness * stiffness)
-        # A spring's pressure is 0 by its limits; without a share in the cost the problem would be singular.
-        stiffness1, stiffness2 = (
-            Quadratic(jnp.ones_like(angle), zero) if spring else coefficient
-            for spring, coefficient in zip(self.model.springs, (stiffness1, stiffness2), strict=True)
-        )
+        if self._is_alone:
+            # The stiffness has no share in the cost. A spring's pressure, which its limits set to 0, has one: without
+            # it the problem would be singular.
+            stiffness_error = Quadratic(zero, zero)
+            stiffness1, stiffness2 = (Quadratic(zero + float(spring), zero) for spring in self.model.springs)
 
         def limits(values: Pair, slopes: Pair) -> tuple[Quadratic, Quadratic]:
             return Quadratic(values[0] / bar, unit * slopes[0] / bar), Quadratic(
@@ -306,6 +313,7 @@ class PredictiveControl(ModelBasedControl[PredictiveState]):
             each = slice(self.lead, None, (self.samples_ahead - self.lead) // stages)
             reference = scaled(estimates.coming.at(each, self._delay, period))
             setpoints = per_stiffness * (estimates.coming.stiffness[each] - estimates.coming.stiffness[self.lead])
+            setpoints = jnp.zeros_like(setpoints) if self._is_alone else setpoints
         else:
             frequency_sq = jnp.clip(frequency_sq, 0.0, (jnp.pi / (stages * stage)) ** 2) / pole**2
             reference = extrapolate(scaled(estimates.reference), pole * stage, frequency_sq, stages)
@@ -378,9 +386,10 @@ def local_model(model: AntagonisticJoint, angle: Scalar, pressures: Pair, *, min
         lowest, highest = pressure_range(model, angle, minimum_tension)
         return linearise(model, angle, keep_taut(pressures, lowest)), lowest, highest
 
-    both = lax.map(at, jnp.stack([angle, angle + _ANGLE_STEP]))  # a loop: half of the code to compile
+    step = _ANGLE_STEP * model.joint_type.scale
+    both = lax.map(at, jnp.stack([angle, angle + step]))  # a loop: half of the code to compile
     (torque, stiffness), lowest, highest = jax.tree.map(lambda values: values[0], both)
-    (_, stiffness_slope), *limit_slopes = jax.tree.map(lambda values: (values[1] - values[0]) / _ANGLE_STEP, both)
+    (_, stiffness_slope), *limit_slopes = jax.tree.map(lambda values: (values[1] - values[0]) / step, both)
     torque_stiffness = stiffness
     if not is_affine(model):  # a secant across the stop of a spring does not hold at other pressures
         zero = jnp.zeros_like(angle)

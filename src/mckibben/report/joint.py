@@ -478,13 +478,14 @@ def calibration(calibration: JointCalibration) -> Figure:
     calibration
         Result of `mckibben.calibration.calibrate_joint`.
     """
-    names = calibration.model.joint_names
+    names, kind = calibration.model.joint_names, calibration.model.joint_type
+    size = kind.size("N*m/rad")
     figure = blank(DOUBLE, 1.0 + 1.9 * len(names))
     rows, start = figure.subplots(len(names), 2, width_ratios=(2, 1), squeeze=False), 0.0
     for recording in calibration.recordings:
         angle, pressures = recording.angle[::_SAMPLES_APART], tuple(recording.pressures[::_SAMPLES_APART].T)
         before, after = (
-            [np.reshape(each, (len(angle), -1)).T for each in stiffness(angle.T, pressures)]
+            [np.reshape(each, (len(angle), -1)).T / size for each in stiffness(angle.T, pressures)]
             for stiffness in (calibration.prior_stiffness, calibration.stiffness)
         )
         time = start + recording.time[::_SAMPLES_APART] - recording.time[0]
@@ -495,13 +496,13 @@ def calibration(calibration: JointCalibration) -> Figure:
                 over_time.plot(time, values[i], color=color, linewidth=1.0, label=name)
                 edges = values[i] - 1.96 * deviations[i], values[i] + 1.96 * deviations[i]
                 draw_band(over_time, time, *edges, color=color, alpha=0.2, label=f"{name}, 95 % interval")
-            own = angle.reshape(len(angle), -1)[:, i]
-            over_angle.plot(own / deg, after[0][i] - before[0][i], ".", color=BLUE, markersize=2)
+            angles = angle.reshape(len(angle), -1)[:, i] / kind.size("deg")
+            over_angle.plot(angles, after[0][i] - before[0][i], ".", color=BLUE, markersize=2)
     for i, ((over_time, over_angle), name) in enumerate(zip(rows, names, strict=True)):
         letter(over_time, 2 * i, f"{name.removesuffix('.')} stiffness along the recordings".strip())
         letter(over_angle, 2 * i + 1, "calibrated minus before")
-        over_time.set(xlabel="time [s]", ylabel=_STIFFNESS)
-        over_angle.set(xlabel=_ANGLE, ylabel="difference [N·m/rad]")
+        over_time.set(xlabel="time [s]", ylabel=kind.label("stiffness", "N*m/rad"))
+        over_angle.set(xlabel=kind.label("joint angle", "deg"), ylabel=kind.label("difference", "N*m/rad"))
         over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
     legend_above(figure, rows[0, 0], columns=2)
     return figure
