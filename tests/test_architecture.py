@@ -100,7 +100,7 @@ BUDGET = {
     "component": 1040,
     "config": 570,
     "contract": 660,
-    "control": 2650,
+    "control": 2660,
     "dataset": 4090,
     "experiment_design": 720,
     "export": 2610,
@@ -125,7 +125,7 @@ BUDGET = {
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 463  # numbers at module level, to come to 500
+MOST_CONSTANTS = 464  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
