@@ -111,7 +111,7 @@ BUDGET = {
     "muscle": 1610,
     "numerics": 810,
     "paper": 1180,
-    "plant": 770,
+    "plant": 780,
     "reachability": 1150,
     "report": 2060,
     "rig": 4940,
