@@ -100,7 +100,7 @@ BUDGET = {
     "component": 1040,
     "config": 570,
     "contract": 660,
-    "control": 2670,
+    "control": 2680,
     "dataset": 4140,
     "experiment_design": 720,
     "export": 2880,

@@ -399,3 +399,12 @@ def test_a_scenario_of_a_robot_has_the_methods_of_one_of_a_joint(tmp_path):
     assert "computed torque" in scenario.suite().controllers
     scenario.export("c", tmp_path / "c")
     assert list((tmp_path / "c").glob("*.c"))
+
+
+def test_pressures_of_more_muscles_than_a_compiler_takes_are_refused(monkeypatch):
+    monkeypatch.setattr("mckibben.control.computed_torque.MOST_MUSCLES", 3)
+    platform = RobotScenario.read("examples/robot/platform.yaml")
+    with pytest.raises(RangeError) as caught:
+        ComputedTorque(mk.PolePlacement(30.0), robot=platform.robot, valve=platform.valve)
+    assert (caught.value.field, caught.value.value, caught.value.upper) == ("robot", 6, 3)
+    assert "controllers" in caught.value.remedy
