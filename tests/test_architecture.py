@@ -95,13 +95,13 @@ BUDGET = {
     "actuator": 1060,
     "calibration": 1990,
     "catalog": 230,
-    "cli": 1570,
+    "cli": 1580,
     "codegen": 2700,
     "component": 1040,
     "config": 570,
     "contract": 660,
     "control": 2680,
-    "dataset": 4140,
+    "dataset": 4150,
     "experiment_design": 720,
     "export": 2880,
     "identification": 3760,
@@ -125,7 +125,7 @@ BUDGET = {
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 467  # numbers at module level, to come to 500
+MOST_CONSTANTS = 468  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 

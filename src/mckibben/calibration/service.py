@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,7 @@ class Service(NamedTuple):
 
     def listing(self) -> Listing:
         """Table over time."""
-        columns: dict[str, tuple[Column, Any]] = {"time": (Column("s", digits=3), self.times)}
+        columns: dict[str, tuple[Column, object]] = {"time": (Column("s", digits=3), self.times)}
         stiffness = Column("N*m/rad", digits=3)
         for i, joint in enumerate(self.names[0]):
             columns[f"{joint}stiffness"] = stiffness, self.stiffness[:, i]

@@ -120,14 +120,11 @@ def calibrate(
     ]
     if valves:
         steps = calibration.ValveExperiment(low, high, seconds)
-        _check_empty(out, () if recordings else steps.instructions)
         recordings = recordings or _measured(read, steps, out, rig, quiet=json)
         return calibration.calibrate_scenario_valves(read, recordings, deviations)
     if not recordings:
         sweeps = calibration.Sweeps(low, high, seconds, **load, **lag)
-        _check_empty(out, sweeps.instructions)
-        for row in sweeps.prediction(read, deviations).rows():
-            echo("with {} kg the stiffness is expected to a standard deviation of {} %".format(*row), err=True)
+        _foretell(sweeps, read, deviations)
         recordings = _measured(read, sweeps, out, rig, quiet=json)
     unused = [measure(path, **lag) for path in held_out or ()]
     service = measure(follow, **lag) if follow else None
@@ -201,6 +198,12 @@ def _check_empty(out: Path, names: Iterable[str]) -> None:
         raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
 
 
+def _foretell(sweeps: Sweeps, scenario: Scenario, deviations: JointPrior) -> None:
+    """Say what each weight will give, before anything moves."""
+    for row in sweeps.prediction(scenario, deviations).rows():
+        echo("with {} kg the stiffness is expected to a standard deviation of {} %".format(*row), err=True)
+
+
 def _measured(
     scenario: Scenario, experiment: Sweeps | ValveExperiment, out: Path, rig: Path | None, *, quiet: bool
 ) -> list[JointRecording]:
@@ -208,6 +211,7 @@ def _measured(
     from mckibben.calibration import run_parts
     from mckibben.rig import JointRig
 
+    _check_empty(out, experiment.instructions)
     device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
     confirmed: list[str] = []
 

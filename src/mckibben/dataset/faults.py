@@ -6,7 +6,7 @@ import functools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,24 +234,14 @@ class RecordedSignals:
         steps = {name: np.diff(part) for name, part in means.items()}
         if len(steps["force"]) < 4 * _LAGS or not all(map(np.any, steps.values())):
             return
-        lags = range(-_LAGS, _LAGS + 1)
         for response in [name for name in ("force", "contraction") if name in steps]:
-            trials = {(name, lag): _unexplained(means, response, name, lag) for name in steps for lag in lags}
-            least = min(trials.values())
-            lowest = {
-                trial: share
-                for trial, share in trials.items()
-                if share <= min(trials.get((trial[0], trial[1] + block), share) for block in (-1, 1))
-            }
-            name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
-            at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
-            beside = min(trials.get((name, lag + block), 0.0) for block in (-1, 1))
-            delays = [trial for trial, share in lowest.items() if trial[0] == name and 2 * share < min(1.0, at_once)]
-            if len(delays) == 1 or (delays and beside < at_once):
-                seconds = show(abs(lag) * self.size * self.interval, "s", 2)
-                text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
-                yield question(text, "order", field=name, remedy=_REMEDY)
-            if 2 * min(least, at_once) < 1:
+            delay = _delay_of(means, response)
+            if delay.found:
+                seconds = show(abs(delay.lag) * self.size * self.interval, "s", 2)
+                other = "it" if delay.lag > 0 else "another"
+                text = f"{delay.name} and the other signals are {seconds} apart: is {other} late?"
+                yield question(text, "order", field=delay.name, remedy=_REMEDY)
+            if delay.explains:
                 return
 
     def _at_equal_times(self) -> dict[str, Floats]:
@@ -282,6 +272,33 @@ class RecordedSignals:
                     text = f"{name} jumps by {step} at {self.time[at]:.6g} s, and no other signal follows"
                     yield question(text, "order", field=name, remedy=_JUMPED)
                     break
+
+
+class _Delay(NamedTuple):
+    """Signal and the blocks by which it is late, whether that is found, and whether any delay explains the response."""
+
+    name: str
+    lag: int
+    found: bool
+    explains: bool
+
+
+def _delay_of(means: Mapping[str, Floats], response: str) -> _Delay:
+    """Shortest delay of a signal, by the rule of `questions`, with which the others explain the response best."""
+    trials = {
+        (name, lag): _unexplained(means, response, name, lag) for name in means for lag in range(-_LAGS, _LAGS + 1)
+    }
+    least = min(trials.values())
+
+    def beside(name: str, lag: int, otherwise: float) -> float:
+        return min(trials.get((name, lag + block), otherwise) for block in (-1, 1))
+
+    lowest = {trial: share for trial, share in trials.items() if share <= beside(*trial, share)}
+    name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
+    at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
+    delays = [trial for trial, share in lowest.items() if trial[0] == name and 2 * share < min(1.0, at_once)]
+    found = len(delays) == 1 or (bool(delays) and beside(name, lag, 0.0) < at_once)
+    return _Delay(name, lag, found, 2 * min(least, at_once) < 1)
 
 
 def _unexplained(means: Mapping[str, Floats], response: str, late: str, lag: int) -> float:
