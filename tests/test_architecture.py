@@ -103,7 +103,7 @@ BUDGET = {
     "control": 2670,
     "dataset": 4090,
     "experiment_design": 720,
-    "export": 2620,
+    "export": 2630,
     "identification": 3760,
     "joint": 1410,
     "robot": 80,
