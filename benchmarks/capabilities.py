@@ -77,7 +77,7 @@ HOST = str(EXAMPLES / "hardware/host.yaml")
 COMMANDS = {
     "simulate": ["simulate"],
     "envelope": ["envelope"],
-    "stiffness: what a push feels": ["stiffness", "--push", "0.3 N*m"],
+    "stiffness: what a push feels": ["stiffness", "--push", "PUSH"],
     "margins": ["margins"],
     "tune": ["tune", "--iterations", "1", "--out", "OUT"],
     "sweep": ["sweep", "--over", "command_delay=0..4 ms", "--samples", "4", "--out", "OUT"],
@@ -95,8 +95,9 @@ PYTHON = {
 }
 
 
-ANGLES = {"linear axis": "-0.4..0.4 deg"}
-"""Angles of the calibration, where they are not those of all others: the radian of the axis is a metre."""
+HINGED = {"ANGLES": "-5..5 deg", "PUSH": "0.3 N*m"}
+"""Angles of the calibration, and the push, of all but these."""
+SLIDING = {"linear axis": {"ANGLES": "-5..5 mm", "PUSH": "3 N"}}
 
 
 def tried(words, folder):
@@ -122,7 +123,7 @@ def answers(robot, names=(*COMMANDS, *PYTHON)):
             code = f"import mckibben as mk; scenario = mk.Scenario.read('scenario.yaml'); {PYTHON[name]}"
             found[name] = tried([sys.executable, "-c", code], folder)
         else:
-            filled = {"OUT": f"out{number}", "ANGLES": ANGLES.get(robot, "-5..5 deg")}
+            filled = {"OUT": f"out{number}", **SLIDING.get(robot, HINGED)}
             words = [filled.get(word, word) for word in COMMANDS[name]]
             place = 2 if words[0] == "rig" else 1
             command = [sys.executable, "-m", "mckibben", *words[:place], "scenario.yaml", *words[place:]]

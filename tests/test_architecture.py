@@ -103,7 +103,7 @@ BUDGET = {
     "control": 2680,
     "dataset": 4150,
     "experiment_design": 720,
-    "export": 2880,
+    "export": 2890,
     "identification": 3760,
     "joint": 1410,
     "robot": 80,

@@ -14,6 +14,7 @@ from mckibben.calibration.experiment import simulated
 from mckibben.control import OpenLoopControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.export.controller import controller_functions
+from mckibben.export.gym import JointEnv
 from mckibben.joint import Slide, SlidingMass
 from mckibben.muscle import no_muscle
 from mckibben.rig import prepare
@@ -198,3 +199,11 @@ def test_the_sweeps_of_a_slide_find_the_strength_of_its_muscle():
     force, zero = fit.quantities["muscle2.force"], fit.quantities["zero"]
     assert abs(force.value - 1.1) < 3 * force.deviation < 0.2
     assert zero.unit == "m" and "load.inertia" not in fit.quantities
+
+
+@pytest.mark.slow
+def test_an_environment_of_one_muscle_has_finite_rewards():
+    env = JointEnv(mk.Scenario.parse(AXIS).replace(duration=0.1))
+    observation, _ = env.reset(seed=0)
+    after, reward, terminated, *_ = env.step(env.action_space.sample())
+    assert np.isfinite([*observation, *after, reward]).all() and not terminated and 0 < reward

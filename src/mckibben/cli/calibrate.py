@@ -134,7 +134,8 @@ def calibrate(
 def _check_robot(scenario: Path, recording: Files, *, valves: bool) -> None:
     """Refuse a robot without recordings, and its valves."""
     if valves or not recording:
-        message = f"{scenario} is a robot, and the experiments are those of a joint"
+        why = "whose joints move each other: the part that drives a pair without feedback is for a single joint"
+        message = f"{scenario} is a robot, {why}"
         remedy = "give recordings of all joints at once, --recording RUN.csv or result.nc, and --held-out others"
         raise ParameterError(message, field="scenario", value=str(scenario), remedy=remedy)
 

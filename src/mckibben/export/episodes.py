@@ -53,7 +53,7 @@ class RewardTerms(NamedTuple):
     Attributes
     ----------
     angle_scale, stiffness_scale
-        Errors [rad], [N*m/rad] that halve the reward; infinite to ignore an error.
+        Errors [rad], of a slide 1 mm for 1 deg, and [N*m/rad] that halve the reward; infinite to ignore an error.
     air_price
         c [s/L]; needs the volume of the muscles.
     """
@@ -274,7 +274,7 @@ def begin(parts: BatchParts, start: PyTree, period: ArrayLike, history: int) -> 
     state, measured = parts.plant.sample(start, period)
     angles = tuple(map(jnp.asarray, parts.plant.mechanism.by_joint(measured[0])))
     zero = jnp.zeros_like(angles[0])
-    now = _observation(angles, [zero] * len(angles), measured[1], [reference(zero) for reference in parts.reference])
+    now = _observation(angles, [zero] * len(angles), measured[1], [_setpoint(each, zero) for each in parts.reference])
     muscles = len(measured[1])
     seen = jnp.tile(jnp.concatenate([now, jnp.zeros(muscles)]), (history, 1))
     return Episode(jnp.asarray(0), state, angles, seen), seen.ravel()[:-muscles]
@@ -308,12 +308,15 @@ def advance(
         angles = tuple(mechanism.by_joint(measured[0]))
         velocities = [(angle - before) / period for angle, before in zip(angles, episode.angles, strict=True)]
         following = Episode(episode.period + 1, state, angles, episode.seen)
-        setpoints = [reference(following.period * period) for reference in parts.reference]
+        setpoints = [_setpoint(reference, following.period * period) for reference in parts.reference]
         stiffnesses = mechanism.stiffness(state[0], state.pressures)
         failed, fit = so_far.failed, 0.0
-        for angle, stiffness, setpoint in zip(mechanism.by_joint(state[0]), stiffnesses, setpoints, strict=True):
-            angle_error, stiffness_error = angle - setpoint.angle, stiffness - setpoint.stiffness
-            cost = (angle_error / terms.angle_scale) ** 2 + (stiffness_error / terms.stiffness_scale) ** 2
+        joints_now = zip(parts.reference, mechanism.by_joint(state[0]), stiffnesses, setpoints, strict=True)
+        for reference, angle, stiffness, setpoint in joints_now:
+            angle_error = (angle - setpoint.angle) / mechanism.joint_type.scale
+            cost = (angle_error / terms.angle_scale) ** 2
+            if reference.stiffness is not None:
+                cost += ((stiffness - setpoint.stiffness) / terms.stiffness_scale) ** 2
             fit += 1 / (1 + cost)
             failed |= ~(jnp.abs(angle_error) <= SWUNG_OVER_AT) | ~jnp.isfinite(stiffness)
         now = _content(plant, state)
@@ -417,6 +420,12 @@ def _content(plant: Plant, state: PyTree) -> Array:
     volumes = plant.air_volumes(state)
     content = [air.volume * (pressure + atm) for air, pressure in zip(volumes, state.pressures, strict=True)]
     return jnp.stack(content) / (atm * litre)
+
+
+def _setpoint(reference: Reference, time: Array) -> Setpoint:
+    """Setpoint at a time [s]; that of the stiffness of a single muscle, which has none, is 0."""
+    setpoint = reference(time)
+    return setpoint if reference.stiffness is not None else setpoint._replace(stiffness=jnp.zeros_like(setpoint.angle))
 
 
 def _observation(

@@ -220,7 +220,10 @@ def _plots(figure: SubFigure, result: SimulationResult) -> Sequence[Axes]:
     draw_angle(rows[0], {"run": result}, looks)
     draw_stiffness(rows[1], {"run": result}, looks)
     draw_pressures(rows[2], result)
-    rows[0].set_ylim(*robust_limits([result["angle"] / deg, result["desired_angle"] / deg]))
-    rows[1].set(ylabel="stiffness\n[N·m/rad]")
-    rows[1].set_ylim(*robust_limits([result["stiffness"], result["desired_stiffness"]], margin=0.3))
+    kind = result.joint_type
+    angle, stiffness = kind.size("deg"), kind.size("N*m/rad")
+    rows[0].set_ylim(*robust_limits([result["angle"] / angle, result["desired_angle"] / angle]))
+    rows[1].set(ylabel=kind.label("stiffness", "N*m/rad").replace(" [", "\n["))
+    values = result["stiffness"] / stiffness, result["desired_stiffness"] / stiffness
+    rows[1].set_ylim(*robust_limits([curve for curve in values if np.isfinite(curve).all()], margin=0.3))
     return rows

@@ -20,7 +20,7 @@ from mckibben.errors import ParameterError
 from mckibben.report.palette import BLUE, DESIRED, GREEN, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
 from mckibben.scenario import ScenarioParameter, StudiedScenario, list_parameters, with_values
 from mckibben.simulation.result import BAND
-from mckibben.units import bar, deg
+from mckibben.units import bar
 from mckibben.web.charts import Series, band, chart, draw, line
 from mckibben.web.forms import meaning, number
 from mckibben.web.layout import (
@@ -359,11 +359,17 @@ class _Page(JobPage[Workbench]):
             ]
             return [line(label, run.result["time"], y / unit, **look) for label, run, y, look in values if y.size]
 
-        draw(self.angle, curves("angle", deg))
+        kind = now.result.joint_type
+        stiffness = kind.size("N*m/rad")
+        self.angle.options["yAxis"]["name"] = kind.label("angle", "deg")
+        for panel_chart in (self.stiffness, self.small):
+            panel_chart.options["yAxis"]["name"] = kind.label("stiffness", "N*m/rad")
+        draw(self.angle, curves("angle", kind.size("deg")))
         low, high = (now.of_joint(now.result.columns, name, joint) for name in BAND)
-        bounds = band("attainable at rest", time, low, high, "#9aa7b3") if low.size else []
-        draw(self.stiffness, [*bounds, *curves("stiffness", 1.0)])
-        self.small_panel.visible = bool(small := curves(SMALL_MOTION, 1.0))
+        edges = low / stiffness, high / stiffness
+        bounds = band("attainable at rest", time, *edges, "#9aa7b3") if low.size else []
+        draw(self.stiffness, [*bounds, *curves("stiffness", stiffness)])
+        self.small_panel.visible = bool(small := curves(SMALL_MOTION, stiffness))
         if small:  # in its own chart, as it can be many times the isobaric stiffness
             draw(self.small, small)
         pressures = enumerate(now.pressures.items())

@@ -134,7 +134,8 @@ def _metric_rows(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, 
     metrics = {name: label for name, label in metrics_of(Metrics).items() if name not in left_out}
     for name, label in metrics.items():
         label = label.for_joint(scenario.joint_type)
-        title, joints = name.replace("_", " "), scenario.joint_names if label.along else ()
+        title = scenario.joint_type.words(name.replace("_", " "))
+        joints = scenario.joint_names if label.along else ()
         for number, joint in enumerate(joints or ("",)):
             rows[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
     return rows
