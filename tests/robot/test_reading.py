@@ -128,6 +128,7 @@ def test_what_is_not_carried_over_is_named_with_its_line(tmp_path):
         ('<joint name="j" range="-10 10" stiffness="2"/>', '<joint name="j" type="slide" range="0 1"/>', "hinge"),
         ("<freejoint/>", '<joint type="slide" axis="1 1 0"/>', "joint0"),
         ("<mujoco>", "<mojoco>", "mujoco"),
+        ("mujoco>", "mujocoinclude>", "name the file that includes it"),
     ],
 )
 def test_what_we_do_not_have_is_refused(tmp_path, old, new, word):
@@ -137,6 +138,7 @@ def test_what_we_do_not_have_is_refused(tmp_path, old, new, word):
         read_mjcf(path)
     (problem,) = caught.value.problems
     assert word in str(problem).lower() and problem.remedy
+    assert problem.line is not None or "mojoco" in new
 
 
 def test_urdf_is_read_and_the_muscles_of_tendons_are_asked_for(tmp_path):
