@@ -362,6 +362,18 @@ def test_muscles_by_tendon_and_springs_that_stay(chain, tmp_path):
     assert any("biceps" in str(one) and "initial_length" in one.remedy for one in long.value.problems)
 
 
+def test_a_muscle_that_shortens_less_than_its_path_has_the_line_of_the_tendon():
+    muscle = read_component(Muscle, MUSCLE)
+    domain = dataclasses.replace(muscle.specimen.domain, contraction_max=0.01)
+    short = dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, domain=domain))
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(ARM, short)
+    (problem,) = caught.value.problems
+    assert problem.upper == 0.01
+    name = problem.message.split(":")[0]
+    assert f'<spatial name="{name}"' in ARM.read_text().splitlines()[problem.line - 1]
+
+
 def test_a_file_of_muscles_by_pattern(tmp_path):
     section = (Path.cwd() / MUSCLE).read_text().split("\n", 1)[1].replace("\n", "\n    ")
     (tmp_path / "map.yaml").write_text(f"muscles:\n  '*iceps':\n    {section}\n  '*':\n    {section}\n")
