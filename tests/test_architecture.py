@@ -115,7 +115,7 @@ BUDGET = {
     "reachability": 1150,
     "report": 2060,
     "rig": 4940,
-    "scenario": 2320,
+    "scenario": 2330,
     "serial_protocol": 180,
     "simulation": 3550,
     "statics": 570,
