@@ -115,7 +115,7 @@ BUDGET = {
     "reachability": 1150,
     "report": 2060,
     "rig": 4990,
-    "scenario": 2340,
+    "scenario": 2360,
     "serial_protocol": 180,
     "simulation": 3550,
     "statics": 570,

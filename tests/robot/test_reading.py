@@ -128,6 +128,7 @@ def test_what_is_not_carried_over_is_named_with_its_line(tmp_path):
         ('<joint name="j" range="-10 10" stiffness="2"/>', '<joint name="j" type="slide" range="0 1"/>', "hinge"),
         ("<freejoint/>", '<joint type="slide" axis="1 1 0"/>', "joint0"),
         ("<mujoco>", "<mojoco>", "mujoco"),
+        ("mujoco>", "mujocoinclude>", "name the file that includes it"),
     ],
 )
 def test_what_we_do_not_have_is_refused(tmp_path, old, new, word):
@@ -137,6 +138,7 @@ def test_what_we_do_not_have_is_refused(tmp_path, old, new, word):
         read_mjcf(path)
     (problem,) = caught.value.problems
     assert word in str(problem).lower() and problem.remedy
+    assert problem.line is not None or "mojoco" in new
 
 
 def test_urdf_is_read_and_the_muscles_of_tendons_are_asked_for(tmp_path):
@@ -359,6 +361,18 @@ def test_muscles_by_tendon_and_springs_that_stay(chain, tmp_path):
     with pytest.raises(ScenarioError) as long:
         read_mjcf(chain, {"*": arm().robot.all_muscles[0]})
     assert any("biceps" in str(one) and "initial_length" in one.remedy for one in long.value.problems)
+
+
+def test_a_muscle_that_shortens_less_than_its_path_has_the_line_of_the_tendon():
+    muscle = read_component(Muscle, MUSCLE)
+    domain = dataclasses.replace(muscle.specimen.domain, contraction_max=0.01)
+    short = dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, domain=domain))
+    with pytest.raises(ScenarioError) as caught:
+        read_mjcf(ARM, short)
+    (problem,) = caught.value.problems
+    assert problem.upper == 0.01
+    name = problem.message.split(":")[0]
+    assert f'<spatial name="{name}"' in ARM.read_text().splitlines()[problem.line - 1]
 
 
 def test_a_file_of_muscles_by_pattern(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -62,8 +63,10 @@ class ModelFile:
             text = "; ".join(" ".join(line.split()) for line in str(error).splitlines())
             line = re.search(r"\bline (\d+)", text) or re.search(r"name '([^']+)'", text)
             number = None if line is None else int(line[1]) if line[1].isdigit() else self._line_of_name(line[1])
-            problem = Problem(text, number, remedy="correct the file, which MuJoCo reads")
-            raise ScenarioError(str(path), needed or [problem]) from error
+            remedy = "correct the file, which MuJoCo reads"
+            if "mujocoinclude" in text:
+                text, remedy = "it is a part that other files include", "name the file that includes it"
+            raise self.refusal(*needed or [Problem(text, number, remedy=remedy)]) from error
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
@@ -158,8 +161,11 @@ class ModelFile:
         return number if "<include" not in self._text or f'"{element.name}"' in near else None
 
     def _line_of_name(self, name: str) -> int | None:
-        found = re.search(rf"""\bname\s*=\s*["']{re.escape(name)}["']""", self._text) if name else None
-        return self._text.count("\n", 0, found.start()) + 1 if found else None
+        return self._line_of(rf"""\bname\s*=\s*["']{re.escape(name)}["']""") if name else None
+
+    def _line_of(self, pattern: str) -> int | None:
+        match = re.search(pattern, self._text)
+        return self._text.count("\n", 0, match.start()) + 1 if match else None
 
     def name(self, kind: str, number: int) -> str:
         """Name of an element, else its kind and number."""
@@ -186,8 +192,10 @@ class ModelFile:
         return Problem(f"{named}: {message}", self.line_of(kind, number), remedy=remedy)
 
     def refusal(self, *problems: Problem) -> ScenarioError:
-        """Return the error of problems."""
-        return ScenarioError(str(self.path), list(problems))
+        """Return the error of problems; one that is of the whole model has the line of its first body."""
+        line = self._line_of(r"<(worldbody|robot|mujocoinclude|mujoco)\b")
+        located = [problem if problem.line else dataclasses.replace(problem, line=line) for problem in problems]
+        return ScenarioError(str(self.path), located)
 
     def joints_of(self, body: int) -> range:
         """Numbers of the joints of a body."""

@@ -154,8 +154,6 @@ def read_mjcf(
     ScenarioError
         If MuJoCo cannot load the file, it names files that it must not, for joints that we do not have, and for muscles
         that do not fit; with the line.
-    RangeError
-        If the muscle does not permit the paths.
     """
     _check_named_files(path, confined=confined)
     file = ModelFile(path, hold_slides=hold_slides)
@@ -176,7 +174,13 @@ def read_mjcf(
         muscles = muscle if isinstance(muscle, Mapping) else {"*": muscle}
         driven = {number: points for number, points in tendons.items() if names[number] not in springs}
         units += _fitted(file, driven, muscles, paths)
-    robot = dataclasses.replace(robot, muscles=tuple(units))
+    try:
+        robot = dataclasses.replace(robot, muscles=tuple(units))
+    except RangeError as error:
+        of_units = [next(number for number, name in names.items() if name == unit.name) for unit in units]
+        index = error.field.removeprefix("muscles.").split(".")[0]
+        line = file.line_of("tendon", of_units[int(index)]) if index.isdigit() else None
+        raise file.refusal(Problem.of(error, line, error.field)) from error
     left_out = *reader.left_out, *differences(file, robot, reader.base, reader.coordinates, tendons)
     lines = {names[number]: points for number, points in tendons.items()}
     lengths = {names[number]: paths[number] for number in tendons}
