@@ -18,7 +18,6 @@ from mckibben.robot import RobotScenario
 from mckibben.serial_protocol import CommandSource, FaultCode, FirmwareState, Hello, MessageKind, pack_numbers
 from tests.export.test_robot_controller import MANY
 from tests.firmware.test_firmware import ANALOG, HERE, Session
-from tests.rig.joint.test_robot import smooth_leg
 from tests.robot.test_control import ONE, TORQUE
 
 LEG = "examples/robot/lei-leg-control.yaml"
@@ -42,7 +41,7 @@ ENCODERS = [f'{{sensor: quadrature, pin_a: "{20 + 2 * k}", pin_b: "{21 + 2 * k}"
 def running(request, tmp_path):
     """The firmware of a robot on this computer, its digest and its description."""
     many = RobotScenario.parse(ONE.replace("valve:", MANY + "valve:") + TORQUE)
-    read = smooth_leg() if request.param == "leg" else many  # where it sticks depends on how it came there
+    read = RobotScenario.read(LEG) if request.param == "leg" else many
     export(read.replace(duration=0.2), "firmware", tmp_path, hardware=Hardware(board="host"))
     subprocess.run(["make", "-s"], cwd=tmp_path, check=True)
     master, slave = os.openpty()

@@ -473,7 +473,7 @@ def _minimum(
     variance: Floats,
     *,
     pushing: int = 0,
-    steps: int = 16,
+    steps: int = 40,
     longest: float = 3.0,
 ) -> LocalMinimum:
     """Posterior by Gauss-Newton steps from parameters, with a variance of the samples of each group.
@@ -490,7 +490,7 @@ def _minimum(
         length = float(np.linalg.norm(step))
         if length < 0.01 and number >= pushing:
             break
-        z, longest = z + step * min(1.0, longest / length), 0.85 * longest
+        z, longest = z + step * min(1.0, longest / length), 0.95 * longest
     return posterior
 
 
