@@ -237,17 +237,10 @@ class RecordedSignals:
         lags = range(-_LAGS, _LAGS + 1)
         for response in [name for name in ("force", "contraction") if name in steps]:
             trials = {(name, lag): _unexplained(means, response, name, lag) for name in steps for lag in lags}
-            least = min(trials.values())
-            lowest = {
-                trial: share
-                for trial, share in trials.items()
-                if share <= min(trials.get((trial[0], trial[1] + block), share) for block in (-1, 1))
-            }
-            name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
             at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
-            beside = min(trials.get((name, lag + block), 0.0) for block in (-1, 1))
-            delays = [trial for trial, share in lowest.items() if trial[0] == name and 2 * share < min(1.0, at_once)]
-            if len(delays) == 1 or (delays and beside < at_once):
+            least = min(trials.values())
+            if 2 * least < min(1.0, at_once) and (delay := _delay(trials, min(1.0, at_once))):
+                name, lag = delay
                 seconds = show(abs(lag) * self.size * self.interval, "s", 2)
                 text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
                 yield question(text, "order", field=name, remedy=_REMEDY)
@@ -282,6 +275,16 @@ class RecordedSignals:
                     text = f"{name} jumps by {step} at {self.time[at]:.6g} s, and no other signal follows"
                     yield question(text, "order", field=name, remedy=_JUMPED)
                     break
+
+
+def _delay(trials: Mapping[tuple[str, int], float], most: float) -> tuple[str, int] | None:
+    """Signal and its delay, of which less than half of a share is left; None for a periodic motion alone."""
+    beside = {(name, lag): [trials.get((name, lag + block), 1.0) for block in (-1, 1)] for name, lag in trials}
+    lowest = {trial: share for trial, share in trials.items() if share <= min(beside[trial])}
+    fitting = [trial for trial, share in lowest.items() if share <= 2 * min(trials.values())]
+    chosen = min(fitting, key=lambda trial: abs(trial[1]))
+    delays = [trial for trial, share in lowest.items() if trial[0] == chosen[0] and 2 * share < most]
+    return chosen if len(delays) == 1 or (delays and min(beside[chosen]) < most) else None
 
 
 def _unexplained(means: Mapping[str, Floats], response: str, late: str, lag: int) -> float:
