@@ -101,7 +101,7 @@ BUDGET = {
     "config": 570,
     "contract": 660,
     "control": 2680,
-    "dataset": 4150,
+    "dataset": 4140,
     "experiment_design": 720,
     "export": 2890,
     "identification": 3760,

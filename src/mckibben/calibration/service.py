@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mckibben.calibration.equations import OF_MUSCLE, RATE, CalibrationProblem, Recorded, is_spring, names_of
 from mckibben.calibration.fitting import Floats, LocalMinimum, variance_of_samples
 from mckibben.calibration.models import Moved
-from mckibben.result import Column, Listing
+from mckibben.result import Column, Listing, TableColumns
 
 
 class Service(NamedTuple):
@@ -58,7 +58,7 @@ class Service(NamedTuple):
 
     def listing(self) -> Listing:
         """Table over time."""
-        columns: dict[str, tuple[Column, object]] = {"time": (Column("s", digits=3), self.times)}
+        columns: TableColumns = {"time": (Column("s", digits=3), self.times)}
         stiffness = Column("N*m/rad", digits=3)
         for i, joint in enumerate(self.names[0]):
             columns[f"{joint}stiffness"] = stiffness, self.stiffness[:, i]

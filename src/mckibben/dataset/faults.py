@@ -6,7 +6,7 @@ import functools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,14 +234,17 @@ class RecordedSignals:
         steps = {name: np.diff(part) for name, part in means.items()}
         if len(steps["force"]) < 4 * _LAGS or not all(map(np.any, steps.values())):
             return
+        lags = range(-_LAGS, _LAGS + 1)
         for response in [name for name in ("force", "contraction") if name in steps]:
-            delay = _delay_of(means, response)
-            if delay.found:
-                seconds = show(abs(delay.lag) * self.size * self.interval, "s", 2)
-                other = "it" if delay.lag > 0 else "another"
-                text = f"{delay.name} and the other signals are {seconds} apart: is {other} late?"
-                yield question(text, "order", field=delay.name, remedy=_REMEDY)
-            if delay.explains:
+            trials = {(name, lag): _unexplained(means, response, name, lag) for name in steps for lag in lags}
+            at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
+            least = min(trials.values())
+            if 2 * least < min(1.0, at_once) and (delay := _delay(trials, min(1.0, at_once))):
+                name, lag = delay
+                seconds = show(abs(lag) * self.size * self.interval, "s", 2)
+                text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
+                yield question(text, "order", field=name, remedy=_REMEDY)
+            if 2 * min(least, at_once) < 1:
                 return
 
     def _at_equal_times(self) -> dict[str, Floats]:
@@ -274,31 +277,14 @@ class RecordedSignals:
                     break
 
 
-class _Delay(NamedTuple):
-    """Signal and the blocks by which it is late, whether that is found, and whether any delay explains the response."""
-
-    name: str
-    lag: int
-    found: bool
-    explains: bool
-
-
-def _delay_of(means: Mapping[str, Floats], response: str) -> _Delay:
-    """Shortest delay of a signal, by the rule of `questions`, with which the others explain the response best."""
-    trials = {
-        (name, lag): _unexplained(means, response, name, lag) for name in means for lag in range(-_LAGS, _LAGS + 1)
-    }
-    least = min(trials.values())
-
-    def beside(name: str, lag: int, otherwise: float) -> float:
-        return min(trials.get((name, lag + block), otherwise) for block in (-1, 1))
-
-    lowest = {trial: share for trial, share in trials.items() if share <= beside(*trial, share)}
-    name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
-    at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
-    delays = [trial for trial, share in lowest.items() if trial[0] == name and 2 * share < min(1.0, at_once)]
-    found = len(delays) == 1 or (bool(delays) and beside(name, lag, 0.0) < at_once)
-    return _Delay(name, lag, found, 2 * min(least, at_once) < 1)
+def _delay(trials: Mapping[tuple[str, int], float], most: float) -> tuple[str, int] | None:
+    """Signal and its delay, of which less than half of a share is left; None for a periodic motion alone."""
+    beside = {(name, lag): [trials.get((name, lag + block), 1.0) for block in (-1, 1)] for name, lag in trials}
+    lowest = {trial: share for trial, share in trials.items() if share <= min(beside[trial])}
+    fitting = [trial for trial, share in lowest.items() if share <= 2 * min(trials.values())]
+    chosen = min(fitting, key=lambda trial: abs(trial[1]))
+    delays = [trial for trial, share in lowest.items() if trial[0] == chosen[0] and 2 * share < most]
+    return chosen if len(delays) == 1 or (delays and min(beside[chosen]) < most) else None
 
 
 def _unexplained(means: Mapping[str, Floats], response: str, late: str, lag: int) -> float:
