@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mckibben as mk
+from mckibben.codegen.native import own_flags
 from mckibben.control import predictive
 from mckibben.control.ddp import FirstCommand
 from mckibben.export import export
@@ -134,7 +135,7 @@ def optimal_control(stages, leaves):
     nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*constraints), "p": parameters}
     options = {"structure_detection": "auto", "equality": equality, "print_time": False, "expand": True}
     options |= {"fatrop": {"print_level": 0, "mu_init": 1e-3, "tol": 1e-8}, "jit": True, "compiler": "shell"}
-    options["jit_options"] = {"flags": ["-O3", "-march=native"], "verbose": False}
+    options["jit_options"] = {"flags": ["-O3", "-march=native", *own_flags()], "verbose": False}
     solver = casadi.nlpsol("solver", "fatrop", nlp, options)
     bounds = np.zeros(len(equality)), np.where(equality, 0.0, np.inf)
     return solver, *bounds

@@ -13,12 +13,15 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 
 import mckibben
+from mckibben.export import export
 
 mpl.use("agg")
 sys.path.insert(0, str(Path(__file__).parent))  # sphinx-gallery imports the scraper by name
 
+KNEE = Path(__file__).parents[1] / "examples" / "pre-contracted-step-pid.yaml"
+
 project = "mckibben"
-author = "The mckibben developers"
+author = "The mckibben contributors"
 copyright = f"2026, {author}"
 version = release = mckibben.__version__
 
@@ -102,6 +105,22 @@ def _block_math(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _write_page(app: Sphinx, error: Exception | None) -> None:
+    """The knee of the first page, to move."""
+    if error is None and app.builder.name == "html":
+        export(mckibben.Scenario.read(KNEE), "page", Path(app.outdir) / "live", name="knee", overwrite=True)
+
+
+def _link_page(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: nodes.document | None) -> None:
+    if page == "index":
+        head, image, following = context["body"].partition("knee.webp")
+        picture, end, rest = following.partition("</p>")
+        link = '<p><a href="live/knee.html">Move this knee yourself</a>, in your browser.</p>'
+        context["body"] = head + image + picture + end + link + rest
+
+
 def setup(app: Sphinx) -> None:
-    """Render formulas as MathML, which needs no scripts."""
+    """Render formulas as MathML, which needs no scripts; add the page of a knee."""
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
+    app.connect("html-page-context", _link_page)
+    app.connect("build-finished", _write_page)

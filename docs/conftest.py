@@ -18,6 +18,7 @@ SLOW = {
     "uncertainty.md",
     "your-muscle.md",
     "mckibben.reachability.selection.size",
+    "mckibben.study.compare.compare.runs_of",
 }
 
 

@@ -93,28 +93,28 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 BUDGET = {
     "top": 1060,
     "actuator": 1060,
-    "calibration": 1840,
+    "calibration": 1990,
     "catalog": 230,
-    "cli": 1560,
-    "codegen": 2580,
+    "cli": 1580,
+    "codegen": 2700,
     "component": 1040,
     "config": 570,
     "contract": 660,
-    "control": 2670,
-    "dataset": 4090,
+    "control": 2680,
+    "dataset": 4140,
     "experiment_design": 720,
-    "export": 2630,
+    "export": 2890,
     "identification": 3760,
     "joint": 1410,
     "robot": 80,
-    "mechanism": 2040,
+    "mechanism": 2140,
     "muscle": 1610,
-    "numerics": 810,
-    "paper": 1180,
+    "numerics": 820,
+    "paper": 1190,
     "plant": 780,
     "reachability": 1150,
     "report": 2060,
-    "rig": 4960,
+    "rig": 4990,
     "scenario": 2340,
     "serial_protocol": 180,
     "simulation": 3550,
@@ -125,7 +125,7 @@ BUDGET = {
 }
 
 MOST_ANY = 710  # uses of `Any`
-MOST_CONSTANTS = 462  # numbers at module level, to come to 500
+MOST_CONSTANTS = 467  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
 
@@ -143,9 +143,13 @@ class Shape(NamedTuple):
 
 
 @functools.cache
+def parsed(path: str) -> ast.Module:
+    return ast.parse(Path(path).read_text(encoding="utf-8"))
+
+
+@functools.cache
 def shape(path: str) -> Shape:
-    text = Path(path).read_text(encoding="utf-8")
-    tree = ast.parse(text)
+    text, tree = Path(path).read_text(encoding="utf-8"), parsed(path)
     docstrings: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node, clean=False):
@@ -200,7 +204,7 @@ def test_no_function_is_of_grade_d():
     complexity = pytest.importorskip("radon.complexity", reason="radon is not installed (make does it)")
     found = {}
     for name, path in SOURCES.items():
-        for block in complexity.cc_visit(Path(path).read_text(encoding="utf-8")):
+        for block in complexity.cc_visit_ast(parsed(path)):
             for function in (block, *getattr(block, "methods", ())):
                 if type(function).__name__ == "Function" and function.complexity > 20:
                     found[f"{name}.{function.name}"] = function.complexity
@@ -211,7 +215,7 @@ def test_no_function_is_of_grade_d():
 def imported(module: str) -> set[str]:
     """Modules that a module imports, also within functions and for types alone."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(SOURCES[module])):
         if isinstance(node, ast.ImportFrom):
             whole = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= whole & SOURCES.keys() or {node.module or ""}
@@ -234,7 +238,7 @@ def test_no_import_by_text():
     reference = re.compile(r"mckibben(\.\w+)+(:\w+)?")
     homes = set()
     for name, path in SOURCES.items():
-        for node in ast.walk(ast.parse(Path(path).read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
             texts = [arg.value for arg in node.args if isinstance(arg, ast.Constant)] if called else []
             by_name = called.endswith("import_module") and any(reference.fullmatch(str(text)) for text in texts)
@@ -271,7 +275,7 @@ def declares(kind: type) -> bool:
 @pytest.mark.slow
 def test_only_the_command_line_prints():
     for name, path in SOURCES.items():
-        tree = ast.parse(Path(path).read_text())
+        tree = parsed(path)
         calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
         if not name.startswith(("mckibben.cli", "mckibben.study", "mckibben.storage")):
             assert "print" not in calls, name
@@ -285,7 +289,7 @@ SHARED = {"Calibration", "Column", "Joint", "Measured", "Study", "Table"}
 def test_no_two_further_public_classes_have_one_name():
     homes: dict[str, list[str]] = {}
     for name, path in SOURCES.items():
-        for node in ast.parse(Path(path).read_text()).body:
+        for node in parsed(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(name)
     assert {cls for cls, where in homes.items() if len(where) > 1} <= SHARED
@@ -301,7 +305,7 @@ def test_kinds_of_actuators_are_told_apart_in_their_modules_only():
     assert {"Valve", "AirValve", "Tube", "UnequalValves"} <= kinds
     found = []
     for name, path in SOURCES.items():
-        for node in ast.walk(ast.parse(Path(path).read_text())):
+        for node in ast.walk(parsed(path)):
             called = getattr(node, "func", None)
             if getattr(called, "id", "") in ("isinstance", "issubclass") and not name.startswith("mckibben.actuator"):
                 found += [(name, one.id) for one in ast.walk(node.args[1]) if getattr(one, "id", "") in kinds]

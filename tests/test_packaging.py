@@ -10,12 +10,14 @@ import re
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tomllib
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 pytest.importorskip("build", reason="the package build is not installed (make does it)")
 pytest.importorskip("hatchling", reason="the package hatchling is not installed (make does it)")
@@ -100,6 +102,26 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):
     assert {"py.typed", "__init__.pyi", "paper/report.css", "dataset/vocabulary.toml"} <= {
         name.partition("/")[2] for name in held
     }
+
+
+@pytest.mark.slow
+def test_the_source_archive_has_every_tracked_file(wheel):
+    """So that its tests pass."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("this is not a checkout of the repository")
+    (archive,) = wheel.parent.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        held = {name.partition("/")[2] for name in opened.getnames()}
+    assert {*run("git", "ls-files", cwd=ROOT).splitlines()} <= held
+
+
+def test_workflows_test_the_versions_of_python_that_are_supported():
+    texts = {path.stem: YAML(typ="safe").load(path) for path in (ROOT / ".github/workflows").glob("*.yml")}
+    assert set(texts) == {"tests", "docs", "release"}
+    tested = texts["tests"]["jobs"]["everyday"]["strategy"]["matrix"]["python"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    listed = re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
+    assert tested == listed and project["requires-python"] == f">={tested[0]}"
 
 
 @pytest.mark.slow

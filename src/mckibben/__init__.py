@@ -1,8 +1,8 @@
 """mckibben: pneumatic artificial muscles, from the test rig to a controlled joint.
 
-Importing has one documented effect: JAX computes with 64-bit numbers (and its loops run fast on the CPU, see
-`mckibben.numerics.runtime`). The public names are in `__init__.pyi`; each is loaded when it is first used, so that the
-import itself is quick.
+Importing has two documented effects, see `mckibben.numerics.runtime`: JAX computes with 64-bit numbers (and its loops
+run fast on the CPU), and compiled programs are kept in the user's cache folder. The public names are in `__init__.pyi`;
+each is loaded when it is first used, so that the import itself is quick.
 """
 
 from importlib import import_module

@@ -99,6 +99,7 @@ def test_a_mutant_changes_one_part_and_afterwards_the_file_is_as_before(monkeypa
     assert file.read_text(encoding="utf-8") == text
 
 
+@pytest.mark.slow
 def test_no_degenerate_test_of_a_muscle_gives_a_law_in_silence(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     found = importlib.import_module("designs").outcomes(24)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from mckibben.calibration import (
     JointRecording,
     calibrate_joint,
     calibrate_robot,
+    estimation,
     read_joint_recording,
 )
-from mckibben.calibration.equations import linearised, problem_of, samples_of
+from mckibben.calibration.equations import _errors, linearised, problem_of, samples_of
 from mckibben.calibration.models import HingeModel, RobotModel, Weight
 from mckibben.calibration.recordings import check_recording
 from mckibben.dataset import Recipe
@@ -69,10 +71,10 @@ def balanced(joint, load, motion, first, mass, creeping):
     return jnp.stack(pressures, axis=1), jnp.stack(tensions, axis=1)
 
 
-def recording(joint, load, mass, rng, *, seconds=14.0, rate=250.0, creep=0.0):
+def recording(joint, load, mass, rng, *, seconds=14.0, rate=250.0, creep=0.0, fast=1.0):
     """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
     time = np.arange(0.0, seconds, 1 / rate)
-    slow, fast = 2 * np.pi * 3 / seconds, 2 * np.pi
+    slow, fast = 2 * np.pi * round(seconds / 5) / seconds, 2 * np.pi * fast
     angle = 7 * deg * np.sin(slow * time) + 1 * deg * np.sin(fast * time)
     acceleration = -(slow**2) * 7 * deg * np.sin(slow * time) - fast**2 * 1 * deg * np.sin(fast * time)
     velocity = np.gradient(angle, time)
@@ -130,13 +132,15 @@ def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
 def test_derivatives_are_difference_quotients(recorded):
     rng = np.random.default_rng(2)
     model = HingeModel(knee(), LOAD)
-    samples = samples_of(model, recorded[0][0])
-    problem = problem_of(model, [samples], JointPrior())
+    recorded = samples_of(model, recorded[0][0])
+    problem = problem_of(model, [recorded], JointPrior())
     z, direction = rng.standard_normal((2, problem.size)) * 0.5
     step = 1e-6
-    _, slopes = linearised(problem, z, samples)
-    ends = [linearised(problem, z + sign * step * direction, samples)[0] for sign in (1, -1)]
-    np.testing.assert_allclose(slopes @ direction, (ends[0] - ends[1]) / (2 * step), atol=1e-5)
+    errors, slopes = linearised(problem, z, recorded)
+    at = jax.jit(lambda z: _errors(problem, z, recorded.samples, recorded.weight, 0.0))
+    (above, high), (below, low), (_, gain) = (at(z + sign * step * direction) for sign in (1, -1, 0))
+    np.testing.assert_allclose(slopes @ direction, (above / high - below / low) * gain / (2 * step), atol=1e-5)
+    np.testing.assert_allclose(errors, at(z)[0])
 
 
 @pytest.mark.slow
@@ -196,8 +200,18 @@ def test_stiffness_of_rigs_of_another_law(foreign_rigs, mass, most):
         before.append(np.mean(np.square(prior - true)) / true.mean() ** 2)
         inside.append(np.mean(np.abs(value - true) < 1.96 * deviation))
     assert np.sqrt(np.mean(errors)) < most < 0.5 * np.sqrt(np.mean(before)) + 0.01
-    assert np.mean(inside) > 0.75  # fewer than two of eight rigs outside; with 95 % that is 94 % likely
+    assert np.mean(inside) > 0.85
     assert np.sqrt(np.mean(np.square(distances))) < 1.4  # 1 for priors that are right
+
+
+@pytest.mark.slow
+def test_torques_do_not_shrink_together_where_the_recordings_count_for_more(foreign_rigs, monkeypatch):
+    """All but the weight may: errors of the equation of motion as such would lose 20 to 28 % of stiffness."""
+    recordings, at, true = foreign_rigs[2]
+    variance = estimation._variance
+    monkeypatch.setattr(estimation, "_variance", lambda *args: 0.03 * variance(*args))
+    found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[0.4]], JointPrior(mass=0.02, inertia=0.05))
+    assert abs(np.mean(found.stiffness(*at)[0] / true) - 1) < 0.1
 
 
 @pytest.mark.slow
@@ -205,13 +219,14 @@ def test_a_weight_that_is_not_the_stated_one_is_named(foreign_rigs):
     """It gives the scale of the stiffness, and motion whose inertia is known contradicts another one."""
     named = 0
     for recordings, _, _ in foreign_rigs[:4]:
-        heavier = [dataclasses.replace(one, added_mass=1.15 * one.added_mass) for one in recordings[2.0]]
+        heavier = [dataclasses.replace(one, added_mass=1.25 * one.added_mass) for one in recordings[2.0]]
         prior = JointPrior(mass=0.02, inertia=0.05)
         remarks = calibrate_joint(knee(), LOAD, [*recordings[0], *heavier], prior).remarks()
         named += bool({"added_mass", "distance"} & {remark.field for remark in remarks})
     assert named >= 3
 
 
+@pytest.mark.slow
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
     angle, pressures = np.array([0.05]), (np.array([4.8e5]), np.array([4.5e5]))
     value, _ = with_weight.stiffness(angle, pressures)
@@ -408,3 +423,35 @@ def test_a_recording_of_other_joints_is_refused(recorded):
     with pytest.raises(IdentificationError) as caught:
         calibrate_joint(knee(), LOAD, [dataclasses.replace(one, pressures=np.tile(one.pressures, 2))])
     assert caught.value.value == (1, 4)
+
+
+def weaker(force):
+    return {
+        name: dataclasses.replace(getattr(TRUE, name), law=adjusted_law(getattr(TRUE, name).law, strength=force))
+        for name in ("muscle1", "muscle2")
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "most"), [(1.0, 0.035), (0.9, 0.05)])
+def test_stiffness_in_service_is_followed(with_weight, force, most):
+    """Motion of 2 Hz and 0.2 Hz, which 30 s later tells muscles that are 10 % weaker, with an interval."""
+    rng, aged = np.random.default_rng(8), dataclasses.replace(TRUE, **weaker(force))
+    parts = [recording(joint, TRUE_LOAD, 0.0, rng, seconds=s, fast=2.0) for joint, s in ((TRUE, 10.0), (aged, 30.0))]
+    first, second = (one for one, _, _ in parts)
+    time = np.concatenate([first.time, first.time[-1] + 4e-3 + second.time])
+    columns = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ("angle", "pressures")}
+    found = with_weight.follow(JointRecording(time, **columns))
+    last = time > found.times[-1] - 2.0
+    angle, pressures = columns["angle"][last], columns["pressures"][last]
+    true = np.mean(aged.evaluate(angle, tuple(pressures.T))[1])
+    assert found.known[-1] and abs(found.stiffness[-1, 0] / true - 1) < most
+    assert abs(found.stiffness[-1, 0] - true) < 1.96 * found.deviation[-1, 0]
+    assert force == 1.0 or found.calibrated[-1, 0] / true > 1.07
+
+
+def test_a_joint_that_rests_tells_no_stiffness(recorded, with_weight):
+    still = dataclasses.replace(recorded[0][0], angle=0 * recorded[0][0].angle)
+    with pytest.raises(IdentificationError) as caught:
+        with_weight.follow(still)
+    assert caught.value.remedy

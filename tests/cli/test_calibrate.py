@@ -12,7 +12,6 @@ from mckibben.calibration import read_joint_recording
 from mckibben.component.schema import read_component
 from mckibben.scenario import Scenario
 
-pytestmark = pytest.mark.usefixtures("optimized")
 EXAMPLE = Path("examples/calibration/knee.yaml").resolve()
 WEIGHT = ("--weight", "0.5 kg, 200 mm", "--limb", "estimated")
 

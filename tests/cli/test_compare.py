@@ -100,4 +100,4 @@ def test_a_scenario_has_a_suite_of_its_own(cli, tmp_path, monkeypatch):
     with pytest.raises(BaseException, match="scenario,"):
         cli("compare", scenario, "--out", "kept")
     suite = Suite.read(tmp_path / "kept" / "suite.yaml")
-    assert suite.controllers.keys() == {"scenario", "decoupling"}
+    assert suite.controllers.keys() == {"scenario", "PID with feedforward", "decoupling"}

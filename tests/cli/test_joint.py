@@ -152,7 +152,7 @@ control_period: 1 ms
 """
 
 
-@pytest.mark.parametrize(("command", "code"), [("envelope", 1), ("simulate", 2), ("margins", 2)])
+@pytest.mark.parametrize(("command", "code"), [pytest.param("envelope", 1, marks=pytest.mark.slow), ("margins", 2)])
 def test_a_law_whose_force_falls_with_pressure_is_why_nothing_holds_the_joint(cli, tmp_path, command, code):
     (tmp_path / "joint.yaml").write_text(FALLS_WITH_PRESSURE, encoding="utf-8")
     found = cli(command, "joint.yaml")

@@ -32,8 +32,7 @@ def test_a_joint_runs_with_margins(cli, tmp_path, own):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("against", ["spring", "weight", "muscle"])
-@pytest.mark.parametrize("own", [False, True])
+@pytest.mark.parametrize(("against", "own"), [("spring", False), ("weight", True), ("muscle", False)])
 def test_an_axis_runs_with_margins(cli, tmp_path, own, against):
     (tmp_path / "own.yaml").write_text(to_text(write(OWN, ComponentField(Muscle))))
     done = cli("new", "axis", "axis.yaml", "--against", against, *(("--muscle", "own.yaml") if own else ()))
@@ -47,6 +46,7 @@ def test_an_axis_runs_with_margins(cli, tmp_path, own, against):
     assert batched(scenario, extremes(uncertainty(scenario))).disk_margins(20).min() >= LEAST_DISK_MARGIN
 
 
+@pytest.mark.slow
 def test_a_test_and_a_robot_are_valid(cli):
     for kind, command in (("bench", ("rig", "run", "--dry-run")), ("robot", ("robot", "pressures"))):
         assert cli("new", kind, f"{kind}.yaml").code == 0

@@ -101,15 +101,16 @@ ROBOT = str(Path(__file__).parents[2] / "examples" / "robot" / "lei-leg.yaml")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [(), ("--resume",), ("--force",)])
 @pytest.mark.parametrize(
-    "command",
+    ("command", "how"),
     [
-        ("sweep", "s.yaml", *MASS),
-        ("tune", "s.yaml"),
-        ("compare", "s.yaml", "--quick"),
-        ("robot", "land", ROBOT),
-        ("robot", "jump", ROBOT),
+        (("sweep", "s.yaml", *MASS), ()),
+        (("sweep", "s.yaml", *MASS), ("--force",)),
+        (("sweep", "s.yaml", *MASS), ("--resume",)),
+        (("tune", "s.yaml"), ("--resume",)),
+        (("compare", "s.yaml", "--quick"), ("--resume",)),
+        (("robot", "land", ROBOT), ("--resume",)),
+        (("robot", "jump", ROBOT), ("--resume",)),
     ],
     ids=lambda words: " ".join(words[:2]),
 )

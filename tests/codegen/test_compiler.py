@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 from mckibben.codegen import native
 from mckibben.codegen.engine import BatchFunction
@@ -182,3 +183,33 @@ def test_the_real_time_loop_warns_too(use, programs):
     with pytest.warns(McKibbenWarning, match="CC"):
         step = compile_flat(lambda x: x + 1, 2)
     np.testing.assert_array_equal(step(np.array([1.0, 2.0])), [2.0, 3.0])
+
+
+def mixed(xp, x, carry):
+    """Statements of all kinds, of which each uses one far before it."""
+    values, count = [carry, x], xp.asarray(3)
+    for n in range(100):
+        count = count + xp.where(values[-1] > values[n // 2], n, 1)
+        bound = xp.asarray(n % 7, float)
+        values.append(xp.where((count % 3 == 0) | (values[n] < bound), values[-1] * 0.5, values[n] + bound))
+    return values[-1] + values[50], count
+
+
+def loop(shared, lane):
+    x = lane + shared
+    return lax.scan(lambda carry, _: mixed(jnp, x, carry), x, None, length=20)[0]
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_long_blocks_are_written_in_parts(lanes, monkeypatch):
+    sources = []
+    compile_library = native.compile_library
+    monkeypatch.setattr(native, "compile_library", lambda *args: sources.append(args[0]) or compile_library(*args))
+    function = loop if lanes else lambda shared, _: loop(shared, 2.0)
+    x = LANES + 1.5 if lanes else np.array(3.5)
+    results = NativeFunction(function)(np.array(1.5), LANES if lanes else None)
+    assert sources[0].count("noinline") >= 2
+    carry = x
+    for _ in range(20):
+        carry, _count = mixed(np, x, carry)
+    np.testing.assert_array_equal(results, carry)

@@ -79,6 +79,7 @@ def test_kernels_compute_what_jax_does(cuda_here, function, given):
         np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_in_32_bits_only_numbers_of_all_runs_have_64(cuda_here):
     def function(shared, x):
         tiny = shared + 1e-12

@@ -131,4 +131,30 @@ def test_operations_on_bits_are_refused():
     module.add("mix", "bits", lambda _, count: {"mixed": count ^ (count << 3)}, {"count": np.asarray(0)})
     with pytest.raises(ExportError) as caught:
         write_js(module)
-    assert caught.value.field == "shift_left"
+    assert caught.value.field == "xor"
+
+
+def test_noise_is_drawn_as_in_jax():
+    def noise(parameters, seed, index):
+        key = jax.random.fold_in(jax.random.key(parameters["seed"]), index.astype(jnp.uint32))
+        return {
+            "drawn": {"normal": jax.random.normal(key, (3,), jnp.float32), "bits": jax.random.bits(key, (2,), "uint32")}
+        }
+
+    module, number = SourceModule("noise", {"seed": np.asarray(7)}), np.asarray(0)
+    module.add("draw", "random numbers", noise, {"seed": number, "index": number})
+    indices = [0, 1, 1000, 2**31, 2**32 - 1]
+    body = "const self = noise.defaults(); return given.map(index => noise.draw(self, 0, index).drawn);"
+    for index, drawn in zip(indices, run(write_js(module), body, indices), strict=True):
+        expected = jax.jit(noise)({"seed": 7}, 0, jnp.asarray(index))["drawn"]
+        np.testing.assert_array_equal(drawn["bits"], expected["bits"])
+        np.testing.assert_allclose(drawn["normal"], expected["normal"], rtol=3e-7)
+
+
+def test_products_of_words_need_64_bits():
+    module = SourceModule("mixed", {})
+    function = lambda p, x: {"y": (x.astype(jnp.uint32) * jnp.uint32(2654435761)).astype(int)}  # noqa: E731
+    module.add("mix", "a product of words", function, {"x": np.asarray(0)})
+    with pytest.raises(ExportError) as error:
+        write_js(module)
+    assert error.value.field == "and"

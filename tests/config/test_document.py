@@ -24,7 +24,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 HOSTILE = {
     "aliases": BOMB,
-    "brackets": "[" * 20_000,
+    "brackets": "[" * 1_000,
     "braces": "{a: " * 20_000,
     "tag of an integer": "law: !!int abc",
     "date": "law: 2020-99-99",

@@ -30,6 +30,7 @@ def answers(knee, setpoints):
     return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 1, 1)))(*map(jnp.asarray, setpoints))
 
 
+@pytest.mark.slow
 def test_no_pressure_within_the_window_does_better(knee, setpoints, answers):
     angle, torque, stiffness, lower, _ = setpoints
     grid = lower[:, None, None, :] + 2e5 * np.stack(np.meshgrid(*[np.linspace(0, 1, 41)] * 2))[..., None]

@@ -200,6 +200,7 @@ def test_the_extrapolated_reference_goes_on_with_its_frequency():
     np.testing.assert_allclose(np.stack(found), expected, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_costs_of_a_user_enter_the_optimum():
     """A nonlinear residual: Gauss-Newton leaves out its curvature, so that a step is small where it is small."""
     problem, pressures = joint_problem(), (3.0, 3.0)

@@ -57,6 +57,7 @@ def test_the_loop_is_the_linear_one_that_was_designed(run, plant, controllers):
     np.testing.assert_allclose(error, 0.5 * (1 + wt + wt**2 / 2) * np.exp(-wt), atol=0.015)
 
 
+@pytest.mark.slow
 def test_a_step_of_stiffness_hardly_moves_the_angle(run, plant, controllers, knee, load):
     """From next to the lowest to next to the highest attainable, while moving; a tenth of the PID's is asked for."""
     low, high = (float(k) for k in knee.attainable_stiffness(0.0, -load.gravity_torque(0.0), minimum_tension=5.0))
@@ -83,6 +84,7 @@ def test_commands_stay_within_limits_and_muscles_taut_when_too_much_is_asked(run
         )  # the torque first
 
 
+@pytest.mark.slow
 def test_a_wrong_load_leaves_no_error_at_rest(run, knee, load, plant, controllers):
     heavy = mk.JointPlant(knee, dataclasses.replace(load, mass2=0.75), plant.valve)
     for name in ("observer", "integral", "predictive"):

@@ -31,6 +31,7 @@ def test_the_mean_of_commands_between_two_ages_is_that_of_their_steps(newest, ol
     np.testing.assert_allclose(mean_commands(sent, newest, oldest), (expected, -2 * expected), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, knee, load):
     prepared = control.with_period(PERIOD)
     estimates = prepared.init_estimates((ANGLE,), PRESSURES)

@@ -42,6 +42,7 @@ def watched(observer, missing, periods=400):
     return motion, angle[-1], velocity[-1]
 
 
+@pytest.mark.slow
 def test_it_finds_velocity_and_disturbance():
     motion, angle, velocity = watched(ExtendedStateObserver(bandwidth=100.0), missing=3.0)
     assert float(motion.disturbance) == pytest.approx(3.0, abs=1e-3)
@@ -56,6 +57,7 @@ def test_without_disturbance_it_reads_the_velocity_wrong_by_what_it_says():
     assert float(motion.disturbance) == 0.0
 
 
+@pytest.mark.slow
 def test_pressures_lose_their_noise_and_nothing_else():
     observer, rng = PressureObserver(bandwidth=200.0), np.random.default_rng(1)
     share = 1 - np.exp(-PERIOD / 0.02)

@@ -59,6 +59,7 @@ def spied(knee):
     return run
 
 
+@pytest.mark.slow
 def test_it_takes_over_the_pressures_as_they_are(control, knee):
     measurement = seen()
     setpoint = Setpoint(measurement.angle, knee.stiffness(measurement.angle, measurement.pressures))

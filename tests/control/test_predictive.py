@@ -39,6 +39,7 @@ def tracked(run, plant, knee, load):
     return run(plant, predictive(knee, load))
 
 
+@pytest.mark.slow
 def test_with_a_right_model_there_is_next_to_no_error(tracked, plant):
     record, _ = tracked
     assert rmse(tracked) < 0.01

@@ -1,6 +1,7 @@
 # ruff: noqa: E501 - tables of cases
 """Sound points raise no question; each kind of mistake raises one, of its topic."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -11,6 +12,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.checks import Points, questions_of, questions_of_points
+from mckibben.errors import McKibbenWarning
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, forces
 from mckibben.units import bar
 
@@ -314,7 +316,8 @@ def test_published_points_and_those_of_the_rig_show_no_shift():
 @pytest.mark.parametrize("friction", [0.0, 12.0])
 @pytest.mark.parametrize("row", [23, 30, 41])
 @pytest.mark.parametrize(
-    ("quantity", "size"), [("pressure", 1.013e5), ("pressure", -1.013e5), ("contraction", 0.02), ("force", 100.0)]
+    ("quantity", "size"),
+    [("pressure", 1.013e5), ("pressure", -1.013e5), ("contraction", 0.02), ("force", 100.0), ("force", 30.0)],
 )
 def test_a_shift_from_some_row_on_is_asked_about_with_the_row(quantity, size, row, friction):
     names = ("pressure", "contraction", "force")
@@ -329,3 +332,22 @@ def test_a_shift_from_some_row_on_is_asked_about_with_the_row(quantity, size, ro
     asked = questions_of(data, np.arange(len(data)))
     (question,) = (question for question in asked if question.problem.field == quantity and question.topic == "order")
     assert abs(question.problem.line - row) <= 2, asked
+
+
+def test_a_small_shift_of_the_pressure_is_a_warning_as_first_strokes_do_the_same():
+    """A load cell's shift of 2 % of the largest force is a question, as no muscle changes alike at all pressures."""
+    pressure, contraction, force = muscle(noise=0.4, friction=12.0, seed=4)
+    pressure = pressure + np.where(np.arange(len(force)) >= 70, 0.2e5, 0.0)
+    direction = np.tile(np.repeat(["unloading", "loading"], 15), 4)
+    data = IsobaricDataset.of(
+        pressure=pressure, contraction=contraction, force=force, direction=direction, slack_force=0.0
+    )
+    with pytest.warns(McKibbenWarning, match=r"line (69|70|71): pressures .* \+0\.(19|2|21)"):
+        assert questions_of(data, np.arange(len(data))) == []
+
+
+@pytest.mark.parametrize("loads", [(167.0, 176.0), (59.0, 98.0), (98.0, 157.0, 167.0)])
+def test_loads_between_which_a_law_is_not_determined_are_not_shifted(loads):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert asked_of(hanging(loads, lambda p, eps: 5.0, 0.8, seed=0)) == set()

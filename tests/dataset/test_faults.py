@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.dataset.faults import RecordedSignals
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar, percent
 
@@ -111,8 +112,7 @@ def test_a_slow_creep_and_weights_that_are_typed_in_are_no_faults():
     assert len(record.plateaus().dataset) == 21
 
 
-@pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
-@pytest.mark.parametrize("begin", [0.2, 0.55])
+@pytest.mark.parametrize(("name", "begin"), [("pressure", 0.2), ("contraction", 0.55), ("force", 0.2)])
 def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     samples = Samples()
     stuck(samples, name, begin, 40)
@@ -126,6 +126,17 @@ def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     first, last = begin * samples.time[-1], begin * samples.time[-1] + 40
     assert not np.any((data.table["time"] > first + 1) & (data.table["time"] < last - 1))
     assert "is stuck" in data.table.attrs["preprocessing"]
+
+
+def test_loops_of_which_too_much_is_lost_say_that_there_is_no_friction(tmp_path):
+    samples = Samples("loops")
+    stuck(samples, "force", 0.02, 234)
+    samples.record().to_netcdf(tmp_path / "a.nc")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        data = read_dataset(tmp_path / "a.nc", accept=["order", "rows"])
+    assert "direction" not in data.table
+    assert any("no friction is identified" in str(warning.message) for warning in caught)
 
 
 def test_a_pressure_that_is_set_at_once_while_the_force_is_stuck_is_no_jump():
@@ -147,7 +158,23 @@ def test_a_force_that_stays_between_the_steps_of_a_converter_is_stuck():
 
 
 @pytest.mark.parametrize("name", ["pressure", "contraction", "force"])
-@pytest.mark.parametrize("seconds", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("levels", [(1.5, 3.0), (1.5, 2.5, 3.5)])
+def test_a_late_signal_of_loops_at_few_pressures_is_a_question_with_the_delay(name, levels):
+    """Few large changes; of a periodic motion the shortest delay is named."""
+    time, rng = np.arange(0, 60 * len(levels), 0.05), np.random.default_rng(0)
+    phase = 2 * np.pi * time / 11
+    signals = {"pressure": np.array(levels)[(time // 60).astype(int)] * bar, "contraction": 0.09 * (1 - np.cos(phase))}
+    signals["force"] = law(signals["pressure"], signals["contraction"]) - 6 * np.sign(np.sin(phase))
+    signals[name] = np.interp(time - 2, time, signals[name])
+    noisy = {
+        key: signals[key] + rng.normal(0, size, len(time)) for key, size in zip(signals, (300, 2e-5, 0.4), strict=True)
+    }
+    asked = RecordedSignals(Recording.of(time=time, **noisy, slack_force=2.0).table).questions()
+    (message,) = (query.problem.message for query in asked if "apart" in query.problem.message)
+    assert message.startswith(name) and float(message.split(" are ")[1].split()[0]) == pytest.approx(2, abs=0.3)
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("pressure", 1.0), ("contraction", 2.0), ("force", 1.0), ("force", 5.0)])
 def test_a_late_signal_is_a_question(name, seconds, tmp_path):
     samples = Samples()
     late(samples, name, seconds)
@@ -201,8 +228,7 @@ def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_p
         assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
 
 
-@pytest.mark.parametrize(("name", "shift"), [("pressure", 1.013 * bar), ("force", 60.0)])
-@pytest.mark.parametrize("begin", [0.3, 0.55])
+@pytest.mark.parametrize(("name", "shift", "begin"), [("pressure", 1.013 * bar, 0.3), ("force", 60.0, 0.55)])
 def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begin, tmp_path):
     time = np.arange(0, 30, 0.05)
     columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
@@ -215,8 +241,7 @@ def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begi
     assert "accept=order" in caught.value.problems[0].remedy
 
 
-@pytest.mark.parametrize("before", [False, True])
-@pytest.mark.parametrize("begin", [0.25, 0.5, 0.75])
+@pytest.mark.parametrize(("begin", "before"), [(0.25, False), (0.5, True), (0.75, False)])
 def test_a_gauge_that_turns_absolute_within_loops_or_at_a_change_of_the_level_is_a_question(begin, before, tmp_path):
     time = np.arange(0, 30, 0.05)
     columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))
@@ -239,8 +264,7 @@ def test_a_force_that_is_not_linear_in_the_pressure_is_no_gauge_that_turned_abso
     assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
 
 
-@pytest.mark.parametrize("kind", ["strokes", "stairs"])
-@pytest.mark.parametrize("begin", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize(("kind", "begin"), [("strokes", 0.3), ("stairs", 0.5), ("strokes", 0.8)])
 def test_a_gauge_pressure_that_turns_absolute_is_a_question(kind, begin):
     samples = Samples(kind, friction=6.0 if kind == "strokes" else 0.0)
     absolute(samples, begin)

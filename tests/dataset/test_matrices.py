@@ -51,6 +51,7 @@ MATRICES = {
     "commas": (grid(sep=","), ROWS),
     "blanks": (grid("p\\eps", sep="  "), ROWS),
     "names of both axes": (";;eps [%];;;;;\n" + "\n".join(f"{'p [bar]' * (at == 1)};{line}" for at, line in enumerate(grid("").splitlines())) + "\n", ROWS),
+    "units at the rows": ("\n".join(line.replace(";", " bar;", at > 0) for at, line in enumerate(grid("F [N]", "{:g} %").splitlines())), ROWS),
     "a footnote": (grid() + "measured on 12 March\n", ROWS),
 }  # fmt: skip
 

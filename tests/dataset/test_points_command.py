@@ -44,6 +44,7 @@ def write(name: str, pressure: np.ndarray, lines: str = "", gain: float = 1) -> 
 COLUMN = ("--column", "Druck [bar]=pressure_bar", "--read", "contraction=10 %")
 
 
+@pytest.mark.slow
 def test_plateaus_become_files_that_are_read_as_points(run):
     write("rig.csv", LEVEL)
     Path("how.yaml").write_text("specimen: DMSP-10\n")

@@ -50,6 +50,7 @@ def read(path, *, length=LENGTH, pressure="pressure_bar", **options):
     return read_dataset(path, columns=columns, initial_length=length, **options)
 
 
+@pytest.mark.slow
 def test_intervals_of_plain_files_hold_the_truth(written):
     for seed in range(5):
         pressure, contraction, force, side = measured(seed, offset=3.0)
@@ -205,6 +206,14 @@ def test_passes_need_reversals():
     assert repeat[[0, 19, 20]].tolist() == [0, 0, 1]
     assert passes(np.repeat([0, 1, 2], 10), np.tile(up, 3)) is None
     assert passes(one, np.random.default_rng(0).uniform(0, 0.2, 30)) is None
+
+
+def test_passes_need_reversals_at_most_points_and_not_at_most_pressures():
+    """After a loss two short strokes at pressures of their own leave the directions of the others known."""
+    loop, stroke = np.r_[np.linspace(0, 0.2, 20), np.linspace(0.2, 0, 20)], np.linspace(0, 0.1, 10)
+    groups = np.repeat([0, 1, 2, 3], [40, 10, 10, 40])
+    direction, _ = passes(groups, np.concatenate([loop, stroke, stroke[::-1], loop]))
+    assert direction[[5, 35, 45, 55, 95]].tolist() == ["unloading", "loading", "unloading", "loading", "loading"]
 
 
 def test_points_without_levels_have_blocks_all_the_same(written):

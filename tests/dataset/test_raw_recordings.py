@@ -97,6 +97,7 @@ def test_the_isotonic_test_of_the_rig_agrees_with_the_law(tmp_path):
 
 
 @pytest.mark.parametrize("ramp", [1, 8])
+@pytest.mark.slow
 def test_samples_between_held_pressures_are_left_out_and_long_strokes_averaged(ramp):
     """Of four pressures with ramps in between, sampled faster at the end."""
     time = np.concatenate([np.arange(0, 76, 0.02), np.arange(76, 80, 0.001)])

@@ -365,3 +365,13 @@ def test_a_dimension_of_xarray_needs_no_variable(coordinate, tmp_path):
     file = xr.Dataset({name: ("i", values, {"units": unit}) for name, values, unit in columns})
     (file if coordinate is None else file.assign_coords(i=coordinate)).to_netcdf(tmp_path / "rig.nc", engine="h5netcdf")
     are_the_points(read_dataset(tmp_path / "rig.nc"))
+
+
+@pytest.mark.parametrize(("lost", "asks"), [(0, False), (300, True)])
+def test_a_mark_of_missing_values_is_more_frequent_than_the_values_beside_it(lost, asks, put):
+    """A force that sweeps over 999.99 N in ten thousand rows reads that once or twice."""
+    force = np.round(np.random.default_rng(0).uniform(900, 1100, 10_000), 2)
+    force[::5000], force[1 : 1 + lost] = 999.99, 999.99
+    rows = "".join(f"{4 + 1e-3 * number:.3f};0;{newton}\n" for number, newton in enumerate(force))
+    asked = [question.problem.field for question in read_columns(put(f"{HEADER}\n{rows}".encode())).questions]
+    assert ("Force [N]" in asked) == asks

@@ -216,6 +216,7 @@ def test_a_fault_that_comes_and_goes_vents_if_it_takes_half_of_the_samples(board
         assert status[times > 1.6][0] != VENTED
 
 
+@pytest.mark.slow
 def test_a_run_outside_the_limits_is_not_exported(scenarios, tmp_path):
     with pytest.raises(ExportError) as caught:
         export(scenarios["PID"], "c", tmp_path / "out", hardware=Hardware(limits=Limits(highest_pressure=1e5)))

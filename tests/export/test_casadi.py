@@ -58,6 +58,7 @@ def scenario():
     return mk.Scenario.read("examples/pre-contracted-step-pid.yaml")
 
 
+@pytest.mark.slow
 def test_a_scenario_gives_the_rate_and_the_steps_of_its_plant(scenario, plant):
     made = casadi_plant(scenario, substeps=4, parameters=["load.mass2"])
     state = plant.init_state(0.1, (2e5, 3e5))._replace(velocity=np.array(1.5))
@@ -116,6 +117,7 @@ def test_valves_that_switch_have_no_rate(knee, load):
     assert "differentiate" in made.left_out[0]
 
 
+@pytest.mark.slow
 def test_series_springs(knee, load):
     """An extended spring, and one at its preload; the slope is that of the implicit function."""
     spring = mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
@@ -170,6 +172,7 @@ def test_a_robot(base):
     assert np.max(np.abs(heavier - numbers(*rate))) > 0.1
 
 
+@pytest.mark.slow
 def test_a_plant_of_a_robot_alone():
     made = casadi_plant(RobotScenario.read("examples/robot/lei-leg-in-space.yaml").plant(), substeps=1)
     assert [name for name in made.state if name.startswith("position")]

@@ -244,6 +244,7 @@ def test_a_parameter_can_be_changed(folder, opened, tmp_path):
     assert changed.get(*STATE, "tension1") == pytest.approx(other.get(*STATE, "tension1"), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_state_can_be_restored(folder, opened):
     plant = opened(folder / "plant.fmu")
     plant.set(torque=1.0)
@@ -258,6 +259,7 @@ def test_a_state_can_be_restored(folder, opened):
     assert not np.array_equal(results[0][:2], plant.get("angle", "velocity"))
 
 
+@pytest.mark.slow
 def test_steps_of_a_controller_are_whole_periods(folder, opened):
     loop = opened(folder / "controller.fmu")
     loop.fmu.doStep(0.0, 2 * PERIOD)
@@ -265,6 +267,7 @@ def test_steps_of_a_controller_are_whole_periods(folder, opened):
         loop.fmu.doStep(2 * PERIOD, 1.5 * PERIOD)
 
 
+@pytest.mark.slow
 def test_a_controller_contains_a_bad_input(folder, opened):
     loop, names = opened(folder / "controller.fmu"), ("command1", "command2", "status", "fault")
     good = loop.get("measurement.pressure1").item()
@@ -344,5 +347,6 @@ def test_the_temperature_of_the_air_is_a_state(tmp_path, opened):
     assert one.get("angle").item() == pytest.approx(float(state.angle), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_control_character_in_a_name_leaves_the_description_valid(folder):
     assert "knee\\x01 & <b>" in fmpy.read_model_description(folder / "controller.fmu").description

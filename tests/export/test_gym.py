@@ -59,6 +59,7 @@ def episode(env, **reset):
     return np.array(rows), info
 
 
+@pytest.mark.slow
 def test_it_passes_the_check_of_gymnasium_without_a_warning(env):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -154,6 +155,7 @@ def test_air_costs(env, scenario):
     assert rewards[1] - rewards[0] == pytest.approx(0.1 * used[0] / 5e-3, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_random_plants_are_within_their_ranges_and_belong_to_a_seed(env, envs, scenario):
     masses = np.asarray(env.joint.plants.varying.plant.load.mass2)
     assert masses.shape == (8,)
@@ -187,6 +189,7 @@ def test_many_are_as_single_ones_and_begin_anew(env, envs):
     assert envs.observation_space.contains(observation)
 
 
+@pytest.mark.slow
 def test_an_episode_that_swings_over_ends_without_reward(scenario):
     env = JointEnv(with_values(scenario, {"reference.angle.offset": np.radians(95)}))
     env.reset(seed=0)
@@ -265,6 +268,7 @@ def test_a_robot_without_references_is_refused():
 
 
 @pytest.mark.parametrize(("masses", "rows"), [("80..90 kg", 0), ("1..80 kg", 4)])
+@pytest.mark.slow
 def test_robots_without_a_start_are_left_out(knee, masses, rows):
     start = knee.start.model_copy(update={"angles": {"knee": np.radians(15)}})
     leaning = knee.model_copy(update={"start": start})

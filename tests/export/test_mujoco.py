@@ -215,6 +215,7 @@ def test_friction_creep_and_air_are_states_of_the_plugin(name, runs):
     assert abs(data.qpos[0]) > 0.02
 
 
+@pytest.mark.slow
 def test_a_return_spring_needs_no_command(runs):
     plants, models = runs
     model = mujoco.MjModel.from_xml_string(models["spring"].xml)

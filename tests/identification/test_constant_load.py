@@ -86,6 +86,7 @@ def test_measured_loads_are_recognised_by_their_levels_or_by_the_set_ones(tmp_pa
     assert found.hysteresis.friction.half_width == pytest.approx(6.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_off_the_points_a_prediction_is_flagged_and_its_interval_grows_with_the_distance():
     """The points at loads of 30 to 120 N leave most of the box of pressures and contractions unmeasured."""
     fit = fit_law(ExponentialLaw, hanging_weights(0.0))
@@ -226,6 +227,7 @@ def test_a_heaviest_load_that_two_others_do_not_predict_is_only_not_determined()
     assert beyond.contains(soft_muscle(0.15, 4 * bar))  # 199 N
 
 
+@pytest.mark.slow
 def test_many_points_that_stick_are_a_question_that_a_form_answers():
     """Short sweeps, in which the heavy loads hardly move before the highest pressures."""
     data = swept_weights(plain_muscle, lambda p: 20.0, np.array([250, 350, 450, 550]), length=200 * mm, every=10)

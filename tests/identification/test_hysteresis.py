@@ -93,6 +93,7 @@ def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
     assert found.friction.half_width == pytest.approx(12, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_data_that_cannot_tell_are_refused(drifting):
     data, _ = drifting
     direction = data.table["direction"].to_numpy()

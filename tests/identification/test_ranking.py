@@ -96,6 +96,7 @@ def test_what_is_left_has_to_determine_the_law():
     assert not entry.flags
 
 
+@pytest.mark.slow
 def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_its_bound():
     """Three of the map's four contractions do not determine an exponential, but the map determines Eq. 2."""
     ranking = mk.rank(mk.catalog.dataset(MAP), [ReynoldsLaw, mk.ExponentialLaw, HuntLaw])
@@ -202,6 +203,7 @@ def with_friction():
     return mk.rank(loops(), [ReynoldsLaw, mk.ExponentialLaw, OURS])
 
 
+@pytest.mark.slow
 def test_laws_are_ranked_with_the_friction_that_a_fit_of_them_alone_finds(with_friction):
     best = with_friction.best
     alone = mk.identify(loops(), "exponential")
@@ -265,6 +267,7 @@ def test_the_blocks_of_held_loads_are_loads():
 
 
 @pytest.mark.parametrize("law", [HuntLaw, mk.muscle.TsagarakisCaldwellLaw])
+@pytest.mark.slow
 def test_a_law_without_force_or_slope_at_some_weights_is_refused_and_not_a_fault(law):
     pressure = np.tile(np.concatenate([np.linspace(1.5, 6, 10), np.linspace(5.8, 1.7, 9)]), 4) * bar
     load, unloading = np.repeat([50.0, 100.0, 150.0, 200.0], 19), np.tile(np.arange(19) < 10, 4)

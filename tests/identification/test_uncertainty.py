@@ -119,6 +119,7 @@ def test_intervals_contain_the_misfit_of_a_wrong_law():
     assert band.confidence.contains(truth) and band.prediction.contains(truth)
 
 
+@pytest.mark.slow
 def test_left_out_lowest_and_highest_pressures_are_covered_at_no_more_than_some_three_times_the_error():
     inside, ratios = [], []
     for name in catalog.names("datasets"):
@@ -145,6 +146,7 @@ def test_beyond_the_pressures_the_misfit_grows_with_the_distance(fit):
 # --- the rule -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     assert (fit.robust.by, fit.robust.groups) == (Grouping.PRESSURE, 10)
     assert fit_law(ExponentialLaw, map_of_martens).robust.groups == 16

@@ -27,6 +27,7 @@ def rig():
     return mk.read_dataset(RIG)
 
 
+@pytest.mark.slow
 def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     """The rig's friction is 12 N over 0.5 mm (`mckibben.rig.SimulatedIsobaricTest`)."""
     found = identify_with_friction(ExponentialLaw, rig)
@@ -190,6 +191,7 @@ def test_a_wrong_force_in_a_slow_loop_is_an_outlier(tmp_path):
     assert [one.row for one in fit_law(ExponentialLaw, data).outliers] == [100]
 
 
+@pytest.mark.slow
 def test_a_saved_fit_has_the_muscle_for_scenarios(rig, tmp_path):
     """As the command writes it, with law and friction of the fit; without an initial length there is none."""
     fit = identify_with_friction(ExponentialLaw, rig)

@@ -18,6 +18,7 @@ springs: [2 kN, 1 kN, 2 kN]
 """
 
 
+@pytest.mark.slow
 def test_a_table_in_a_file_is_interpolated_and_inverted(tmp_path):
     (tmp_path / "law.yaml").write_text(FILE)
     law = read_component(ForceLaw, tmp_path / "law.yaml")

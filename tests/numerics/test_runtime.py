@@ -1,4 +1,7 @@
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -84,3 +87,16 @@ def test_batches_fill_the_vector_unit_of_a_cpu_that_is_wide(monkeypatch, flags, 
     assert runtime.batch_options.__wrapped__() == options
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
     assert runtime.batch_options.__wrapped__() == {}
+
+
+@pytest.mark.slow
+def test_programs_of_a_script_are_kept_unless_the_folder_is_empty(tmp_path):
+    script = (
+        "import mckibben as mk; mk.Scenario.read('examples/pre-contracted-step-pid.yaml')"
+        ".model_copy(update={'duration': 0.02}).simulate()"
+    )
+    bare = {key: value for key, value in os.environ.items() if not key.startswith(("MCKIBBEN_PROGRAMS", "JAX_COMP"))}
+    for name, given in (("kept", {}), ("none", {"MCKIBBEN_PROGRAMS_DIR": ""})):
+        environment = bare | given | {"XDG_CACHE_HOME": str(tmp_path / name)}
+        subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[2], env=environment, check=True)
+    assert [*(tmp_path / "kept").rglob("*.program")] and not (tmp_path / "none").exists()

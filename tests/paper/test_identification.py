@@ -10,6 +10,7 @@ from mckibben.muscle import ExponentialLaw
 from mckibben.paper import identification as papers
 from mckibben.units import deg
 
+pytestmark = pytest.mark.slow
 EQ3 = {"a1": -245.8, "a2": 109.0, "b1": 3.216, "b2": -3.442, "c1": 255.6, "c2": -13.18, "decay": 0.3}
 
 

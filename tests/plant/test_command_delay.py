@@ -35,6 +35,7 @@ def commands(start):
     return np.array(start.pressures)[:, None] + draws
 
 
+@pytest.mark.slow
 def test_the_motion_is_that_of_late_commands(plant, late, playback, start, commands):
     delay = 4
     run = run_episode(late(delay * PERIOD), playback, Setpoint(*commands), start, PERIOD, 4)

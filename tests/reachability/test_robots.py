@@ -38,6 +38,7 @@ def neck(stiffness: str) -> RobotScenario:
 
 
 @pytest.mark.parametrize("stiffness", [15.0, 17.3])
+@pytest.mark.slow
 def test_a_knee_as_a_robot_has_the_envelope_of_the_joint(stiffness):
     """With a supply below the rating; the second stiffness is feasible with less amplitude alone."""
     text = ONE.replace("amplitude: 5 deg", "amplitude: 12 deg").replace("20 ms}", "20 ms, supply: 5.5 bar}")
@@ -86,6 +87,7 @@ def test_linear_programs_agree_with_the_closed_form_of_pairs():
         assert {limit.split(" at ")[1] for limit in programs.limits[1]} == {"highest pressure"}
 
 
+@pytest.mark.slow
 def test_a_neck_attains_its_references_together_or_not():
     """Two joints and three muscles: one stiffness determines the other."""
     scenario = neck("30 N*m/rad")

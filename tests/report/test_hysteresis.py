@@ -32,6 +32,7 @@ def test_a_panel_for_each_of_up_to_six_pressures(drawn):
     assert all("RMSE" in title for title in titles[1:])
 
 
+@pytest.mark.slow
 def test_points_are_the_measured_ones_without_law_and_drift(drawn):
     data, found, figure = drawn
     axes = figure.axes[6]

@@ -42,6 +42,7 @@ def test_a_column_a_pressure_with_the_law_the_points_and_two_bands(chart, fit):
     assert "95 % confidence band" in names
 
 
+@pytest.mark.slow
 def test_directions_are_told_apart(chart):
     taut = chart.taut
     both = IsobaricDataset.of(

@@ -3,19 +3,22 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.constants import g
 
 from mckibben import catalog
-from mckibben.muscle import Muscle
+from mckibben.errors import ParameterError
+from mckibben.muscle import Muscle, forces
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.by_hand import HandBench
-from mckibben.rig.document import RigTest
+from mckibben.rig.document import MountedMuscle, RigTest
 from mckibben.rig.modbus import RegisterMap
 from mckibben.rig.record import Recorder, assemble
 from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.running import simulate_operator
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise
 from mckibben.units import bar, mm, percent
@@ -38,7 +41,7 @@ class PressureAlone(Borrowed):
         return block._replace(values=block.values[:, 1:])
 
 
-def run(folder, inner, steps, answers, *, weights):
+def run(folder, inner, steps, answers, *, weights, simulated=None):
     asked = []
 
     def ask(text):
@@ -46,6 +49,7 @@ def run(folder, inner, steps, answers, *, weights):
         return answers.pop(0)
 
     rig = HandBench(inner, weights=weights, ask=ask)
+    rig.simulated = simulated
     bench = Bench(of=MUSCLE, limits=LIMITS, steady=0.3)
     with Recorder(folder, {}, columns_of(rig.inputs)) as recorder:
         Runner(rig, bench, recorder).run(steps)
@@ -66,6 +70,23 @@ def test_weights_are_hung_and_lengths_are_asked_for(tmp_path):
     np.testing.assert_allclose(data.force, [100, 100, 50])
     np.testing.assert_allclose(data.contraction, 1 - np.array([171, 160.2, 153]) / 180, atol=2e-5)
     np.testing.assert_allclose(data.pressure, [1 * bar, 2 * bar, 2 * bar], rtol=0.06)
+
+
+def test_a_simulated_operator_gives_the_lengths_of_its_muscle(tmp_path):
+    steps = [Pressurise(pressure=2 * bar), HoldForce(force=100.0), ACQUIRE, HoldForce(force=50.0), ACQUIRE]
+    inner = PressureAlone(SimulatedRig(MUSCLE, seed=1, patience=100.0), 1)
+    asked, data = run(tmp_path, inner, steps, [], weights=True, simulated=MUSCLE)
+    assert asked == []
+    np.testing.assert_allclose(forces(MUSCLE, data.contraction, data.pressure), data.force, atol=2)
+
+
+@pytest.mark.parametrize(("weights", "law"), [(False, MUSCLE.law), (True, None)])
+def test_a_simulated_operator_needs_weights_and_a_law(weights, law):
+    bench = HandBench(SimulatedRig(MUSCLE, seed=1), weights=weights)
+    checked = SimpleNamespace(backend=bench, test=SimpleNamespace(muscle=MountedMuscle(MUSCLE.specimen, law)))
+    with pytest.raises(ParameterError) as error:
+        simulate_operator(checked)
+    assert error.value.field == "operator" and bench.simulated is None
 
 
 def test_a_screw_is_turned_to_each_contraction(tmp_path):

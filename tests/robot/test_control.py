@@ -233,6 +233,7 @@ def test_a_point_is_a_spring_of_its_stiffness_about_its_reference():
     np.testing.assert_allclose(jacobian.T @ pressed, springs, atol=0.02)
 
 
+@pytest.mark.slow
 def test_positions_out_of_reach_are_named_before_the_run():
     with pytest.raises(UnreachableError) as caught:
         RobotScenario.parse(POINT.replace("-705 mm", "-830 mm")).references()
@@ -249,12 +250,11 @@ def test_positions_out_of_reach_are_named_before_the_run():
 def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
     heavy = "robot.bodies.1.mass=0.4 kg..40 kg"  # the heaviest cannot be held
     scenario = RobotScenario.parse(ONE.replace("lower: -20 deg", "offset: 20 deg, lower: -20 deg") + TORQUE)
-    suite = RobotSuite.of(
-        scenario, conditions=(heavy,), tuning=TuningSettings(untuned=("PID", "decoupling", "scenario"))
-    )
+    names = "scenario", "PID", "PID with feedforward", "decoupling"
+    suite = RobotSuite.of(scenario, conditions=(heavy,), tuning=TuningSettings(untuned=names))
     suite.to_yaml(tmp_path / "suite.yaml")
     again = RobotSuite.read(tmp_path / "suite.yaml")
-    assert again == suite and list(again.controllers) == ["scenario", "PID", "decoupling"]
+    assert again == suite and tuple(again.controllers) == names
     runs = draw(again, 8, 3)
     for name in ("scenario", "PID"):
         batch = evaluate(runs, name, {})
@@ -399,3 +399,12 @@ def test_a_scenario_of_a_robot_has_the_methods_of_one_of_a_joint(tmp_path):
     assert "computed torque" in scenario.suite().controllers
     scenario.export("c", tmp_path / "c")
     assert list((tmp_path / "c").glob("*.c"))
+
+
+def test_pressures_of_more_muscles_than_a_compiler_takes_are_refused(monkeypatch):
+    monkeypatch.setattr("mckibben.control.computed_torque.MOST_MUSCLES", 3)
+    platform = RobotScenario.read("examples/robot/platform.yaml")
+    with pytest.raises(RangeError) as caught:
+        ComputedTorque(mk.PolePlacement(30.0), robot=platform.robot, valve=platform.valve)
+    assert (caught.value.field, caught.value.value, caught.value.upper) == ("robot", 6, 3)
+    assert "controllers" in caught.value.remedy

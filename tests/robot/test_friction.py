@@ -47,6 +47,7 @@ def test_friction_of_a_robot_of_one_joint_is_that_of_the_joint():
     np.testing.assert_allclose(whole["friction_compensation"][0], joint["friction_compensation"], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_friction_of_a_joint_is_compensated_along_its_reference():
     robot = RobotScenario.parse(ONE + "controller: {feedback: {bandwidth: 40 rad/s}}\n").robot
     (joint,) = robot.joints

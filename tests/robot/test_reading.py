@@ -337,6 +337,7 @@ def chain(tmp_path):
     return written(tmp_path, body + "</body>" * CHAIN, tendons)
 
 
+@pytest.mark.slow
 def test_a_tendon_over_many_hinges_has_the_range_of_their_corners(chain):
     read = read_mjcf(chain)
     shortest, longest = read.paths["long"]

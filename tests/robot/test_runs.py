@@ -105,6 +105,7 @@ def test_air_with_a_temperature_keeps_its_mass_in_a_landing_and_is_between_isoth
     assert lowest["isothermal"] < lowest["warm"] < lowest["adiabatic"]
 
 
+@pytest.mark.slow
 def test_energy_is_kept_without_damping_and_valves(plant):
     """On an elastic ground with constant pressures: bodies, muscles and ground exchange energy alone."""
     robot = dataclasses.replace(

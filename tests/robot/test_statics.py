@@ -372,6 +372,7 @@ def test_no_pressures_of_a_neck_are_nearer_to_a_stiffness_of_its_joints(wanted):
     np.testing.assert_allclose(robot.torques(angles, found.pressures), torques, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_hand_that_more_joints_move_than_it_has_directions_gets_its_stiffness():
     """The wanted stiffness is that of some pressures; a push on the arm at those that are found yields as wanted."""
     from scipy.optimize import fsolve

@@ -10,9 +10,10 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
+from mckibben.mechanism.articulated import accelerations
 from mckibben.mechanism.dynamics import acceleration, at_rest, joint_equations, posture_of
 from mckibben.mechanism.tree import MASSLESS, BodyInertia, Frame, TreeHinge, equations, frames_of, path_through
-from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector
+from mckibben.numerics.spatial import IDENTITY, ZERO, Tensor, Vector, X, Y, Z
 from mckibben.robot import JointwiseControl, RobotScenario, RobotStart, simulate_robot
 
 ARM = "examples/robot/umarm.yaml"
@@ -120,9 +121,10 @@ def test_random_trees_with_paths_are_those_of_mujoco(seed):
     data.qfrc_applied[:] = [torques[number - 1] for number in ours]
     mujoco.mj_forward(model, data)
     frames = frames_of(Frame(IDENTITY, ZERO, ZERO, ZERO), hinges)
-    made = equations([], hinges, bodies, frames, Vector(0.0, 0.0, 9.81))
-    found = np.array(made.accelerations(torques.tolist()), float)
-    np.testing.assert_allclose([found[number - 1] for number in ours], data.qacc, rtol=1e-9, atol=1e-9)
+    moved = [], hinges, bodies, frames, Vector(0.0, 0.0, 9.81)
+    for found in (equations(*moved).accelerations(torques.tolist()), accelerations(*moved, torques.tolist())):
+        expected = [float(found[number - 1]) for number in ours]
+        np.testing.assert_allclose(expected, data.qacc, rtol=1e-9, atol=1e-9)
     lengths, arms = np.array(data.ten_length), np.zeros((len(paths), 8))
     for k in range(8):
         data.qvel[:] = np.eye(8)[k]
@@ -202,3 +204,14 @@ def test_a_controller_of_pairs_is_refused_without_pairs():
     with pytest.raises(RangeError) as caught:
         simulate_robot(plant, control, RobotStart((0.0,) * 12, (1e5,) * 24, 0.2), duration=0.01)
     assert caught.value.field == "controllers"
+
+
+@pytest.mark.parametrize("slides", [[X, Z], [X, Y, Z]])
+def test_a_base_that_slides_and_held_hinges_have_the_accelerations_of_the_whole_matrix(slides):
+    rng = np.random.default_rng(7)
+    hinges, bodies, _ = random_tree(rng)
+    hinges = [hinge._replace(rotor=rng.uniform(0.0, 0.1), free=number != 3) for number, hinge in enumerate(hinges)]
+    moved = slides, hinges, bodies, frames_of(Frame(IDENTITY, ZERO, ZERO, ZERO), hinges), Vector(0.0, 0.0, 9.81)
+    forces, driving = [(4, Vector(1.0, 2.0, 3.0), Vector(0.1, 0.2, -0.3))], rng.normal(size=7 + len(slides)).tolist()
+    found, expected = accelerations(*moved, driving, forces), equations(*moved, forces).accelerations(driving)
+    np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rtol=1e-9)

@@ -68,6 +68,7 @@ def leg():
     return RobotScenario.parse(LEG.replace("MUSCLE", muscle))
 
 
+@pytest.mark.slow
 def test_a_quarter_of_a_helix():
     """Over an axis along z, with a rise: a straight line on the unrolled cylinder."""
     cylinder = WrapCylinder("bone", 0.03, axis=(0.0, 0.0, 1.0))

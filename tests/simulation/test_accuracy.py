@@ -65,6 +65,7 @@ def test_the_estimated_error_is_at_least_half_the_true_one_where_muscles_are_sla
 
 
 @pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")
+@pytest.mark.slow
 def test_the_estimated_error_is_that_from_scipy():
     """A joint that swings at constant pressures, so that its muscles go slack in turn."""
     plant, pressures = mk.JointPlant(KNEE, PLANT.load, mk.IdealValve()), (0.3 * bar, 0.3 * bar)

@@ -152,6 +152,7 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
         assert nvrtc.compile(source, 90).startswith(b"\x7fELF")
 
 
+@pytest.mark.slow
 def test_the_software_of_batches_is_the_compiler_of_their_engine():
     """Programs of other compilers or with other options may round differently."""
     emitted, by_xla = software("native"), software("xla")

@@ -70,6 +70,7 @@ def alone(heard):
     return heard()
 
 
+@pytest.mark.slow
 def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plant):
     """And where neither is given nothing of them is in the program: state and reading pass as they are."""
     plain, ours = heard(PerfectSensors(), NoDisturbance()), heard(SampledSensors(), TorquePulses(0.0))

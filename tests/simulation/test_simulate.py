@@ -122,6 +122,7 @@ def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
     mk.simulate(plant, control, REFERENCE, duration=0.2)  # silent; a warning of ours would be an error here
 
 
+@pytest.mark.slow
 def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other_knee):
     true, wrong = (
         mk.simulate(plant, control_of(model), REFERENCE, duration=0.2, initial=PlantState(0.0, 0.0, (2.5e5, 2.5e5)))

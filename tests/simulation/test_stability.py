@@ -269,6 +269,7 @@ def test_the_loop_of_a_peak_is_that_of_its_commands(direction, loop):
     assert (found.peak, found.loop) == (pytest.approx(10, rel=0.01), loop)
 
 
+@pytest.mark.slow
 def test_a_margin_below_the_floor_is_a_severe_remark(found):
     low = dataclasses.replace(found, disk=np.where(found.time == found.time[1], 0.15, found.disk))
     (remark,) = [remark for remark in low.remarks() if remark.field == "disk_margin"]

@@ -26,6 +26,11 @@ OF_AIR = (
     "other_joints: {air: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}}\n",
 )
 """Valves that let air in, in place of another joint."""
+ONE_KIND = (
+    (TEXT[TEXT.index("joint_share:") : TEXT.index("load: knee")], ""),
+    (TEXT[TEXT.index("  angle step:") : TEXT.index("max_angular")], ""),
+)
+"""Runs of one joint and one reference: a program."""
 
 
 def changed(*pairs):
@@ -119,7 +124,7 @@ def test_noise_that_moves_the_valves_costs(monkeypatch):
     """Beyond ten times the travel with ideal sensors; without noise the cost is the mean of the runs."""
     monkeypatch.setattr(ControllerTuning, "_least_margins", lambda _, table, count: np.ones(count))
     for sensors, share in (("pressure_noise: 60 kPa", 1.5), ("pressure_noise: 0.001 kPa", 1.0)):
-        one = changed(*ALONE, ("encoder: 0.022 deg, pressure_noise: 4 kPa", sensors))
+        one = changed(*ALONE, *ONE_KIND, ("encoder: 0.022 deg, pressure_noise: 4 kPa", sensors))
         runs = draw(one, 8, 99)
         task = ControllerTuning(one, "PID 3", SearchSpace(one.tuned_over("PID 3")), runs)
         batch = evaluate(runs, "PID 3", {KP: [2e5]}, metrics=("angle_rmse", "stiffness_rmse"))

@@ -15,6 +15,7 @@ from mckibben.scenario import Scenario, run_scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SMALLER = {  # numbers of scripts that take long
+    "plot_02_laws": {"mk.rank(data)": "mk.rank(data, [mk.ExponentialLaw, mk.ChouLaw])"},
     "plot_12_batch": {"duration=4.0": "duration=0.4"},
     "plot_17_landing": {"drop: [20 mm, 50 mm]": "drop: [50 mm]", "draws: 32": "draws: 20"},
 }

@@ -8,7 +8,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -168,7 +167,6 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
 
 
 KNEE = EXAMPLES / "comparison" / "knee.yaml"
-OTHER_NUMBERS = {"PID, derivative of the measurement"}  # of the class and parts of "PID"
 OF_THE_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 
 
@@ -190,7 +188,7 @@ def varies(control):
     return any(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(control))
 
 
-@pytest.mark.parametrize("name", sorted({*yaml.safe_load(KNEE.read_text())["controllers"]} - OTHER_NUMBERS))
+@pytest.mark.parametrize("name", ["PID", "PID and model feedforward", "decoupling", "predictive"])
 @pytest.mark.slow
 def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     scenario = with_controller(name)
@@ -322,7 +320,7 @@ def test_only_what_was_asked_for_changes(text, values, old, new, newline):
     assert scenarios.edit_scenario(text.replace("\n", newline), values) == expected
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.data())
 @pytest.mark.slow
 def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):

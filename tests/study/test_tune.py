@@ -81,6 +81,7 @@ def test_each_method_finds_the_bottom_of_a_bowl_within_the_cube(method, first):
         assert searched(4, seed=1).tolist() != few.tolist()
 
 
+@pytest.mark.slow
 def test_a_search_reports_its_steps_and_rounds_its_values():
     steps = []
     tuned = run(progress=lambda *step: steps.append(step))

@@ -144,6 +144,7 @@ def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
     np.testing.assert_allclose(jax.tree.leaves(kept), jax.tree.leaves(geometry), rtol=1e-9)
 
 
+@pytest.mark.slow
 @visits
 async def test_every_field_tells_its_meaning_and_a_change_is_undone(user):
     silent = {}
@@ -254,6 +255,7 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
     assert set(scenario.joint.remarks) <= set(run.presented.remarks)
 
 
+@pytest.mark.slow
 @visits
 async def test_an_outlier_is_named_and_can_be_kept(user):
     pressure, contraction = (np.ravel(axis) for axis in np.meshgrid(np.arange(3, 7) * bar, np.arange(0, 12, 2) / 100))
@@ -506,6 +508,7 @@ async def test_a_part_of_the_plant_is_chosen_and_its_numbers_are_fields(user):
     assert shown == "encoder and noise"
 
 
+@pytest.mark.slow
 def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
     designed = design.JointDesign(dimensions={"height": 400.0, "radius": 40.0})
     found = workbench.with_joint(design.scenario_lines(designed, MUSCLE), tmp_path)
@@ -624,6 +627,7 @@ async def test_results_beside_another_text_or_a_refused_value_are_grey_and_those
     assert expected == took > 0
 
 
+@pytest.mark.slow
 def test_curves_of_a_fit_are_its_law_and_both_ways_with_its_friction(tmp_path):
     (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
     data = read_dataset(tmp_path / "rig.csv")

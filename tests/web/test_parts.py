@@ -65,6 +65,7 @@ def test_a_signal_of_a_robot_begins_about_the_mean_of_the_one_before_and_leaves_
     assert (signal.before + signal.after) / 2 == pytest.approx(mean, abs=0.05 * deg)
 
 
+@pytest.mark.slow
 def test_a_reference_of_a_point_has_no_select():
     planar = LEG.replace("lei-leg,", "lei-leg-planar,")
     point = "{position: [-90 mm, -700 mm], principal: [23 N/m, 890 N/m], direction: -12 deg}"

@@ -101,6 +101,16 @@ class CalibrationProblem(NamedTuple):
         """Number of parameters."""
         return OF_MUSCLE * len(self.scales) + len(self.others)
 
+    def as_correction(self, number: int) -> Floats:
+        """Parameters of the correction that is nearest to the law of a muscle itself: its first ones."""
+        scales = self.scales[number]
+        v, pressure = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0.3, 1, 8) * scales.highest)
+        force = _forces(self.model.muscles[number], (scales.centre + scales.half_width * v.ravel(), pressure.ravel()))
+        powers = (v.ravel()[:, None] / 2) ** np.arange(_COEFFICIENTS)
+        offsets = powers * self.muscles["offset"] * scales.force
+        gains = powers * self.muscles["strength"] * scales.force * pressure.ravel()[:, None] / scales.highest
+        return np.linalg.lstsq(np.concatenate([offsets, gains], axis=1), force)[0]
+
 
 class Corrected(NamedTuple):
     """Model for given parameters, and those of the recordings by name: zeros, weight and load cells."""
@@ -145,9 +155,11 @@ def samples_of(model: Moved, recording: JointRecording, *, lengths: float = 6.0)
     def fit(columns: Floats | None, derivative: int = 0) -> Floats:
         if columns is None:
             return np.zeros((grid.size, 0))
-        even = (evenly(time, column, period) for column in columns.reshape(time.size, -1).T)
+        even = [evenly(time, column, period) for column in columns.reshape(time.size, -1).T]
         places = time[0] + period * np.arange(time.size)
-        return np.stack([np.interp(grid, places, local_cubic(x, period, derivative)) for x in even], axis=1)
+        for _ in range(derivative):  # a second derivative at once would lose 3 % at 4 Hz, and all inertias with it
+            even = [local_cubic(x, period, 1) for x in even]
+        return np.stack([np.interp(grid, places, local_cubic(x, period)) for x in even], axis=1)
 
     angle, pressures = fit(recording.angle), fit(_in_the_muscles(recording, period))
     path = np.stack(paths_of(model, angle), axis=1)
@@ -242,6 +254,12 @@ def paths_of(model: Moved, angle: Floats) -> list[Floats]:
 @compiled
 def _paths(model: Moved, angles: Array) -> tuple[Array, ...]:
     return tuple(jnp.asarray(route.path) for route in model.routes(tuple(angles)))
+
+
+@compiled
+def _forces(muscle: Muscle, at: tuple[Array, Array]) -> Array:
+    """Forces of the law [N] at contractions and pressures [Pa]."""
+    return muscle.force_law.force(*at)
 
 
 @compiled
@@ -350,8 +368,13 @@ def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
     return jnp.stack(means)[:, None] / CREEP_TIMES.size + blocks * deviations[:, None] / np.sqrt(CREEP_TIMES.size)
 
 
-def _errors(problem: CalibrationProblem, z: Array, samples: MotionSamples, weight: Weight, pushing: Number) -> Array:
-    """Errors of the equations of motion [N*m] and of the load cells [N], shape (samples, joints + cells)."""
+def _errors(
+    problem: CalibrationProblem, z: Array, samples: MotionSamples, weight: Weight, pushing: Number
+) -> tuple[Array, Array]:
+    """Errors of the equations of motion [N*m] and of the load cells [N], shape (samples, joints + cells).
+
+    Also the sum over samples and muscles of the gain from pressures to the torques, shape (joints,).
+    """
     model, values = corrected(problem, z)
     weight = Weight(values["added_mass"] * weight.mass, values["distance"] * weight.distance, weight.inertia)
     zeros = [values[f"{name}zero"] for name in model.joint_names]
@@ -375,7 +398,7 @@ def _errors(problem: CalibrationProblem, z: Array, samples: MotionSamples, weigh
             return force
         return force + route.muscle.viscous_force(contraction, pressure, route.rate(row.velocity))
 
-    def step(carry: tuple[()], row: MotionSamples) -> tuple[tuple[()], Array]:
+    def step(gains: tuple[Array, ...], row: MotionSamples) -> tuple[tuple[Array, ...], Array]:
         angles = [row.angle[i] - zero for i, zero in enumerate(zeros)]
         routes = model.routes(angles)
         modelled = [tension(i, route, row) for i, route in enumerate(routes)]
@@ -387,19 +410,23 @@ def _errors(problem: CalibrationProblem, z: Array, samples: MotionSamples, weigh
                 row.tensions[i] - cell * force for i, (cell, force) in enumerate(zip(cells, modelled, strict=True))
             ]
         required = model.required(angles, tuple(row.velocity), tuple(row.acceleration), weight)
-        for force, route in zip(pulling, routes, strict=True):
+        summed = list(gains)
+        for i, (force, route) in enumerate(zip(pulling, routes, strict=True)):
+            gain = jax.grad(route.tension)(row.pressures[i])
             for joint, slope in route.slopes.items():
                 required[joint] = required[joint] + slope * force
-        return carry, jnp.stack([*required, *errors])
+                summed[joint] = summed[joint] + jnp.abs(slope) * gain
+        return tuple(summed), jnp.stack([*required, *errors])
 
-    return lax.scan(step, (), samples)[1]
+    gains, errors = lax.scan(step, tuple(jnp.zeros_like(zero * z[0]) for zero in zeros), samples)
+    return errors, jnp.stack(gains)
 
 
 @compiled
 def _derivatives(
     shared: tuple[CalibrationProblem, Array, MotionSamples, Weight, Array], direction: Array
-) -> tuple[Array, Array]:
-    """Errors and their derivative in a direction of the parameters."""
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Errors and gains, and their derivatives in a direction of the parameters."""
     problem, z, samples, weight, pushing = shared
     return jax.jvp(lambda z: _errors(problem, z, samples, weight, pushing), (z,), (direction,))
 
@@ -409,8 +436,13 @@ def linearised(
 ) -> tuple[Floats, Floats]:
     """Errors of all samples, shape (samples, groups), and their derivatives with respect to the parameters.
 
-    A slack muscle has no derivatives; `pushing`, 0 to 1, is the part of a negative force of its law that is kept.
+    The derivatives of torques are those at a constant gain from pressures to torques, that is, of the errors of the
+    pressures, which are what is measured: torques that are all too small by a factor have small errors, but not in
+    pressures. A slack muscle has no derivatives; `pushing`, 0 to 1, is the part of a negative force of its law that is
+    kept.
     """
     samples, weight, _ = recorded
-    errors, slopes = _derivatives((problem, z, samples, weight, pushing), np.eye(z.size))
-    return errors[..., 0], slopes
+    (errors, gains), (slopes, changes) = _derivatives((problem, z, samples, weight, pushing), np.eye(z.size))
+    errors, joints = errors[..., 0], len(gains)
+    slopes[:, :joints] -= errors[:, :joints, None] * (changes / gains[..., :1])
+    return errors, slopes

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -30,9 +30,17 @@ from mckibben.calibration.equations import (
     samples_of,
     swings_of,
 )
-from mckibben.calibration.fitting import Calibration, JointEstimate, LocalMinimum, draws, root_mean_square
+from mckibben.calibration.fitting import (
+    Calibration,
+    JointEstimate,
+    LocalMinimum,
+    draws,
+    root_mean_square,
+    variance_of_samples,
+)
 from mckibben.calibration.models import HingeModel, Moved, RobotModel
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
+from mckibben.calibration.service import Recursion, Service, ageing, blocks_of, followed_muscles
 from mckibben.codegen.engine import compiled
 from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
@@ -41,6 +49,7 @@ from mckibben.numerics.batching import recheck
 from mckibben.result import Column, Listing, Remark, TableColumns, column, table
 
 _FILTER = 0.04  # s, standard deviation of the filter of the equations
+_EDGE = int(4 * _FILTER * RATE)  # samples that the filter needs on either side
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 _APART = 100  # samples, of the stiffness along recordings
 _UNEXPLAINED = 0.2
@@ -68,6 +77,8 @@ class JointCalibration(Calibration):
         The model with the estimates.
     recordings, held_out
         Those that were fitted, and those that were not.
+    service
+        What was followed in service, see `follow`.
     residual
         Root mean square of the error of the equations of motion [N*m], low-pass filtered. Deviations contain it.
     unexplained
@@ -77,6 +88,7 @@ class JointCalibration(Calibration):
     model: Any  # Moved
     recordings: tuple[JointRecording, ...]
     held_out: tuple[JointRecording, ...] = field(default=(), kw_only=True)
+    service: Service | None = field(default=None, kw_only=True)
     _problem: CalibrationProblem
     _posterior: LocalMinimum
     residual: float = column("N*m", "residual torque", digits=2)
@@ -130,6 +142,36 @@ class JointCalibration(Calibration):
         )
         return root_mean_square([before]), root_mean_square([after])
 
+    def follow(
+        self, recording: JointRecording, *, block: float = 2.0, forgetting: float = 30.0, apart: int = 10
+    ) -> Service:
+        """Return the stiffness along a recording in service, while strengths, friction, creep and damping may change.
+
+        They are estimated recursively, by blocks of a duration [s], with measurements forgotten with a time constant
+        [s]; the stiffness is that of samples some `apart`. Raises `IdentificationError` as `calibrate_joint` does, also
+        if the joint rests all the time.
+        """
+        problem, model = self._problem, self._problem.model
+        recorded = samples_of(model, replace(recording, tensions=None))
+        recursion = Recursion(
+            self._posterior, ageing(problem), _least_errors(problem, [recorded]), math.exp(-block / forgetting)
+        )
+        before, joints, rows = recursion.estimate, len(model.joint_names), []
+        for place, part in blocks_of(recorded, block, _EDGE):
+            estimate = recursion.update(*_rows(problem, recursion.estimate.z, [part]))
+            angle, pressures = (np.asarray(recorded.samples[i])[place][::apart].T for i in (0, 3))
+            at = (angle if joints > 1 else angle[0]), tuple(pressures)
+            means = []
+            for value, deviation in (_stiffness(problem, each, *at) for each in (estimate, before)):
+                means.append(value.reshape(-1, joints).mean(axis=0))
+                means.append(np.sqrt(np.mean(deviation.reshape(-1, joints) ** 2, axis=0)))
+            quantities = quantities_of(problem, estimate)
+            forces = [quantities[f"{name}.force"] for name in followed_muscles(model)]
+            pairs = [[force.value for force in forces], [force.deviation for force in forces]]
+            rows.append((float(recording.time[0]) + place.stop / RATE, *means, *pairs))
+        names = model.joint_names, followed_muscles(model)
+        return Service(*(np.array(column, float) for column in zip(*rows, strict=True)), names=names)
+
     @cached_property
     def held_out_errors(self) -> tuple[float, float]:
         """Root mean square errors [N*m] of the recordings that were held out, by the model before and after."""
@@ -154,7 +196,7 @@ class JointCalibration(Calibration):
             "model before": (error, before),
             "calibrated": (error, after),
         }
-        return [Listing("root mean square error", columns)]
+        return [Listing("root mean square error", columns), *([self.service.listing()] if self.service else [])]
 
     def verdict(self) -> str:
         """Mean stiffness along the recordings, after and before with 95 % intervals, and the determined quantities."""
@@ -175,7 +217,9 @@ class JointCalibration(Calibration):
         if self.held_out:
             earlier, later = (kind.show(error, "N*m", 2) for error in self.held_out_errors)
             held_out = f"; {kind.words('torques')} held out err by {later}, {earlier} before"
-        return f"stiffness {after} {kind.shown('N*m/rad')} (95 %), {before} before{held_out}; {super().verdict()}"
+        service = f"; {self.service.verdict()}" if self.service else ""
+        found = f"stiffness {after} {kind.shown('N*m/rad')} (95 %), {before} before{held_out}"
+        return f"{found}; {super().verdict()}{service}"
 
     def declared(self) -> TableColumns:
         kind = self.model.joint_type
@@ -458,15 +502,8 @@ def _posterior(z: Floats, slopes: Floats, errors: Floats, variance: Floats) -> L
 
 
 def _variance(slopes: Floats, squares: Floats, firm: Floats) -> Floats:
-    """Variance of the samples of each group, with the mean square of the model's error, and a variance to begin with.
-
-    All n samples of a group count as the k independent ones that determine as many parameters, so that their variance
-    is e^2 n/k: the error of the model repeats with the motion. Whitened residuals would all shrink towards zero with
-    the torques, as an error of an equation has no determinant of its Jacobian in the likelihood.
-    """
-    information = np.einsum("sgi,sgj->gij", slopes, slopes) / firm[:, None, None]
-    covariance = np.linalg.inv(np.eye(slopes.shape[2]) + information.sum(axis=0))
-    return squares * len(slopes) / np.maximum(np.einsum("ij,gji->g", covariance, information), 1.0)
+    information = np.einsum("sgi,sgj->gij", slopes, slopes)
+    return variance_of_samples(information, len(slopes), squares, firm, np.eye(slopes.shape[2]))
 
 
 def _least_errors(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> Floats:
@@ -478,8 +515,7 @@ def _least_errors(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> 
 
 def _filtered(column: Floats, recorded: Recorded) -> Floats:
     """Low-pass filtered rows of samples from the first one of interest on, without the edge of the filter."""
-    edge = int(4 * _FILTER * RATE)
-    rows = _filter(len(column), recorded.begin + edge) @ column.reshape(len(column), -1)
+    rows = _filter(len(column), recorded.begin + _EDGE) @ column.reshape(len(column), -1)
     return rows.reshape(-1, *column.shape[1:])
 
 

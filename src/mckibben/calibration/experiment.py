@@ -374,13 +374,16 @@ def calibrate_scenario(
     prior: JointPrior | None = None,
     *,
     held_out: Sequence[JointRecording] = (),
+    service: JointRecording | None = None,
 ) -> JointCalibration:
     """Identify the controller's model of a joint or a robot from recordings.
 
-    Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it.
+    Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it. The
+    stiffness is followed along a recording in `service`.
     """
     model = first_model_of(scenario)
     fit = replace(calibrate_model(model, recordings, prior), held_out=tuple(held_out))
+    fit = fit if service is None else replace(fit, service=fit.follow(service))
     keeps = bool(held_out) and not fit.predicts
     after = scenario if keeps else calibrated_scenario(scenario, fit)
     margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))

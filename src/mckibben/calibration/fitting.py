@@ -302,6 +302,30 @@ def root_mean_square(parts: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
+def variance_of_samples(
+    information: Floats, samples: float, squares: Floats, firm: Floats, precision: Floats
+) -> Floats:
+    """Variance of the samples of each group of equations, with the mean square of the model's error.
+
+    All n samples of a group count as the k independent ones that determine as many parameters, so that their variance
+    is e^2 n/k: the error of the model repeats with the motion.
+
+    Parameters
+    ----------
+    information
+        Sums of products of the derivatives of the errors, shape (groups, parameters, parameters).
+    samples, squares
+        Number of samples, and mean square error of each group.
+    firm
+        Variances at which the determined parameters are counted.
+    precision
+        Inverse of the covariance of the parameters without the samples.
+    """
+    scaled = information / firm[:, None, None]
+    covariance = np.linalg.inv(precision + scaled.sum(axis=0))
+    return squares * samples / np.maximum(np.einsum("ij,gji->g", covariance, scaled), 1.0)
+
+
 def variance_of(parts: Sequence[Floats], determined: float, *, significant: float = 2.0) -> float:
     """Variance of a sample of white noise and of the error of a model, for the information of independent samples.
 

@@ -144,9 +144,6 @@ def _run() -> int:
     """Exit code of the command."""
     stdout = sys.stdout
     try:
-        from mckibben.numerics.runtime import use_program_cache
-
-        use_program_cache()
         try:
             app(prog_name="mckibben")
         except SystemExit as end:

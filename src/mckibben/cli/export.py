@@ -16,6 +16,7 @@ def export(
     out: Path | None = None,
     name: str = "",
     hardware: Path | None = None,
+    over: list[str] | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -28,13 +29,15 @@ def export(
     to : FORMAT
         c: the controller as C99. firmware: with drivers and protocol, for a board. js: the controller as JavaScript,
         for pages. fmu, fmu-controller: FMUs, the joint with load and valves, or the controller. mjcf: joint and muscles
-        for MuJoCo.
+        for MuJoCo. page: one HTML file in which the joint moves and its runs are computed, without an installation.
     out : DIR
         Output folder.
     name : NAME
         Name of the program or model.
     hardware : HARDWARE.yaml
         Limits of a controller's samples, size of its numbers, board and parts of firmware.
+    over : NAME=LOW..HIGH
+        Slider of a page, repeatable; by default the reference and what is uncertain.
     force
         Replace the results of an earlier run in DIR.
     json
@@ -55,6 +58,6 @@ def export(
         if to != "mjcf" and (count := len(read.muscle_names)):
             seconds, what = (count**2 / 4, " with margins") if to in CONTROLLERS else (count**2 / 15, "")
             echo(f"the export of {count} muscles{what} takes about {seconds:.0f} s of processor time", err=True)
-        exported = write(read, to, folder, name=name, hardware=parts, margins=True, overwrite=force)
+        exported = write(read, to, folder, name=name, hardware=parts, over=over or (), margins=True, overwrite=force)
     present(exported, json=json)
     echo(f"wrote {', '.join(exported.contents)} to {folder}", err=json)

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from typer import Argument
@@ -153,7 +153,12 @@ rig = typer.Typer(
 @rig.command(cls=Command)
 @plain_command
 def run(
-    protocol: Path, out: Path | None = None, resume: bool = False, dry_run: bool = False, standing_at: str = ""
+    protocol: Path,
+    out: Path | None = None,
+    resume: bool = False,
+    dry_run: bool = False,
+    standing_at: str = "",
+    operator: Literal["person", "simulated"] = "person",
 ) -> None:
     """Run a test and record it. Ctrl-C stops it and vents; --resume continues it.
 
@@ -172,16 +177,20 @@ def run(
         Print steps, duration and violations, without moving.
     standing_at : CONTRACTION
         With --resume: position of the motor, if unknown.
+    operator
+        Who hangs weights and gives lengths: a person, or by the law of the protocol's muscle the simulation.
     """
     from mckibben.rig.document import read_test
     from mckibben.rig.record import segments
-    from mckibben.rig.running import check
+    from mckibben.rig.running import check, simulate_operator
 
     standing = parse_quantity("--standing-at", standing_at, "1") if standing_at else None
     if standing is not None and not resume:
         raise ParameterError("--standing-at applies to a resumed test", remedy="add --resume")
     test, document = read_test(protocol)
     checked = check(test, document, source=str(protocol), session=len(segments(out)) if out else 0)
+    if operator == "simulated":
+        simulate_operator(checked)
     if dry_run:
         echo(checked.describe())
         return

@@ -234,6 +234,8 @@ class Graph:
         Whether each run of a batch is a thread, instead of an element of a vector.
     reciprocals
         Whether divisors known further out become factors, computed there.
+    library
+        Whether functions are those of the language, which has no bits of real numbers.
     most
         Largest number of operations; `ExportError` for more.
 
@@ -254,6 +256,7 @@ class Graph:
         single: bool = False,
         threads: bool = False,
         reciprocals: bool = False,
+        library: bool = False,
         most: float = math.inf,
     ) -> None:
         self.root = Scope()
@@ -262,6 +265,7 @@ class Graph:
         self.threads = threads
         self.single = single
         self.reciprocals = reciprocals
+        self.library = library
         self._room = most  # for more operations
         self._alive: list[Value] = []  # expressions are distinguished by the identities of values
 

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import JAVASCRIPT
+from mckibben.codegen.random_bits import MASK
 from mckibben.codegen.source_module import Function, Member, SourceModule, element_names, is_scalar
 from mckibben.codegen.templates import filled
-from mckibben.codegen.writer import Text, Writer
+from mckibben.codegen.writer import ATOM, Text, Writer
 from mckibben.errors import ExportError
 
 
@@ -41,20 +42,48 @@ def write_js(module: SourceModule, comment: str = "") -> str:
     return filled("module.js", values)
 
 
-_BITS = {"and", "or", "xor", "shift_left", "shift_right", "shift_word", "bits", "from_bits", "from_bits_32", "single"}
+_BITS = {"and": "&", "or": "|", "xor": "^"}
 
 
 class _Writer(Writer):
-    """Writes integer divisions, for which JavaScript has no operator; it has no 64-bit integers either."""
+    """Writes integers, which JavaScript has as real numbers: their divisions, and the bits of words of 32."""
 
     def _expression(self, value: Value) -> Text:
-        if value.operation in _BITS and value.kind is not Kind.BOOLEAN:
-            name = value.operation
-            raise ExportError(f"{name} needs 64-bit integers", field=name, remedy="write it in C")
+        name, arguments = value.operation, value.arguments
+        if value.kind is Kind.INTEGER and name in _BITS:
+            if not _is_word(value) or any(argument.operation == "mul" for argument in arguments):  # beyond 2^53
+                raise _needs_64_bits(name)
+            first, second = map(self._atom, arguments)
+            return f"({first} {_BITS[name]} {second}) >>> 0", 0  # from numbers modulo 2^32, whose result has a sign
+        if name.startswith("shift_"):
+            shift = f"{'*' if name == 'shift_left' else '/'} 2 ** {self._atom(arguments[1])}"
+            text = f"{self._atom(arguments[0])} {shift}"
+            return (f"({text})" if name == "shift_left" else f"Math.floor({text})"), ATOM
+        if name in ("bits", "from_bits"):
+            raise _needs_64_bits(name)
         text, strength = super()._expression(value)
-        if value.operation == "div" and value.kind is Kind.INTEGER:
-            return f"Math.trunc({text})", strength + 10
+        if name == "div" and value.kind is Kind.INTEGER:
+            return f"Math.trunc({text})", ATOM
         return text, strength
+
+    def _atom(self, value: Value) -> str:
+        text, strength = self._text(value)
+        return text if strength >= ATOM else f"({text})"
+
+
+def _is_word(value: Value) -> bool:
+    """Whether an integer is known to be between 0 and the largest word of 32 bits."""
+    if value.operation == "constant":
+        return 0 <= value.data <= MASK
+    if value.operation == "and" and any(argument.operation == "constant" for argument in value.arguments):
+        return any(argument.operation == "constant" and _is_word(argument) for argument in value.arguments)
+    if value.operation in ("shift_word", "shift_right"):
+        return _is_word(value.arguments[0])
+    return value.operation in _BITS and all(map(_is_word, value.arguments))
+
+
+def _needs_64_bits(name: str) -> ExportError:
+    return ExportError(f"the operation {name} on integers needs 64 bits", field=name, remedy="write it in C")
 
 
 def _literals(members: Sequence[Member]) -> list[str]:

@@ -134,8 +134,14 @@ JAVASCRIPT = Language(
         "round": "rint",
         "rem": "rem",
         "is_finite": "Number.isFinite",
+        "single": "Math.fround",
+        "from_bits_32": "from_bits_32",
     },
     helpers={
+        "from_bits_32": (
+            "const view = new DataView(new ArrayBuffer(4));\nfunction from_bits_32(word) {\n"
+            "    view.setUint32(0, word);\n    return view.getFloat32(0);\n}\n"
+        ),
         "rint": (
             "function rint(x) {\n    const r = Math.round(x);\n"
             "    return Math.abs(x % 1) === 0.5 && r % 2 !== 0 ? r - 1 : r;\n}\n"

@@ -196,11 +196,8 @@ class Lowering(ArrayRules):
             return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
         if name in _DECOMPOSED:
             return self._closed(_jaxpr_of(_DECOMPOSED[name], aval.shape, aval.dtype), arguments)
-        if name == "log1p" and aval.dtype == np.float32 and not self._graph.threads:
-            if self._graph.single:
-                return self._closed(_jaxpr_of(log1p, aval.shape, aval.dtype), arguments)
-            (logarithm,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
-            return [self._elementwise(lambda x: self._graph.operation("single", kind, x), logarithm)]
+        if name == "log1p" and aval.dtype == np.float32 and not (self._graph.threads or self._graph.library):
+            return self._single_logarithm(aval.shape, arguments)
         if name in _FOR_LANES and self._in_vectors(arguments):
             return self._closed(_jaxpr_of(_FOR_LANES[name], aval.shape, aval.dtype), arguments)
         if name in _ELEMENTWISE:
@@ -218,6 +215,13 @@ class Lowering(ArrayRules):
         if results is None:
             raise _UnsupportedError(equation)
         return results if isinstance(results, list) else [results]
+
+    def _single_logarithm(self, shape: Shape, arguments: list[Array]) -> list[Array]:
+        """Logarithm of 1 + x in 32 bits, the same in vectors of them and in programs of 64 bits."""
+        if self._graph.single:
+            return self._closed(_jaxpr_of(log1p, shape, np.dtype(np.float32)), arguments)
+        (logarithm,) = self._closed(_jaxpr_of(log1p, shape, np.dtype(float)), arguments)
+        return [self._elementwise(lambda x: self._graph.operation("single", Kind.REAL, x), logarithm)]
 
     def _operation(self, name: str, dtype: DTypeLike, *arguments: Value) -> Value:
         """Result of an operation, in 32 bits if its type is 32-bit."""

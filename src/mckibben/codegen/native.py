@@ -38,6 +38,7 @@ from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
+from mckibben.codegen.parts import in_parts
 from mckibben.codegen.templates import filled
 from mckibben.codegen.vectors import VectorWriter, interleaved
 from mckibben.codegen.writer import Writer, inputs_of
@@ -196,8 +197,7 @@ class NativeFunction:
         """Library of a source, with the options for its length and for `many` runs."""
         if not many and len(source) >= _SHORT:
             source = _FOR_LONG + source
-        huge = ("-O1",) * (len(source) >= _LONGEST // 6)  # as a controller of 24 muscles: in a third of the time
-        return compile_library(source, (*(_FOR_LANES if many else _ALONE), *huge, *self._flags))
+        return compile_library(source, (*(_FOR_LANES if many else _ALONE), *self._flags))
 
     def _loaded(self, program: bytes, leaves: list[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         """The program of a library, with shapes, types and tree of its results."""
@@ -433,7 +433,8 @@ def write_native(
         lines = [kernels.kernels(sum(not x.ndim for x in common), places, prepared, constants, body, real)]
         writer.helpers |= preparing.helpers
     else:
-        lines = [_HEAD, "{", *places, "    for (int64_t b = 0; b < lanes; b += width) {", *body, "    }", "}"]
+        parts, calling = in_parts([*places, "    for (int64_t b = 0; b < lanes; b += width) {", *body, "    }"])
+        lines = [*parts, _HEAD, "{", *calling, "}"]
     source = "\n".join([before, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)

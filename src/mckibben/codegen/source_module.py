@@ -125,7 +125,7 @@ class SourceModule:
 
     def __post_init__(self) -> None:
         """Begin the graph, with the parameters as inputs."""
-        self.graph = Graph(reciprocals=True)
+        self.graph = Graph(reciprocals=True, library=True)
         self.members = members_of(self.parameters, self.prefix)
         """Members of the parameter structure."""
         self._lowering = Lowering(self.graph)

@@ -24,6 +24,9 @@ Scalar = Float[Array, ""]
 _TORQUE = 30.0  # weight of the torques, relative to the errors of the stiffness
 _CENTRED = 1e-3  # weight of the distance from the middle of the range, which selects among equal solutions
 
+MOST_MUSCLES = 90
+"""Muscles of a quadratic program: it grows with the cube of their number, and a compiler takes minutes for these."""
+
 
 class BoundedSolution(NamedTuple):
     """Solution of a bounded least-squares problem.

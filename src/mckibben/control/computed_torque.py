@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, PyTree
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.base import Setpoint, ValveModel
+from mckibben.control.bounded_allocation import MOST_MUSCLES
 from mckibben.control.feedback import Feedback
 from mckibben.control.linearisation import LinearisedState, LinearisingControl
 from mckibben.control.mechanics import Scalars, TreeMechanics
@@ -98,6 +99,11 @@ class ComputedTorque(LinearisingControl, RobotController):
             if joint.locked is not None:
                 remedy = "unlock it, or give each joint its own of `controllers`"
                 raise RangeError(f"{joint.name} is locked", field="robot", value=joint.name, remedy=remedy)
+        count = len(self.robot.all_muscles)
+        if count > MOST_MUSCLES and not self.mechanics.is_paired:
+            message = f"pressures of {count} muscles: the program that finds them grows with the cube of their number"
+            remedy = "join muscles that act alike, or give controllers of pairs (controllers), or pressures in Python"
+            raise RangeError(message, field="robot", value=count, upper=MOST_MUSCLES, remedy=remedy)
         if self.stiffness_amplitude is not None and not self.mechanics.is_paired:
             message = "a stiffness_amplitude, and muscles that are not a pair of each joint"
             raise RangeError(message, field="stiffness_amplitude", remedy="leave it out, for the isobaric stiffness")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.table import refusal
@@ -20,6 +21,7 @@ BEGINS = re.compile(r"[+-]?[.,]?\d")
 WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
+_MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _SAMPLED = 5000  # rows that may determine the decimal sign
 _DECIMAL_REMEDY = "give the decimal sign, a point or a comma: decimal='.' (command line: --read decimal=. or decimal=,)"
 
@@ -102,3 +104,30 @@ def _sign_of(cell: str) -> str:
     if len(signs) > 1:
         return signs[-1] if signs[0] != signs[-1] else ",."[signs[0] == ","]
     return "" if re.fullmatch(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", cell) else signs[0]
+
+
+def missing_marks(values: Floats, *, chance: float = 1e-3, near: float = 0.01) -> NDArray[np.bool_]:
+    """Mask of the values that may mark missing ones.
+
+    They are more frequent than the values within 1 % of them, each multiple of the resolution as likely as another one
+    (Poisson). A single one between its neighbours is a value.
+
+    >>> [int(missing_marks(np.array(forces)).sum()) for forces in ([12.0, 9999.0, 8.0], [9990.5, 9999.0, 10002.0])]
+    [1, 0]
+    >>> int(missing_marks(np.round(np.linspace(900, 1100, 100_000), 2)).sum())
+    0
+    """
+    from scipy.special import pdtrc
+
+    marks = np.zeros(len(values), bool)
+    for mark in np.intersect1d(np.abs(values), _MARKS):
+        rows = np.abs(values) == mark
+        count = int(np.count_nonzero(rows))
+        others = np.sort(values[(np.abs(np.abs(values) - mark) < near * mark) & ~rows])
+        steps = np.diff(others)
+        finest = min(steps[steps > 1e-9 * mark], default=1.0)
+        often = pdtrc(count - 1, len(others) * min(finest, 1.0) / (2 * near * mark)) < chance
+        inside = (values - np.roll(values, 1)) * (np.roll(values, -1) - values) > 0
+        if often and (count > 1 or not inside[rows].any()):
+            marks |= rows
+    return marks

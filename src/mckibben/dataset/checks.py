@@ -6,6 +6,7 @@ and quadratic in the contraction (Chou and Hannaford, IEEE Trans. Robotics and A
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,11 +15,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.preprocessing import contraction_rate, held_loads, pressure_levels
+from mckibben.component.calls import user_level
+from mckibben.dataset.preprocessing import contraction_rate, held_loads, level_means, pressure_levels
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.segmentation import runs
 from mckibben.dataset.table import Question, question
-from mckibben.errors import Problem
+from mckibben.errors import McKibbenWarning, Problem
 from mckibben.muscle import air
 from mckibben.units import bar, mm, percent
 
@@ -160,8 +162,9 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
     if asked := list(_sign(points)) or list(_ranges(points, specimen)):
         return asked
     points = points.every(1 + len(points.force) // most)
-    checks = _copies, _saturated, _counted, _surface, _shifted, _exchanged, _offsets
-    return [asked for check in checks for asked in check(points)]
+    checks = _copies, _saturated, _counted, _surface, _exchanged, _offsets
+    questions = [asked for check in checks for asked in check(points)]
+    return [*questions, *_shifted(points, warn=not questions)]
 
 
 def _sign(points: Points) -> Iterator[Question]:
@@ -385,27 +388,55 @@ def _surface_terms(p: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
     return first, second, third
 
 
-def _shifted(points: Points, *, fewest: int = 24) -> Iterator[Question]:
-    """Pressures, contractions or forces that are shifted from some row on: another zero, a gauge that became absolute.
+def _shifted(points: Points, *, warn: bool) -> Iterator[Question]:
+    """Question about a shift that no muscle does, and of means exceeds the scatter of their forces, or a warning."""
+    shift = shift_of(points)
+    if shift is None or shift.change < points.scatter * points.force.max():
+        return
+    if shift.certain:
+        yield points.ask("order", f"the {shift.text}:", shift.row, shift.name, "shift")
+    elif warn:
+        text = f"line {int(points.lines[shift.row])}: {shift.text}, or the muscle changed, as in its first strokes"
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
-    It is asked if the shift halves the residuals of the surface, and exceeds what creep and first strokes do; that of
-    means at rest also the scatter of their forces.
+
+class Shift(NamedTuple):
+    """Shift of a quantity from a row on: its name, text, change of forces [N], and whether no muscle does the same."""
+
+    row: int
+    name: str
+    text: str
+    change: float
+    certain: bool
+
+
+def shift_of(points: Points, *, fewest: int = 24, least: float = 0.02) -> Shift | None:
+    """Shift of pressures, contractions or forces from some row on: another zero, a gauge that became absolute.
+
+    It halves the residuals of the surface, and changes forces by a share `least` of the largest. First strokes and
+    creep are in proportion to the pressure, as a pressure that is shifted by less than 0.5 bar, or a contraction by
+    less than 0.5 %; no muscle changes its force alike at all pressures. A shift between two loads is certain if more
+    than one load is on either side, and five in all, as two or three fit any law.
     """
     taut = np.flatnonzero(points.taut)
     if len(taut) < fewest or (points.timed and not points.scatter):
-        return
+        return None
     side = np.zeros(len(points.force)) if points.side is None else points.side
     rows, side = points.table[taut], side[taut]
-    usual = np.median(np.abs(_linearised(rows, side)[0]))
+    usual, largest = np.median(np.abs(_linearised(rows, side)[0])), points.force.max()
     shifts = [_shift(rows, side, quantity) for quantity in range(2 if points.held else 3)]
     quantity = int(np.argmin([shift.rmse for shift in shifts]))
     row, size, change, _, median = shifts[quantity]
-    largest = points.force.max()
-    least = (0.5, 0.5, SLACK * largest)[quantity]
-    if median <= 0.5 * usual and abs(size) >= least and change >= points.scatter * largest:
-        name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
-        text = f"the {name}s from this row on are shifted by {size:+.3g} {unit}:"
-        yield points.ask("order", text, int(taut[row]), name, "shift")
+    if median > 0.5 * usual or change < least * largest:
+        return None
+    if points.held:
+        loads = level_means(rows[:, 2], 0.01 * largest)
+        before, after = (len(np.unique(part)) for part in (loads[:row], loads[row:]))
+        if loads[row - 3] != loads[row + 2] and (min(before, after) < 2 or before + after < 5):
+            return None
+    name, unit = (("pressure", "bar"), ("contraction", "%"), ("force", "N"))[quantity]
+    text = f"{name}s from this row on are shifted by {size:+.3g} {unit}"
+    return Shift(int(taut[row]), name, text, change, abs(size) >= (0.5, 0.5, 0.0)[quantity])
 
 
 class _Shift(NamedTuple):

@@ -33,7 +33,6 @@ _MOVES = {"pressure": 50 * kPa, "contraction": 2 * percent}
 """Changes of one of these, the other at rest, which the force of a taut muscle follows."""
 _RESTS = {"pressure": 10 * kPa, "contraction": 0.2 * percent}
 _LAGS = 40  # blocks
-_EVENTS = 16  # effective number of changes, twice the terms of a fit
 _FEWEST = 4  # points before and after an offset
 _JUMPED = "leave out the samples before or after it, where a sensor was stuck or changed its zero"
 _REMEDY = "shift its column against the others, or record again"
@@ -227,8 +226,9 @@ class RecordedSignals:
         """Signal that changes earlier or later than the others.
 
         Least squares of the changes of the force from block to block, or of the contraction where weights hang, with
-        those of the others. A delay is one that explains half of the variance, and leaves less than half of what is
-        left at once, where more is left than by a delay of a block more or less: else the motion is periodic.
+        those of the others. A delay explains half of the variance, and leaves less than half of what is left at once.
+        Several delays of one signal are those of a periodic motion: then they have to leave less also by a block more
+        or less, and it is the shortest of those that leave no more than twice the least.
         """
         means = self._at_equal_times()
         steps = {name: np.diff(part) for name, part in means.items()}
@@ -236,14 +236,18 @@ class RecordedSignals:
             return
         lags = range(-_LAGS, _LAGS + 1)
         for response in [name for name in ("force", "contraction") if name in steps]:
-            energy = steps[response] ** 2
-            if energy.sum() ** 2 < _EVENTS * (energy @ energy):
-                continue  # too few changes
             trials = {(name, lag): _unexplained(means, response, name, lag) for name in steps for lag in lags}
-            (name, lag), least = min(trials.items(), key=lambda trial: trial[1])
+            least = min(trials.values())
+            lowest = {
+                trial: share
+                for trial, share in trials.items()
+                if share <= min(trials.get((trial[0], trial[1] + block), share) for block in (-1, 1))
+            }
+            name, lag = min((trial for trial in lowest if lowest[trial] <= 2 * least), key=lambda trial: abs(trial[1]))
             at_once = min(share for (_, lag), share in trials.items() if abs(lag) < 2)
-            beside = max(trials.get((name, lag + block), 0.0) for block in (-1, 1))
-            if max(2 * least, beside) < min(1.0, at_once):
+            beside = min(trials.get((name, lag + block), 0.0) for block in (-1, 1))
+            delays = [trial for trial, share in lowest.items() if trial[0] == name and 2 * share < min(1.0, at_once)]
+            if len(delays) == 1 or (delays and beside < at_once):
                 seconds = show(abs(lag) * self.size * self.interval, "s", 2)
                 text = f"{name} and the other signals are {seconds} apart: is {'it' if lag > 0 else 'another'} late?"
                 yield question(text, "order", field=name, remedy=_REMEDY)

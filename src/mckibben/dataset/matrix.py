@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,15 +70,22 @@ def matrix_remedy(lines: Sequence[str]) -> str:
     if layout is None or not labels or split_label(layout.names[0]):
         return ""
     around = labels[-1][1]
-    unit = _UNIT.search(around)
+    below = [split_cells(line, layout.separator) for line in lines[layout.row + 1 :]]
+    first = next(filter(None, map(split_label, chain.from_iterable(below))), ("", ""))
+    down, across = _labelled(first[1]), _labelled(around)
     corner = [_stated(text) for text in re.split(r"[\\;|]|\s/\s|\bvs\b", layout.names[0])]
-    corner = [name for name in corner if name] + [""] * 3
-    across = _stated(f"x [{unit[1]}]" if unit else "")
-    names = [corner[0], across or corner[1], _stated(_UNIT.sub("", around)) or corner[1 if across else 2]]
+    others = iter([name for name in corner if name and name not in (down, across)])
+    names = [down or next(others, ""), across or next(others, ""), _stated(_UNIT.sub("", around)) or next(others, "")]
     taken = {dimension_of(name.rpartition("_")[2]) for name in names}
     usual = iter([name for dimension, name in _USUAL.items() if dimension not in taken])
     meant = ",".join(name or next(usual) for name in names)
     return f"say what rows, columns and cells are: matrix={meant!r} (command line: --read 'matrix={meant}')"
+
+
+def _labelled(text: str) -> str:
+    """Quantity and unit of labels with # in place of their number; empty if they have no unit."""
+    unit = _UNIT.search(text)
+    return _stated(f"x [{unit[1]}]") if unit else ""
 
 
 def _stated(text: str) -> str:

@@ -285,8 +285,8 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
     Returns
     -------
     tuple or None
-        Direction, "loading" or "unloading", and repeat from 0, of shape (points,). None if most groups have one way
-        only, or less than three points per way.
+        Direction, "loading" or "unloading", and repeat from 0, of shape (points,). None if most points are of groups
+        with one way only, or less than three points per way.
 
     Examples
     --------
@@ -301,13 +301,13 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
     for rows in levels:
         ends = np.flatnonzero(np.diff(files[rows])) + 1 if files is not None else []
         runs = [(part[run], word) for part in np.split(rows, ends) for run, word in one_way_parts(contraction[part])]
-        reversing += len(runs) > 1
+        reversing += len(rows) * (len(runs) > 1)
         count += len(runs)
         strokes = {"loading": 0, "unloading": 0}
         for points, word in runs:
             direction[points], repeat[points] = word, strokes[word]
             strokes[word] += 1
-    return (direction, repeat) if 2 * reversing > len(levels) and _FEWEST * count <= len(groups) else None
+    return (direction, repeat) if 2 * reversing > len(groups) and _FEWEST * count <= len(groups) else None
 
 
 def one_way_parts(values: Floats, reversal: float = 0.1) -> list[tuple[slice, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 import zipfile
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.at_joint import AT_LEVER
 from mckibben.dataset.checks import questions_of
 from mckibben.dataset.clocks import PAIRED, join_clocks, join_pairs
@@ -28,7 +30,7 @@ from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, holds_own_table, load_
 from mckibben.dataset.table import Table, open_problems, question, refusal
 from mckibben.dataset.understanding import understand
 from mckibben.dataset.vocabulary import OF_MUSCLES
-from mckibben.errors import DatasetError, Problem, RangeError, described
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError, described
 from mckibben.units import show
 
 if TYPE_CHECKING:
@@ -106,6 +108,9 @@ def read_dataset(
     if problems := open_problems(faults, recipe.accept):
         raise DatasetError(source, problems)
     table, rows = preprocess(samples, slack_known=known, files=files[sound])
+    if len(sound) < len(files) and not {"direction", "phase"} & {*table}:
+        text = f"of {len(files)} samples {len(sound)} are left, too few to find directions: no friction is identified"
+        warnings.warn(f"{text}; record again, or give a column 'direction'", McKibbenWarning, stacklevel=user_level())
     dataset = replace(dataset, table=table, lines=tuple(_lines_of(dataset.lines, sound[rows])))
     if not own:
         check_points(dataset, source, recipe.accept)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mckibben.dataset.at_joint import JointPaths, add_muscle, implausible_torque, needed_at_joint
-from mckibben.dataset.cells import NUMBER, to_numbers
+from mckibben.dataset.cells import NUMBER, missing_marks, to_numbers
 from mckibben.dataset.clock import continuous, seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import WORDS, unquote
@@ -55,7 +55,6 @@ _AT_JOINT = (
     "lever also --read 'lever=250 mm'; else "
 )
 _AT_LEVER = "of forces at a lever of the joint, give its arm: --read 'lever=250 mm' (in Python lever=0.25); else "
-_MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
 _WORDS_LISTED = 20  # unknown words of a column that are named
@@ -396,9 +395,7 @@ class _Reader:
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
         self.bad |= wrong
-        marks = np.isin(np.abs(values), _MARKS)
-        # A single one between its neighbours is a value.
-        marks &= (np.count_nonzero(marks) > 1) | ((values - np.roll(values, 1)) * (np.roll(values, -1) - values) <= 0)
+        marks = missing_marks(values)
         if 0 < np.count_nonzero(marks) < len(values) / 2:
             row = int(np.argmax(marks))
             text, line = f"{values[row]:g} may mark a missing value", int(self.table.lines[row])

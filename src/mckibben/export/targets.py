@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -117,6 +117,7 @@ TARGETS = {
     "c": ("mckibben.export.controller_files:c_files", "controller"),
     "firmware": ("mckibben.export.firmware:firmware_files", "controller"),
     "js": ("mckibben.export.controller_files:js_files", "controller"),
+    "page": ("mckibben.export.page:page_files", "page"),
     "fmu": ("mckibben.export.fmu:plant_fmu", "plant"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller"),
     "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint"),
@@ -148,6 +149,7 @@ def export(
     *,
     name: str = "",
     hardware: Hardware | None = None,
+    over: Sequence[str] = (),
     margins: bool = False,
     overwrite: bool = False,
 ) -> Exported:
@@ -165,6 +167,8 @@ def export(
         according to the format.
     hardware
         Limits of the samples and, for the format ``c``, the size of numbers, for the format of a controller.
+    over
+        Sliders of a page, such as ``load.mass2=0.2..2 kg``; by default its reference and what is uncertain.
     margins
         Whether to compute the stability margins of the loop of a controller.
     """
@@ -172,7 +176,9 @@ def export(
     place, default = TARGETS[target]
     name = check_name(name or ("robot" if default == "joint" and scenario.joint_names else default))
     module, function = place.split(":")
-    options = _options(hardware, target)
+    options = _options(hardware, target) | ({"over": over} if over else {})
+    if over and target != "page":
+        raise ExportError("only a page has sliders", field="over", value=target, remedy="leave it out, or write page")
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)
     computed = scenario.margins() if margins and target in CONTROLLERS else None
     exported = replace(exported, margins=computed, format=target)

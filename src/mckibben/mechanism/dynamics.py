@@ -14,10 +14,11 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.joint import GeneralLoad
+from mckibben.mechanism.articulated import accelerations
 from mckibben.mechanism.bodies import BodyPoint, Foot
 from mckibben.mechanism.robot import Robot
 from mckibben.mechanism.tree import MASSLESS, BodyInertia, Equations, Frame, TreeHinge, ancestors, equations, frames_of
-from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
+from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, difference, product, total
 
 Scalar = Float[Array, ""]
 
@@ -69,6 +70,9 @@ def posture_of(robot: Robot, angles: Sequence[ArrayLike], *, z: ArrayLike = 0.0)
 def at_rest(posture: Posture) -> Velocity:
     """Return the velocity of a robot at rest."""
     return Velocity(*jax.tree.map(jnp.zeros_like, posture))
+
+
+_Arguments = tuple[list[Vector], list[TreeHinge], list[BodyInertia], list[Frame], Vector]
 
 
 class _Tree(NamedTuple):
@@ -180,14 +184,28 @@ def motion_equations(
 
     `bias` are the forces of velocities, gravity, springs and contact; damping and stops are not among them.
     """
-    tree = _tree(robot, posture, velocity)
-    found, slides = tree.frames(), _slides(robot)
-    points = contacts(robot, found[tree.base :], normal) if forces else []
-    acting = [(tree.base + at.body, force, at.arm) for at, force in zip(points, forces, strict=True)]
-    made = equations(slides, tree.hinges, tree.bodies, found, (-Vector(*robot.gravity)).scaled(gravity), acting)
+    moved, acting = _acted_on(robot, posture, velocity, gravity, forces, normal)
+    made = equations(*moved, acting)
     free = [(joint, angle) for joint, angle in zip(robot.joints, posture.angles, strict=True) if joint.locked is None]
     springs = [0.0] * len(robot.motions) + [joint.spring_torque(angle) for joint, angle in free]
     return Equations(made.matrix, list(map(total, made.bias, springs)))
+
+
+def _acted_on(
+    robot: Robot,
+    posture: Posture,
+    velocity: Velocity,
+    gravity: ArrayLike,
+    forces: Sequence[Vector],
+    normal: Vector,
+) -> tuple[_Arguments, list[tuple[int, Vector, Vector]]]:
+    """Slides, hinges, bodies, frames and support of a tree, and the forces at the points of contact."""
+    tree = _tree(robot, posture, velocity)
+    found = tree.frames()
+    points = contacts(robot, found[tree.base :], normal) if forces else []
+    acting = [(tree.base + at.body, force, at.arm) for at, force in zip(points, forces, strict=True)]
+    support = (-Vector(*robot.gravity)).scaled(gravity)
+    return (_slides(robot), tree.hinges, tree.bodies, found, support), acting
 
 
 def acceleration(
@@ -204,9 +222,10 @@ def acceleration(
     There is a force for each sphere of the robot, or none. Locked joints, and motions that the base lacks, have an
     acceleration of 0.
     """
-    made = motion_equations(robot, posture, velocity, gravity, forces, normal)
-    driven = [torque for joint, torque in zip(robot.joints, torques, strict=True) if joint.locked is None]
-    rates = iter(made.accelerations([*[0.0] * len(robot.motions), *driven]))
+    moved, acting = _acted_on(robot, posture, velocity, gravity, forces, normal)
+    joints = zip(robot.joints, torques, posture.angles, strict=True)
+    driven = [difference(torque, joint.spring_torque(angle)) for joint, torque, angle in joints if joint.locked is None]
+    rates = iter(accelerations(*moved, [*[0.0] * len(robot.motions), *driven], acting))
     of_base = {name: next(rates) for name in robot.motions}
     zero = jnp.zeros_like(posture.x)
     of_joints = tuple(zero if joint.locked is not None else next(rates) for joint in robot.joints)

@@ -165,6 +165,8 @@ class Robot(Component):
         limits = [(joint.lower, joint.upper) for joint in self.joints]
         if not all(isinstance(limit, Real) for pair in limits for limit in pair):
             return
+        ends = [f"the {place} of all ranges" for place in ("lower ends", "middle", "upper ends")]
+        between = self._skeleton(self.held([np.linspace(low, high, len(ends)) for low, high in limits]))
         for number, unit in enumerate(self.muscles):
             over = [self.index(name) for name in unit.joint_names]
             for index, (low, high) in zip(over, unit.angle_ranges, strict=True):
@@ -175,16 +177,15 @@ class Robot(Component):
                         details: Any = {"value": float(angle), "lower": low, "upper": high, "unit": "rad"}
                         remedy = "give a smaller range, or a geometry for all of it"
                         raise RangeError(message, field=f"joints.{index}.{end}", remedy=remedy, **details)
-            if unit.elements:
-                places = [f"the {place} of all ranges" for place in ("lower ends", "middle", "upper ends")]
-                angles = [np.linspace(low, high, len(places)) for low, high in limits]
-            else:
+            skeleton, places = between, ends
+            if not unit.elements:
                 corners = np.array(list(itertools.product(*(limits[index] for index in over))))
                 places = [f"{', '.join(f'{angle / deg:.4g}' for angle in corner)} deg" for corner in corners]
                 angles = [np.full(len(places), np.mean(pair)) for pair in limits]
                 for index, column in zip(over, corners.T, strict=True):
                     angles[index] = column
-            for name, routed in zip(unit.names, unit.routed(self._skeleton(self.held(angles))), strict=True):
+                skeleton = self._skeleton(self.held(angles))
+            for name, routed in zip(unit.names, unit.routed(skeleton), strict=True):
                 _check_slopes(name, routed, f"muscles.{number}")
                 if isinstance(routed.tendon, RigidTendon):  # a spring takes up lengths beyond the range of the muscle
                     paths = jnp.broadcast_to(routed.path, (len(places),))

@@ -70,8 +70,8 @@ def _in_axes(inertia: Tensor, axes: Rotation) -> Tensor:
     products = [(xy, axes.x, axes.y), (xz, axes.x, axes.z), (yz, axes.y, axes.z)]
     products = [part for part in products if not (isinstance(part[0], float) and part[0] == 0)]
     if xx is yy and not products:  # symmetric about the z axis
-        return Tensor.diagonal(xx) + Tensor.dyad(axes.z.scaled(difference(zz, xx)), axes.z)
-    found, *others = (Tensor.dyad(axis.scaled(moment), axis) for axis, moment in zip(axes, (xx, yy, zz), strict=True))
+        return Tensor.diagonal(xx) + Tensor.square(axes.z, difference(zz, xx))
+    found, *others = (Tensor.square(axis, moment) for axis, moment in zip(axes, (xx, yy, zz), strict=True))
     for part in (*others, *(Tensor.dyad(first.scaled(product(2.0, off)), second) for off, first, second in products)):
         found = found + part
     return found
@@ -174,7 +174,7 @@ class Equations(NamedTuple):
         return solve_symmetric(self.matrix, [difference(*pair) for pair in zip(torques, self.bias, strict=True)])
 
 
-class _Composite(NamedTuple):
+class Composite(NamedTuple):
     """Bodies from a hinge on: force and moment that move them, mass, and its moments about the hinge."""
 
     load: Vector = ZERO
@@ -183,19 +183,19 @@ class _Composite(NamedTuple):
     first: Vector = ZERO
     second: Tensor = Tensor.diagonal(0.0)
 
-    def __add__(self, other: _Composite) -> _Composite:  # type: ignore[override]
+    def __add__(self, other: Composite) -> Composite:  # type: ignore[override]
         mass = total(self.mass, other.mass)
         load, moment, first = self.load + other.load, self.moment + other.moment, self.first + other.first
-        return _Composite(load, moment, mass, first, self.second + other.second)
+        return Composite(load, moment, mass, first, self.second + other.second)
 
-    def about(self, arm: Vector) -> _Composite:
+    def about(self, arm: Vector) -> Composite:
         """Return it about the hinge of the parent, from which there is an arm."""
         second = self.second + Tensor.diagonal(product(2.0, arm.dot(self.first)))
         second += Tensor.dyad(self.first.scaled(-2.0), arm)
         second += Tensor.diagonal(product(self.mass, arm.dot(arm)))
         second += Tensor.dyad(arm.scaled(difference(0.0, self.mass)), arm)
         moment, first = self.moment + arm.cross(self.load), self.first + arm.scaled(self.mass)
-        return _Composite(self.load, moment, self.mass, first, second)
+        return Composite(self.load, moment, self.mass, first, second)
 
 
 def equations(
@@ -214,22 +214,11 @@ def equations(
     (ch. 5). A column of M is the momentum that a unit rate of one motion gives all bodies beyond it, taken about each
     hinge and along each slide above (ch. 6).
     """
-    moving = _velocity_accelerations(hinges, frames, support)
-    beyond = [_Composite() for _ in frames]
-    for index, force, arm in forces:
-        beyond[index] += _Composite(-force, -arm.cross(force))
+    beyond = moved_bodies(hinges, bodies, frames, support, forces)
     columns: list[list[Number]] = []
     bias: list[Number] = []
-    for index in range(len(frames) - 1, -1, -1):
-        frame, body, (spin, linear) = frames[index], bodies[index], moving[index]
-        if body is not MASSLESS:
-            own, inertia = frame.axes.apply(body.moment), body.inertia_about_hinge(frame.axes)
-            load = linear.scaled(body.mass) + spin.cross(own) + frame.rate.cross(frame.rate.cross(own))
-            moment = inertia.apply(spin) + frame.rate.cross(inertia.apply(frame.rate)) + own.cross(linear)
-            beyond[index] += _Composite(load, moment, body.mass, own, inertia)
-        if index == 0:
-            break
-        moved, hinge = beyond[index], hinges[index - 1]
+    for index in range(len(frames) - 1, 0, -1):
+        frame, moved, hinge = frames[index], beyond[index], hinges[index - 1]
         if hinge.free:
             bias.append(frame.axis.dot(moved.moment))
             momentum, moment = frame.axis.cross(moved.first), moved.second.apply(frame.axis)
@@ -238,6 +227,28 @@ def equations(
     mass, load = beyond[0].mass, beyond[0].load
     base = [[product(mass, slide.dot(other)) for other in slides[: row + 1]] for row, slide in enumerate(slides)]
     return Equations([*base, *reversed(columns)], [*(slide.dot(load) for slide in slides), *reversed(bias)])
+
+
+def moved_bodies(
+    hinges: Sequence[TreeHinge],
+    bodies: Sequence[BodyInertia],
+    frames: Sequence[Frame],
+    support: Vector,
+    forces: Sequence[tuple[int, Vector, Vector]],
+) -> list[Composite]:
+    """Return what moves each body alone without accelerations of the motions, as for `equations`."""
+    moved, moving = [], _velocity_accelerations(hinges, frames, support)
+    for frame, body, (spin, linear) in zip(frames, bodies, moving, strict=True):
+        if body is MASSLESS:
+            moved.append(Composite())
+            continue
+        own, inertia = frame.axes.apply(body.moment), body.inertia_about_hinge(frame.axes)
+        load = linear.scaled(body.mass) + spin.cross(own) + frame.rate.cross(frame.rate.cross(own))
+        moment = inertia.apply(spin) + frame.rate.cross(inertia.apply(frame.rate)) + own.cross(linear)
+        moved.append(Composite(load, moment, body.mass, own, inertia))
+    for index, force, arm in forces:
+        moved[index] += Composite(-force, -arm.cross(force))
+    return moved
 
 
 def _velocity_accelerations(

@@ -1,4 +1,4 @@
-"""Settings of JAX before it starts: 64-bit numbers, fast loops on the CPU, and the program cache of the command line.
+"""Settings of JAX before it starts: 64-bit numbers, fast loops on the CPU; and the cache of compiled programs.
 
 JAX is imported only on first use, so that `import mckibben` and `mckibben --help` stay quick.
 """
@@ -25,7 +25,11 @@ _CONSTANT = {
 
 
 def configure() -> None:
-    """Set JAX to 64 bits and to compile CPU loops as a whole; in the environment, for child processes too."""
+    """Set JAX to 64 bits and to compile CPU loops as a whole; in the environment, for child processes too.
+
+    Compiled programs are kept in the user's cache folder, unless the variable MCKIBBEN_PROGRAMS_DIR is set and empty.
+    """
+    use_program_cache()
     os.environ["JAX_ENABLE_X64"] = "1"
     # On the CPU, JAX before 0.12 dispatches every fusion of a loop's body separately: an episode takes 4 to 20 times as
     # long.

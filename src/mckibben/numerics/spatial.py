@@ -156,13 +156,15 @@ class Tensor(NamedTuple):
     def __add__(self, other: Sequence[Scalar]) -> Tensor:  # type: ignore[override]
         return Tensor(*map(total, self, other))
 
+    @property
+    def columns(self) -> tuple[Vector, Vector, Vector]:
+        """Columns of its matrix."""
+        xx, xy, xz, yy, yz, zz = self
+        return Vector(xx, xy, xz), Vector(xy, yy, yz), Vector(xz, yz, zz)
+
     def apply(self, vector: Vector) -> Vector:
         """Return the tensor times a vector."""
-        return Vector(
-            Vector(self.xx, self.xy, self.xz).dot(vector),
-            Vector(self.xy, self.yy, self.yz).dot(vector),
-            Vector(self.xz, self.yz, self.zz).dot(vector),
-        )
+        return Vector(*(column.dot(vector) for column in self.columns))
 
     @classmethod
     def diagonal(cls, number: Scalar) -> Tensor:
@@ -170,17 +172,21 @@ class Tensor(NamedTuple):
         return cls(number, 0.0, 0.0, number, 0.0, number)
 
     @classmethod
-    def dyad(cls, a: Vector, b: Vector) -> Tensor:
-        """Return the symmetric part of the dyadic product."""
+    def square(cls, a: Vector, factor: Scalar) -> Tensor:
+        """Return the dyadic product of a vector and itself, times a factor."""
+        x, y, z = a.scaled(factor)
+        return cls(product(x, a.x), product(x, a.y), product(x, a.z), product(y, a.y), product(y, a.z), product(z, a.z))
+
+    @classmethod
+    def symmetric(cls, a: Vector, b: Vector, c: Vector) -> Tensor:
+        """Return the symmetric part of a matrix of columns."""
 
         def mean(a: Scalar, b: Scalar) -> Scalar:
             return product(0.5, total(a, b))
 
-        return cls(
-            product(a.x, b.x),
-            mean(product(a.x, b.y), product(a.y, b.x)),
-            mean(product(a.x, b.z), product(a.z, b.x)),
-            product(a.y, b.y),
-            mean(product(a.y, b.z), product(a.z, b.y)),
-            product(a.z, b.z),
-        )
+        return cls(a.x, mean(a.y, b.x), mean(a.z, c.x), b.y, mean(b.z, c.y), c.z)
+
+    @classmethod
+    def dyad(cls, a: Vector, b: Vector) -> Tensor:
+        """Return the symmetric part of the dyadic product."""
+        return cls.symmetric(*(a.scaled(number) for number in b))

@@ -15,13 +15,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from mckibben.export import export
 from mckibben.identification import Validation
 from mckibben.identification.reporting import fit_numbers
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.paper.claims import Claim, evaluate_claims
 from mckibben.paper.identification import Identification, run_identification, run_joint
-from mckibben.paper.settings import SETTINGS, StiffnessReference
-from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
+from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
+from mckibben.paper.tracking import TUNED_PID, ControllerRun, Tracking, run_tracking
 from mckibben.reachability import StaticEnvelope
 from mckibben.result import Result, TableColumns, row_columns, table
 from mckibben.scenario.robot import RobotScenario
@@ -120,7 +121,7 @@ class Reproduction(Result):
         return self.numbers()
 
     def write(self, folder: Path) -> None:
-        """Write fits, datasets, scenarios and trajectories to a folder.
+        """Write fits, datasets, scenarios, trajectories and, unless quick, a knee to move to a folder.
 
         A scenario that is run alone gives its trajectory to the last bit.
         """
@@ -136,6 +137,9 @@ class Reproduction(Result):
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
         RobotScenario.parse(self.leg.scenario).to_yaml(folder / "scenarios" / "leg.yaml")
         self.leg.to_netcdf(folder / "trajectories" / "leg.nc")
+        if not self.quick:
+            knee = self.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, TUNED_PID].scenario
+            export(knee, "page", folder / "knee", name="knee", overwrite=True)
 
 
 def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:

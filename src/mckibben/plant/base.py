@@ -41,7 +41,8 @@ HERMITE_LIMIT = 1.19
 """Largest product of step and mode, of any damping, at which the steps of `Plant.with_last_step` are stable."""
 
 MOST_HERMITE = 2
-"""Largest number of coordinates for which these steps are faster than others: each adds derivatives."""
+"""Largest number of coordinates, with two muscles each, for which these steps are faster than others: both add
+derivatives."""
 
 MOST_SUBSTEPS = 1000
 """Largest number of integration steps per control period."""
@@ -146,7 +147,8 @@ class Plant(Component):
         move, and pressures are those of linear valves in closed form.
         """
         valve, mechanism = self._valve, self.mechanism
-        if self.slips or mechanism.has_contacts or mechanism.coordinates > MOST_HERMITE or not self.has_ideal_io:
+        large = mechanism.coordinates > MOST_HERMITE or len(self.muscles) > 2 * MOST_HERMITE
+        if self.slips or mechanism.has_contacts or large or not self.has_ideal_io:
             return False
         return valve.is_linear and valve.holds_pressure and not valve.holds_air
 

@@ -9,8 +9,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 
 import numpy as np
+from scipy.optimize import root_scalar
 
 from mckibben.errors import RigError, UnitError
+from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import Backend, Block, Channel, ChannelStatus, MovingBackend
 from mckibben.units import quantity
 
@@ -29,7 +31,14 @@ class HandBench(MovingBackend):
         Whether weights hang on the muscle.
     ask
         Shows a text and returns the answer; called in a thread of its own. Default: on the terminal.
+
+    Attributes
+    ----------
+    simulated
+        Muscle that hangs there in place of a real one, and whose lengths nobody is asked for; None for a real one.
     """
+
+    simulated: Muscle | None = None
 
     by_hand = True
 
@@ -70,6 +79,19 @@ class HandBench(MovingBackend):
 
         threading.Thread(target=wait, name="operator", daemon=True).start()
         return future
+
+    def hanging(self, pressure: float) -> float:
+        """Contraction of the simulated muscle under the weight at a pressure [Pa]; an end of its domain beyond it."""
+        muscle = self.simulated
+        assert muscle is not None
+        ends = float(muscle.domain.contraction_min), float(muscle.domain.contraction_max)
+
+        def excess(contraction: float) -> float:
+            return float(forces(muscle, contraction, pressure)) - self.weight
+
+        if excess(ends[0]) <= 0:
+            return ends[0]
+        return ends[1] if excess(ends[1]) >= 0 else float(root_scalar(excess, bracket=ends).root)
 
     def open(self) -> None:
         self.position, self.weight = 0.0, 0.0

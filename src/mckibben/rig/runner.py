@@ -283,6 +283,8 @@ class Runner(StepInterpreter):
     def _ask(self, text: str) -> str:
         """Ask the operator of a `HandBench`; samples are taken, checked and recorded meanwhile."""
         assert isinstance(self.backend, HandBench)
+        if self.backend.simulated is not None:
+            return ""
         answer = self.backend.ask(text)
         while not answer.done():
             self._cycle()
@@ -304,9 +306,12 @@ class Runner(StepInterpreter):
         bench, length = self.backend, None
         if not isinstance(bench, HandBench) or not bench.weights:
             return
-        while length is None:
-            length = length_of(self._ask("length of the muscle, such as 163.5 mm"))
-        contraction = float(self.bench.specimen.contraction_at(length))
+        if bench.simulated is not None:
+            contraction = bench.hanging(self._means().pressure)
+        else:
+            while length is None:
+                length = length_of(self._ask("length of the muscle, such as 163.5 mm"))
+            contraction = float(self.bench.specimen.contraction_at(length))
         bench.position = self.bench.position_at(contraction) - self.origin
         self._cycle()
 

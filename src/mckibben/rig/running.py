@@ -13,9 +13,10 @@ import numpy as np
 
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset, Recording
-from mckibben.errors import FileError, McKibbenError, Problem, RangeError, RigError, ScenarioError
+from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.backend import ChannelStatus, MovingBackend
 from mckibben.rig.bench import Bench
+from mckibben.rig.by_hand import HandBench
 from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.protocol import steps_text
@@ -121,6 +122,21 @@ def check(
     if run.problems:
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
     return CheckedTest(test, backend, bench, steps, run)
+
+
+def simulate_operator(checked: CheckedTest) -> None:
+    """Let the muscle of the protocol hang on the bench, so that nobody is asked for its lengths.
+
+    Raises `ParameterError` if no weights hang on the muscle of the rig, or it has no law.
+    """
+    bench, muscle = checked.backend, checked.test.muscle
+    if not isinstance(bench, HandBench) or not bench.weights:
+        remedy = "leave it out, or give the rig `moved_by: weights`"
+        raise ParameterError("nobody hangs weights on the muscle of this rig", field="operator", remedy=remedy)
+    if muscle.law is None:
+        remedy = "give the protocol's muscle one, such as `law: lei-mas-10-180n`"
+        raise ParameterError("a simulated operator needs the law of a muscle", field="operator", remedy=remedy)
+    bench.simulated = muscle.muscle()
 
 
 def _with_line(problem: Problem, test: RigTest, lines: Document) -> Problem:

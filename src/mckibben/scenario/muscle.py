@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -78,7 +78,7 @@ def write_muscle(
         Reference to the law, relative to the file, or its section.
     friction, errors, undetermined
         Friction of the muscle, standard errors of its parameters by name, which give them their digits, and upper
-        bounds [m] of its lengths that the data do not determine.
+        bounds [m] of its lengths that the data do not determine, which get two.
     """
     name = specimen or "my muscle"
     known = catalog.specimen(name) if name in catalog.names("specimens") else None
@@ -96,6 +96,7 @@ def write_muscle(
         head += _VOLUME
     data = {"specimen": name if section == {"from": name} else section, "law": law}
     if friction is not None:
+        errors = {**errors, **dict.fromkeys(undetermined or (), inf)}
         data["friction"] = {name: justified(text, errors.get(name, nan)) for name, text in write(friction).items()}
     with atomic_write(path, overwrite=True) as part:
         part.write_text(head + to_text(data), encoding="utf-8")

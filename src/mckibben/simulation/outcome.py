@@ -33,7 +33,8 @@ STROKE = 6 * bar
 """Stroke of a valve, from the vent to a usual supply."""
 LATE = 0.01
 """Share of missed deadlines beyond which a run is late: one period of delay more than once in a hundred."""
-_LEAST_MOTION = 0.2 * deg, 0.02  # range of angle, and of stiffness relative to it, below which a reference is constant
+LEAST_MOTION = 0.2 * deg, 0.02
+"""Range of angle, and of stiffness relative to it, below which a reference is constant."""
 
 
 class Outcome(enum.Enum):
@@ -140,7 +141,7 @@ class Demand(NamedTuple):
         3.54 deg, 7 N*m/rad, 42 bar/s
         """
         angle, stiffness = np.asarray(angle), np.asarray(stiffness)
-        level, (held, relative) = np.mean(np.abs(stiffness), axis=0), _LEAST_MOTION
+        level, (held, relative) = np.mean(np.abs(stiffness), axis=0), LEAST_MOTION
         span, angle_rms, angle_strokes = _motion(angle, held * scale)
         _, stiffness_rms, stiffness_strokes = _motion(stiffness, relative * level)
         strokes = 2 * np.maximum(angle_strokes, stiffness_strokes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -116,7 +116,7 @@ class _Loop:
     def run(self, joint: int, torque: float, frequency: float, duration: float) -> _Run:
         """Push a joint by a sine [N*m] of a frequency [Hz]."""
         pushes = [_Push(torque * (number == joint), frequency) for number in range(len(self.setpoints))]
-        options: dict[str, Any] = {"initial": self._start, "duration": duration, "warn_infeasible": False}
+        options: dict[str, PyTree] = {"initial": self._start, "duration": duration, "warn_infeasible": False}
         result = simulate(
             self._plant.with_disturbances(pushes), self._controller, self._reference, **options, **self._times
         )

@@ -82,6 +82,7 @@ def test_a_fault_of_one_channel_vents_all_muscles_of_the_leg(fault):
     assert max(leg.truth[3:]) < 0.05 * bar
 
 
+@pytest.mark.slow
 def test_each_joint_and_muscle_has_its_limits(session):
     angles, pressures = session.plan.channels.by_joint("angle"), session.plan.channels.by_muscle("pressure")
     ranges = session.plan.ranges
@@ -101,6 +102,7 @@ def test_each_joint_and_muscle_has_its_limits(session):
         assert caught.value.problems[0].field == f"limits_of.{wrong.partition(':')[0]}"
 
 
+@pytest.mark.slow
 def test_the_vented_robot_hangs_where_nothing_turns_it(session):
     plant = session.plant
     vented = vented_state(plant, session.start)
@@ -119,6 +121,7 @@ def test_a_base_that_can_fall_is_refused():
     assert caught.value.field == "robot.base"
 
 
+@pytest.mark.slow
 def test_other_channels_are_refused(session, monkeypatch):
     monkeypatch.setattr(type(session.backend), "outputs", [Channel("valve1", "Pa"), Channel("valve2", "Pa")])
     with pytest.raises(RigError, match=r"a robot needs angle\."):

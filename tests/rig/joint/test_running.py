@@ -46,6 +46,7 @@ def test_unpaced_and_measured_perfectly_it_is_the_simulation(ran, simulated):
         assert np.allclose(columns[f"controller_{name}"], values, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_record_holds_each_sample_once(knee, ran):
     _, kept = ran
     columns = kept.columns

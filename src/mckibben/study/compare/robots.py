@@ -48,9 +48,9 @@ class RobotSuite(ControllerSuite):
     def of(cls, scenario: RobotScenario, controllers: Mapping[str, object] | None = None, **settings: PyTree) -> Self:
         """Return the suite of a scenario, with other controllers by name: sections as in a file.
 
-        Default: a PID loop and decoupling of each joint, where all have a pair of muscles, and computed torque, unless
-        the scenario has that class; their gains are halved until the loop has a disk margin. `settings` as for
-        `Suite.of`.
+        Default: PID loops, the same with feedforward, and decoupling of each joint, where all have a pair of muscles,
+        and computed torque, unless the scenario has that class; their gains are halved until the loop has a disk
+        margin. `settings` as for `Suite.of`.
         """
         others = _default_controllers(scenario) if controllers is None else controllers
         usual: dict[str, PyTree] = {"conditions": sum(usual_variation(scenario), ())}

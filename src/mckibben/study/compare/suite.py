@@ -12,7 +12,7 @@ from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
 from mckibben.config.fields import Title
 from mckibben.config.model import fail_validation, parse_model
-from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
+from mckibben.control import Controller, DecouplingControl, InverseModelControl, PositionStiffnessControl, Reference
 from mckibben.errors import ScenarioError
 from mckibben.joint import AntagonisticJoint
 from mckibben.plant import NoDisturbance, PerfectSensors
@@ -55,14 +55,13 @@ from mckibben.units import (
     PositiveTime,
 )
 
+_LOOPS: Mapping[str, object] = {
+    "position": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"},
+    "stiffness": {"kp": "0.08 bar/(N*m/rad)", "ki": "5 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"},
+}
 DEFAULTS: Mapping[str, tuple[type[Controller], Mapping[str, object]]] = {
-    "PID": (
-        PositionStiffnessControl,
-        {
-            "position": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"},
-            "stiffness": {"kp": "0.08 bar/(N*m/rad)", "ki": "5 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"},
-        },
-    ),
+    "PID": (PositionStiffnessControl, _LOOPS),
+    "PID with feedforward": (InverseModelControl, {"class": "inverse_model", "loops": _LOOPS}),
     "decoupling": (
         DecouplingControl,
         {
@@ -163,10 +162,10 @@ class Suite(ControllerSuite):
     def of(cls, scenario: Scenario, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Suite:
         """Return the suite of a scenario: its controller, named "scenario", and others by name on its reference.
 
-        Default controllers: PID loops and decoupling, unless the scenario's is of that class. `settings` are other
-        attributes, such as `tuning` and `evaluation`; default `conditions`: the uncertainty of the scenario, or both
-        muscles' strengths by up to 10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs
-        are identical.
+        Default controllers: PID loops, the same with feedforward, and decoupling, unless the scenario's is of that
+        class. `settings` are other attributes, such as `tuning` and `evaluation`; default `conditions`: the uncertainty
+        of the scenario, or both muscles' strengths by up to 10 %, and the masses of the load by up to 20 %. Raises
+        `ParameterError` if all runs are identical.
         """
         others: Mapping[str, Any] | None = controllers
         if others is None:
