@@ -108,7 +108,7 @@ def calibrate(
     deviations = _prior(limb, prior, valves=valves)
     read = Scenario.read(scenario)
     kind, load = read.joint_type, _weight(weight, read.joint_type)
-    low, high = parse_limits("--angles", angles or f"-10..10 {kind.shown('deg')}", kind.unit("rad"))
+    low, high = _angles(angles, kind)
     if read.joint_names:
         _check_robot(scenario, recording, valves=valves)
     channels = Channels.of(read)
@@ -161,6 +161,11 @@ def _prior(limb: str, file: Path | None, *, valves: bool) -> JointPrior:
         message = f"--limb {quoted(limb)} is none of {', '.join(_LIMBS)}" if limb else "was the limb weighed?"
         raise ParameterError(message, field="--limb", value=limb, remedy=_LIMB)
     return JointPrior(**_LIMBS[limb])
+
+
+def _angles(text: str, joint_type: JointType) -> tuple[float, float]:
+    """Range of the angles [rad], of a slide of its positions [m]."""
+    return parse_limits("--angles", text or f"-10..10 {joint_type.shown('deg')}", joint_type.unit("rad"))
 
 
 def _weight(text: str, joint_type: JointType) -> dict[str, Any]:
