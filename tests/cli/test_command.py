@@ -87,8 +87,8 @@ def test_commands_and_options_stay_few():
     commands = options_of(typer.main.get_command(app))
     shared = {"--details", "--json", "--out", "--force"}
     assert len(commands) <= 24
-    assert len(shared) + sum(len(flags - shared) for flags in commands.values()) <= 91
-    assert sum(map(len, commands.values())) <= 154
+    assert len(shared) + sum(len(flags - shared) for flags in commands.values()) <= 94
+    assert sum(map(len, commands.values())) <= 157
 
 
 MISTAKES = [

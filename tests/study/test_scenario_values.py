@@ -339,7 +339,7 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
 
 def test_a_default_among_the_values_is_in_a_text_that_is_written_anew():
     text = (EXAMPLES / "linear-axis.yaml").read_text(encoding="utf-8")
-    values = {"joint.muscle1.specimen.initial_length": 0.12, "reference.angle.offset": 0.0}
+    values = {"joint.muscle1.specimen.initial_length": 0.12, "reference.position.offset": 0.0}
     changed = scenarios.edit_scenario(text, values, folder=EXAMPLES)
     assert "offset: 0 mm" in changed
     assert scenarios.edit_scenario(changed, values, folder=EXAMPLES) == changed

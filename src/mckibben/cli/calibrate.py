@@ -105,9 +105,9 @@ def calibrate(
 
     check_within("calibrate", 20.0, 600.0, "s", remedy="give another --duration", duration=seconds)
     results_folder(out, calibration.Calibration.file_names(), force)
-    deviations = _prior(limb, prior, valves=valves)
     read = Scenario.read(scenario)
     kind, load = read.joint_type, _weight(weight, read.joint_type)
+    deviations = _prior(limb, prior, valves=valves)
     low, high = _angles(angles, kind)
     if read.joint_names:
         _check_robot(scenario, recording, valves=valves)

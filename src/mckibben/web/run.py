@@ -361,7 +361,7 @@ class _Page(JobPage[Workbench]):
 
         kind = now.result.joint_type
         stiffness = kind.size("N*m/rad")
-        self.angle.options["yAxis"]["name"] = kind.label("angle", "deg")
+        self.angle.options["yAxis"]["name"] = kind.label("angle", "deg").replace("deg", "°")
         for panel_chart in (self.stiffness, self.small):
             panel_chart.options["yAxis"]["name"] = kind.label("stiffness", "N*m/rad")
         draw(self.angle, curves("angle", kind.size("deg")))
