@@ -32,7 +32,7 @@ def test_a_joint_runs_with_margins(cli, tmp_path, own):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("against", "own"), [("spring", False), ("weight", True), ("muscle", False)])
+@pytest.mark.parametrize(("against", "own"), [("weight", True), ("muscle", False)])
 def test_an_axis_runs_with_margins(cli, tmp_path, own, against):
     (tmp_path / "own.yaml").write_text(to_text(write(OWN, ComponentField(Muscle))))
     done = cli("new", "axis", "axis.yaml", "--against", against, *(("--muscle", "own.yaml") if own else ()))

@@ -108,8 +108,6 @@ ROBOT = str(Path(__file__).parents[2] / "examples" / "robot" / "lei-leg.yaml")
         (("sweep", "s.yaml", *MASS), ("--force",)),
         (("sweep", "s.yaml", *MASS), ("--resume",)),
         (("tune", "s.yaml"), ("--resume",)),
-        (("compare", "s.yaml", "--quick"), ("--resume",)),
-        (("robot", "land", ROBOT), ("--resume",)),
         (("robot", "jump", ROBOT), ("--resume",)),
     ],
     ids=lambda words: " ".join(words[:2]),
