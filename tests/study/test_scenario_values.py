@@ -337,6 +337,13 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     assert scenarios.edit_scenario(changed, values, folder=EXAMPLES) == changed
 
 
+def test_one_muscle_alone_has_no_stiffness_to_vary():
+    scenario, parameters = known("linear-axis")
+    assert "start.stiffness" not in {parameter.name for parameter in parameters}
+    with pytest.raises(ParameterError):
+        scenarios.with_values(scenario, {"start.stiffness": 1e4})
+
+
 def test_a_default_among_the_values_is_in_a_text_that_is_written_anew():
     text = (EXAMPLES / "linear-axis.yaml").read_text(encoding="utf-8")
     values = {"joint.muscle1.specimen.initial_length": 0.12, "reference.position.offset": 0.0}

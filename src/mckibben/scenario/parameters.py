@@ -28,6 +28,7 @@ _TIMING = "it is one number for all runs of a study"
 _COMPILED = "it sets the size of what is compiled"
 _IN_FILE = "change it in the file"
 _ABSENT = "the scenario has none", "write it in the file"
+_ALONE = "one muscle alone has no stiffness of its own choice", "vary its position or its load"
 _UNSET = {"strength": 1.0, "command_delay": 0.0}
 """Values that None stands for."""
 
@@ -42,12 +43,13 @@ class _Parameters:
     parts: dict[str, object] = field(default_factory=dict)
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
     joint_type: JointType = HINGE
+    follows_stiffness: bool = True
 
     @classmethod
     def of(cls, scenario: StudiedScenario) -> Self:
         """Walk the fields of a scenario."""
         parameters = cls()
-        parameters.joint_type = scenario.joint_type
+        parameters.joint_type, parameters.follows_stiffness = scenario.joint_type, scenario.follows_stiffness
         for name, info in type(scenario).model_fields.items():
             parameters._add_field(info.alias or name, getattr(scenario, name), info)
         return parameters
@@ -62,6 +64,9 @@ class _Parameters:
         elif isinstance(value, Start):
             for name, field_info in type(value).model_fields.items():
                 mark = next(mark for mark in _marks(field_info) if isinstance(mark, Quantity))
+                if name == "stiffness" and not self.follows_stiffness:
+                    self.refused[f"{key}.{name}"] = _ALONE
+                    continue
                 self._add(f"{key}.{self.joint_type.words(name)}", ((key, name),), mark, getattr(value, name))
         elif mark is not None and key == "command_delay":
             self._add(key, ((key,),), mark, _UNSET[key] if value is None else value)
