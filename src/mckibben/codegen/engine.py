@@ -70,10 +70,11 @@ class BatchFunction:
     """A pure function of a shared tree and of one with the runs along the last axis, compiled by any engine.
 
     Without the second tree it is a function of the first, of one run. `flags` are further options of the C compiler.
+    The function itself, for other programs, is `function`.
     """
 
     def __init__(self, function: Callable[[PyTree, PyTree], PyTree], flags: Sequence[str] = ()) -> None:
-        self._function, self.native, self._cuda = function, NativeFunction(function, flags), CudaFunction(function)
+        self.function, self.native, self._cuda = function, NativeFunction(function, flags), CudaFunction(function)
 
     def __call__(
         self, engine: str, shared: PyTree, lanes: PyTree = None, precision: DTypeLike = np.float64
@@ -110,7 +111,7 @@ class BatchFunction:
         if chosen == "cuda":
             return self._cuda(shared, lanes, single=single), chosen
         by_xla = _run_by_xla if lanes is None else _batch_by_xla
-        return by_xla(self._function, shared, lanes), "xla"
+        return by_xla(self.function, shared, lanes), "xla"
 
 
 @jit_arrays

@@ -25,11 +25,13 @@ from mckibben.codegen.source_module import Member, SourceModule, members_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError, McKibbenError
 from mckibben.export.targets import Exported, filled
-from mckibben.joint.linkage import Linkage, specimen_size
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.linkage import Linkage, Strand, specimen_size
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.scenario.robot import RobotScenario
-from mckibben.simulation.loop import control_period, initial_loop
+from mckibben.simulation.feasibility import static_band, static_bands
+from mckibben.simulation.loop import begun, control_period
 from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, values_of
 from mckibben.simulation.outcome import FOLLOWED, LEAST_MOTION, LEFT_REFERENCE_AT, OUTCOMES, STROKE, SWUNG_OVER_AT
 from mckibben.simulation.trajectories import column_of, trajectory
@@ -71,7 +73,7 @@ class Slider:
 
 
 class _Parts(NamedTuple):
-    """What is simulated."""
+    """Plant, controller and reference of a scenario, and angle and stiffness at its start."""
 
     plant: PyTree
     controller: PyTree
@@ -115,7 +117,6 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
     start = parts.start["angle"], parts.start["stiffness"]
     first = parts.reference(0.0)
     settings = {
-        "name": scenario.name,
         "period": scenario.control_period,
         "periods": round(scenario.duration / scenario.control_period),
         "startsAtReference": bool(start[0] == first.angle and (np.isnan(start[1]) or start[1] == first.stiffness)),
@@ -131,7 +132,7 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
         },
         "outcomes": {outcome.name: outcome.sentence(scenario.joint_type) for outcome in OUTCOMES},
         "sliders": [_described(slider) for slider in sliders],
-        "drawing": _drawing(scenario, parts),
+        "drawing": _drawing(scenario.joint),
     }
     values = {
         "title": scenario.name,
@@ -161,11 +162,11 @@ def page_program(parts: PyTree, name: str, period: float, substeps: int) -> Sour
     numbers, fixed = eqx.partition(parts, eqx.is_inexact_array_like)
     zero, whole = jnp.zeros(()), jnp.zeros((), int)
 
-    def begun(parameters: PyTree, start: PyTree) -> tuple[PyTree, Array]:
+    def started(parameters: PyTree, start: PyTree) -> tuple[PyTree, Array]:
         plant, controller, *_ = eqx.combine(parameters, fixed)
         state, exists = plant.find_equilibrium(start["angle"], start["stiffness"])
-        loop = initial_loop(plant, controller, state)
-        return (plant.with_last_step(loop[0], period / substeps), loop[1]), exists
+        loop, _ = begun(plant, controller, None, state, period, period / substeps)  # it foresees no setpoints
+        return loop, exists
 
     def moved(parameters: PyTree, loop: PyTree, setpoint: Setpoint) -> tuple[PyTree, PyTree]:
         plant, controller, *_ = eqx.combine(parameters, fixed)
@@ -177,7 +178,7 @@ def page_program(parts: PyTree, name: str, period: float, substeps: int) -> Sour
         return Change(change["at"], change["before"], change["after"], change["ends"] > 0)
 
     def init(parameters: PyTree, start: PyTree) -> dict[str, PyTree]:
-        loop, exists = begun(parameters, start)
+        loop, exists = started(parameters, start)
         return {"state": {"loop": loop, "sums": empty}, "exists": exists}
 
     def step(parameters: PyTree, state: PyTree, setpoint: Setpoint, run: PyTree, change: PyTree) -> dict[str, PyTree]:
@@ -201,22 +202,23 @@ def page_program(parts: PyTree, name: str, period: float, substeps: int) -> Sour
 
     def attainable(parameters: PyTree, angle: Array) -> dict[str, PyTree]:
         plant, controller, *_ = eqx.combine(parameters, fixed)
-        amplitude, torque = controller.stiffness_amplitude, -plant.load.gravity_torque(angle)
-        low, high = plant.supplied_joint.attainable_stiffness(angle, torque, amplitude=amplitude, minimum_tension=0.0)
+        low, high = static_bands.function((plant, controller.stiffness_amplitude, 0.0), angle)
         return {"band": {"lowest": low, "highest": high}}
 
     setpoint, start = Setpoint(zero, zero), {"angle": zero, "stiffness": zero}
-    loop = jax.eval_shape(lambda numbers: begun(numbers, start)[0], numbers)
+    loop = jax.eval_shape(lambda numbers: started(numbers, start)[0], numbers)
     one_period = jax.eval_shape(moved, numbers, loop, setpoint)[1]
     empty = Accumulation.empty(one_period)
     state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), {"loop": loop, "sums": empty})
-    run, change = {"index": whole, "periods": whole}, {"at": whole, "before": zero, "after": zero, "ends": whole}
+    of_run = {
+        "run": {"index": whole, "periods": whole},
+        "change": {"at": whole, "before": zero, "after": zero, "ends": whole},
+    }
     module = SourceModule(name, numbers)
-    module.add("init", "state at rest at an angle [rad] and a stiffness [N*m/rad]; whether it exists", init,
-               {"start": start})  # fmt: skip
-    module.add("step", "one control period", step,
-               {"state": state, "setpoint": setpoint, "run": run, "change": change})  # fmt: skip
-    module.add("measure", "metrics of the run", measure, {"state": state, "run": run, "change": change})
+    text = "state at rest at an angle [rad] and a stiffness [N*m/rad]; whether it exists"
+    module.add("init", text, init, {"start": start})
+    module.add("step", "one control period", step, {"state": state, "setpoint": setpoint} | of_run)
+    module.add("measure", "metrics of the run", measure, {"state": state} | of_run)
     module.add("reference", "setpoint at a time [s]", reference, {"time": zero})
     module.add("attainable", "attainable stiffness [N*m/rad] at an angle [rad]", attainable, {"angle": zero})
     return module
@@ -233,16 +235,16 @@ def _parts(scenario: Scenario) -> _Parts:
 def _sliders(scenario: Scenario, texts: Sequence[str]) -> tuple[Scenario, list[Slider], list[str]]:
     """The scenario with the values of its sliders; those that are asked for, or the `_usual` ones; those left out."""
     swept = parse_sweeps(texts or [*_usual(scenario)], scenario)
-    nominal = {one.name: _nominal(one) for one in swept}
+    nominal = {parameter.name: _nominal(parameter) for parameter in swept}
     varied = with_values(scenario, nominal, model_follows="all")
     numbers, sliders, left_out = _numbers(varied), [], []
-    for one in swept:
+    for parameter in swept:
         try:
-            sliders.append(_slider(varied, numbers, one))
+            sliders.append(_slider(varied, numbers, parameter))
         except ExportError as error:
             if texts:
                 raise
-            left_out.append(f"the slider of {one.name}: {error}")
+            left_out.append(f"the slider of {parameter.name}: {error}")
     return varied, sliders, left_out
 
 
@@ -273,7 +275,7 @@ def _slider(scenario: Scenario, numbers: _Numbers, swept: SweptParameter) -> Sli
             raise ExportError(f"the form of the program depends on {swept.name}", field=swept.name, remedy=remedy)
         values.append(changed.values)
     slopes, of_model = {}, {}
-    own = swept.parameter.part not in scenario.plant_parts
+    of_plant = swept.parameter.part in scenario.plant_parts
     for member, base, first, last, middle in zip(numbers.members, numbers.values, *values, strict=True):
         slope = (last - first) / (high - low)
         bent = np.abs(middle - (first + last) / 2) + np.abs(base - first - slope * (nominal - low))
@@ -282,7 +284,7 @@ def _slider(scenario: Scenario, numbers: _Numbers, swept: SweptParameter) -> Sli
             raise ExportError(text, field=swept.name, remedy="give another slider")
         if np.any(np.nan_to_num(slope)):
             slopes[member.name] = np.ravel(slope)
-            of_model[member.name] = not own and member.path.startswith("controller.")
+            of_model[member.name] = of_plant and member.path.startswith("controller.")
     return Slider(swept, nominal, slopes, of_model)
 
 
@@ -335,14 +337,12 @@ def _described(slider: Slider) -> dict[str, object]:
 
 def _stiffness_range(parts: _Parts) -> list[float]:
     """Lowest and highest stiffness [N*m/rad] at which the joint holds its load at an angle of the drawing."""
-    plant, angles = parts.plant, np.linspace(-_WIDEST, _WIDEST, _POINTS)
-    low, high = plant.supplied_joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
+    low, high = static_band(parts.plant, np.linspace(-_WIDEST, _WIDEST, _POINTS), None)
     return [float(np.nanmin(low)), float(np.nanmax(high))]
 
 
-def _drawing(scenario: Scenario, parts: _Parts) -> dict[str, object]:
+def _drawing(joint: AntagonisticJoint) -> dict[str, object]:
     """Points [m] of both muscles and pulleys over the angle, and sizes of the muscles over the contraction."""
-    joint = scenario.joint
     low, high = joint.geometry.angle_range
     angles = np.linspace(max(low, -_WIDEST), min(high, _WIDEST), _POINTS)
     linkage = Linkage(joint.geometry)
@@ -350,24 +350,27 @@ def _drawing(scenario: Scenario, parts: _Parts) -> dict[str, object]:
     def rounded(points: ArrayLike) -> list:
         return np.round(points, 5).tolist()
 
-    def strands(angle: float) -> list[dict[str, list]]:
-        return [{"start": rounded(s.start), "end": rounded(s.end), "wrap": rounded(s.wrap[::5])}
-                for s in linkage.strands(angle)]  # fmt: skip
+    def described(strand: Strand) -> dict[str, list]:
+        return {"start": rounded(strand.start), "end": rounded(strand.end), "wrap": rounded(strand.wrap[::5])}
 
     sizes = []
     for muscle in joint.muscles:
         contractions = np.linspace(muscle.domain.contraction_min, muscle.domain.contraction_max, _POINTS)
         length, width = specimen_size(muscle.specimen, contractions)
-        sizes.append({"contractions": rounded(contractions), "lengths": rounded(length),
-                      "widths": None if width is None else rounded(width),
-                      "spring": not muscle.law.pulls, "highest": float(muscle.domain.pressure_max)})  # fmt: skip
+        of_muscle = {
+            "contractions": rounded(contractions),
+            "lengths": rounded(length),
+            "widths": None if width is None else rounded(width),
+            "spring": not muscle.law.pulls,
+            "highest": float(muscle.domain.pressure_max),
+        }
+        sizes.append(of_muscle)
     return {
         "up": linkage.up.tolist(),
         "height": linkage.height,
         "straight": linkage.straight,
         "angles": angles.tolist(),
-        "strands": [strands(float(angle)) for angle in angles],
+        "strands": [list(map(described, linkage.strands(float(angle)))) for angle in angles],
         "cams": [[rounded(cam[::4]) for cam in linkage.cams(float(angle))] for angle in angles],
         "muscles": sizes,
-        "gravity": float(np.asarray(parts.plant.load.gravity_moment)),
     }

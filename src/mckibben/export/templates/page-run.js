@@ -60,7 +60,7 @@ function simulated(self, periods) {
         columns.desired_angle.set(wanted.angle);
         columns.desired_stiffness.set(wanted.stiffness);
     }
-    return {columns, metrics, exists, start, outcome: outcomeOf(metrics, wanted, exists), change};
+    return {columns, metrics, exists, start, outcome: outcomeOf(metrics, wanted, exists)};
 }
 
 /** Range, RMS and strokes of a motion; 0 if it is constant within `least`. */
@@ -102,6 +102,13 @@ function outcomeOf(metrics, wanted, exists) {
         ["COMPLETED", true],
     ];
     return worstFirst.find(([, applies]) => applies)[0];
+}
+
+/** What the page shows of a run: that, the attainable stiffness at every n-th period, and the time it took [ms]. */
+function shownRun(values, knows) {
+    const begin = performance.now(), self = adjusted(values, knows), run = simulated(self, SETTINGS.periods);
+    const ms = performance.now() - begin, every = Math.max(1, Math.round(SETTINGS.periods / 400));
+    return {...run, band: bandAt(self, run.columns.desired_angle.filter((_, i) => i % every === 0)), every, ms};
 }
 
 /** Attainable stiffness at angles. */

@@ -12,14 +12,7 @@
     const later = {busy: false, again: false};
     const worker = (() => {
         try {
-            const text = $("program").textContent + `
-                onmessage = ({data}) => {
-                    const begin = performance.now(), self = adjusted(data.values, data.knows);
-                    const run = simulated(self, SETTINGS.periods), ms = performance.now() - begin;
-                    const every = Math.max(1, Math.round(SETTINGS.periods / 400));
-                    const band = bandAt(self, run.columns.desired_angle.filter((_, i) => i % every === 0));
-                    postMessage({...run, band, every, ms});
-                };`;
+            const text = `${$("program").textContent}onmessage = ({data}) => postMessage(shownRun(data.values, data.knows));`;
             return new Worker(URL.createObjectURL(new Blob([text], {type: "text/javascript"})));
         } catch { return null; }
     })();
@@ -30,9 +23,7 @@
         later.again = false;
         document.body.classList.add("waiting");
         if (worker) { later.busy = true; worker.postMessage({values, knows}); return; }
-        const start = performance.now(), self = adjusted(values, knows), run = simulated(self, SETTINGS.periods);
-        const every = Math.max(1, Math.round(SETTINGS.periods / 400)), ms = performance.now() - start;
-        show({...run, band: bandAt(self, run.columns.desired_angle.filter((_, i) => i % every === 0)), every, ms});
+        show(shownRun(values, knows));
     }
     function show(run) {
         document.body.classList.remove("waiting");
