@@ -51,6 +51,10 @@ class Reference(Component):
         angle = self.angle(time)
         return Setpoint(angle, jnp.full_like(angle, jnp.nan) if self.stiffness is None else self.stiffness(time))
 
+    def finite(self, setpoint: Setpoint) -> Setpoint:
+        """Return a setpoint of this reference; that of the stiffness, if there is none, is 0 in place of NaN."""
+        return setpoint if self.stiffness is not None else setpoint._replace(stiffness=jnp.zeros_like(setpoint.angle))
+
     def held(self) -> Reference:
         """Return its first setpoint, held."""
         stiffness = None if self.stiffness is None else float(self.stiffness(0.0))

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, PyTree
@@ -78,7 +77,8 @@ def controller_functions(scenario: Scenario | RobotScenario, limits: Limits | No
     plant, controller, initial = parts_of(scenario)
     bounds, period = containment_of(scenario, limits or Limits()), scenario.control_period
     if isinstance(scenario, Scenario):
-        return functions_of(plant, controller, initial, period, _used(scenario, scenario.reference()(0.0)), bounds)
+        reference = scenario.reference()
+        return functions_of(plant, controller, initial, period, reference.finite(reference(0.0)), bounds)
 
     def stepped(controller: RobotController, state: PyTree, setpoint: PyTree, *sample: PyTree) -> PyTree:
         return controller.step(state, tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"])), *sample)
@@ -87,13 +87,6 @@ def controller_functions(scenario: Scenario | RobotScenario, limits: Limits | No
     setpoints = zip(*(references[name](0.0) for name in scenario.joint_names), strict=True)
     setpoint = dict(zip(("angles", "stiffness"), setpoints, strict=True))
     return functions_of(plant, controller, initial, period, setpoint, bounds, stepped)
-
-
-def _used(scenario: Scenario, setpoints: Setpoint) -> Setpoint:
-    """Setpoints of a joint; of a single muscle that of the stiffness, which is not used, is 0."""
-    if scenario.follows_stiffness:
-        return setpoints
-    return setpoints._replace(stiffness=jnp.zeros_like(setpoints.angle))
 
 
 def parts_of(scenario: Scenario | RobotScenario) -> tuple[PyTree, PyTree, PyTree]:
@@ -119,7 +112,8 @@ def controller_module(
     source = controller_functions(scenario, limits)
     module, left_out = controller_program(source, name)
     if isinstance(scenario, Scenario):
-        rows = _used(scenario, sampled(scenario.reference(), scenario.duration, source.period)[1])
+        reference = scenario.reference()
+        rows = reference.finite(sampled(reference, scenario.duration, source.period)[1])
         controller, substeps = source.of(source.parameters), scenario.needed_substeps()
     else:
         assert scenario.duration is not None  # else `controller_functions` raises

@@ -274,7 +274,7 @@ def begin(parts: BatchParts, start: PyTree, period: ArrayLike, history: int) -> 
     state, measured = parts.plant.sample(start, period)
     angles = tuple(map(jnp.asarray, parts.plant.mechanism.by_joint(measured[0])))
     zero = jnp.zeros_like(angles[0])
-    now = _observation(angles, [zero] * len(angles), measured[1], [_setpoint(each, zero) for each in parts.reference])
+    now = _observation(angles, [zero] * len(angles), measured[1], [each.finite(each(zero)) for each in parts.reference])
     muscles = len(measured[1])
     seen = jnp.tile(jnp.concatenate([now, jnp.zeros(muscles)]), (history, 1))
     return Episode(jnp.asarray(0), state, angles, seen), seen.ravel()[:-muscles]
@@ -308,7 +308,7 @@ def advance(
         angles = tuple(mechanism.by_joint(measured[0]))
         velocities = [(angle - before) / period for angle, before in zip(angles, episode.angles, strict=True)]
         following = Episode(episode.period + 1, state, angles, episode.seen)
-        setpoints = [_setpoint(reference, following.period * period) for reference in parts.reference]
+        setpoints = [each.finite(each(following.period * period)) for each in parts.reference]
         stiffnesses = mechanism.stiffness(state[0], state.pressures)
         failed, fit = so_far.failed, 0.0
         joints_now = zip(parts.reference, mechanism.by_joint(state[0]), stiffnesses, setpoints, strict=True)
@@ -420,12 +420,6 @@ def _content(plant: Plant, state: PyTree) -> Array:
     volumes = plant.air_volumes(state)
     content = [air.volume * (pressure + atm) for air, pressure in zip(volumes, state.pressures, strict=True)]
     return jnp.stack(content) / (atm * litre)
-
-
-def _setpoint(reference: Reference, time: Array) -> Setpoint:
-    """Setpoint at a time [s]; that of the stiffness of a single muscle, which has none, is 0."""
-    setpoint = reference(time)
-    return setpoint if reference.stiffness is not None else setpoint._replace(stiffness=jnp.zeros_like(setpoint.angle))
 
 
 def _observation(
