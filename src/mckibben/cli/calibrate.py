@@ -120,10 +120,12 @@ def calibrate(
     ]
     if valves:
         steps = calibration.ValveExperiment(low, high, seconds)
+        _check_empty(out, () if recordings else steps.instructions)
         recordings = recordings or _measured(read, steps, out, rig, quiet=json)
         return calibration.calibrate_scenario_valves(read, recordings, deviations)
     if not recordings:
         sweeps = calibration.Sweeps(low, high, seconds, **load, **lag)
+        _check_empty(out, sweeps.instructions)
         _foretell(sweeps, read, deviations)
         recordings = _measured(read, sweeps, out, rig, quiet=json)
     unused = [measure(path, **lag) for path in held_out or ()]
@@ -217,7 +219,6 @@ def _measured(
     from mckibben.calibration import run_parts
     from mckibben.rig import JointRig
 
-    _check_empty(out, experiment.instructions)
     device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
     confirmed: list[str] = []
 
