@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import mckibben as mk
 from mckibben.calibration import JointPrior, Sweeps, calibrate_scenario
 from mckibben.calibration.experiment import simulated
+from mckibben.calibration.service import Service
 from mckibben.control import OpenLoopControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.export.controller import controller_functions
@@ -207,3 +208,11 @@ def test_an_environment_of_one_muscle_has_finite_rewards():
     observation, _ = env.reset(seed=0)
     after, reward, terminated, *_ = env.step(env.action_space.sample())
     assert np.isfinite([*observation, *after, reward]).all() and not terminated and 0 < reward
+
+
+def test_the_stiffness_of_a_slide_in_service_is_in_its_unit():
+    stiffness, deviation, none = np.array([[12e3]]), np.array([[100.0]]), np.empty((1, 0))
+    service = Service(np.array([2.0]), stiffness, deviation, stiffness, 9 * deviation, none, none, (("",), ()), SLIDE)
+    assert "12 +- 0.2 N/mm" in service.verdict()
+    column, values = service.listing().columns["stiffness"]
+    assert (column.shown_unit, values[0] / column.size) == ("N/mm", 12.0)

@@ -170,7 +170,8 @@ class JointCalibration(Calibration):
             pairs = [[force.value for force in forces], [force.deviation for force in forces]]
             rows.append((float(recording.time[0]) + place.stop / RATE, *means, *pairs))
         names = model.joint_names, followed_muscles(model)
-        return Service(*(np.array(column, float) for column in zip(*rows, strict=True)), names=names)
+        columns = (np.array(column, float) for column in zip(*rows, strict=True))
+        return Service(*columns, names=names, joint_type=model.joint_type)
 
     @cached_property
     def held_out_errors(self) -> tuple[float, float]:

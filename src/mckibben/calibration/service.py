@@ -12,6 +12,7 @@ from mckibben.calibration.equations import OF_MUSCLE, RATE, CalibrationProblem, 
 from mckibben.calibration.fitting import Floats, LocalMinimum, variance_of_samples
 from mckibben.calibration.models import Moved
 from mckibben.result import Column, Listing, TableColumns
+from mckibben.units import HINGE, JointType
 
 
 class Service(NamedTuple):
@@ -29,6 +30,8 @@ class Service(NamedTuple):
         Forces of the muscles, but of no spring, relative to the model, see `JointCalibration`, shape (blocks, muscles).
     names
         Names of joints, and of these muscles.
+    joint_type
+        How the joints move; of a slide, stiffness is in N/m.
     """
 
     times: Floats
@@ -39,6 +42,7 @@ class Service(NamedTuple):
     forces: Floats
     force_deviations: Floats
     names: tuple[tuple[str, ...], tuple[str, ...]]
+    joint_type: JointType = HINGE
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -47,10 +51,11 @@ class Service(NamedTuple):
 
     def verdict(self) -> str:
         """Stiffness and forces at the end, with 95 % intervals."""
-        texts = []
+        texts, size, unit = [], self.joint_type.size("N*m/rad"), self.joint_type.shown("N*m/rad")
         for i, joint in enumerate(self.names[0]):
-            value, deviation, before = (each[-1, i] for each in (self.stiffness, self.deviation, self.calibrated))
-            text = f"{value:.3g} +- {1.96 * deviation:.2g} N*m/rad, {before:.3g} as calibrated"
+            columns = self.stiffness, self.deviation, self.calibrated
+            value, deviation, before = (column[-1, i] / size for column in columns)
+            text = f"{value:.3g} +- {1.96 * deviation:.2g} {unit}, {before:.3g} as calibrated"
             texts.append(f"{joint}{text if self.known[-1, i] else f'not known ({text}): move it for 20 s'}")
         for name, force, deviation in zip(self.names[1], self.forces[-1], self.force_deviations[-1], strict=True):
             texts.append(f"{name}.force {force:.3g} +- {1.96 * deviation:.2g}")
@@ -59,10 +64,10 @@ class Service(NamedTuple):
     def listing(self) -> Listing:
         """Table over time."""
         columns: TableColumns = {"time": (Column("s", digits=3), self.times)}
-        stiffness = Column("N*m/rad", digits=3)
+        stiffness, deviation = (Column("N*m/rad", digits=digits).for_joint(self.joint_type) for digits in (3, 2))
         for i, joint in enumerate(self.names[0]):
             columns[f"{joint}stiffness"] = stiffness, self.stiffness[:, i]
-            columns[f"{joint}deviation"] = Column("N*m/rad", digits=2), self.deviation[:, i]
+            columns[f"{joint}deviation"] = deviation, self.deviation[:, i]
             columns[f"{joint}as calibrated"] = stiffness, self.calibrated[:, i]
             columns[f"{joint}known"] = Column(), self.known[:, i].tolist()
         for i, name in enumerate(self.names[1]):
