@@ -29,8 +29,7 @@ from mckibben.joint.linkage import Strand, linkage_of, specimen_size
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
-from mckibben.scenario import Scenario, list_parameters, with_values
-from mckibben.scenario.robot import RobotScenario
+from mckibben.scenario import Scenario, StudiedScenario, list_parameters, with_values
 from mckibben.simulation.feasibility import static_band, static_bands
 from mckibben.simulation.loop import begun, control_period
 from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, values_of
@@ -82,7 +81,7 @@ class _Parts(NamedTuple):
     start: PyTree
 
 
-def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, over: Sequence[str] = ()) -> Exported:
+def page_files(scenario: StudiedScenario, name: str, folder: Path, *, over: Sequence[str] = ()) -> Exported:
     """A page of a scenario of a joint, which needs no other file and no network.
 
     Parameters
@@ -103,7 +102,7 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
         For a robot, for a controller that knows setpoints in advance, for parts that need 64-bit integers, and for a
         slider on which the numbers of plant or controller do not depend linearly.
     """
-    if isinstance(scenario, RobotScenario):
+    if not isinstance(scenario, Scenario):
         remedy = "write its controller with --to js"
         raise ExportError("the page draws one joint", field="joints", remedy=remedy)
     parts = _parts(scenario)

@@ -11,13 +11,16 @@
 
     // ---- runs
     const later = {busy: false, again: false};
-    const worker = (() => {
+    let worker = (() => {
         try {
             const text = `${$("program").textContent}onmessage = ({data}) => postMessage(shownRun(data.values, data.knows));`;
             return new Worker(URL.createObjectURL(new Blob([text], {type: "text/javascript"})));
         } catch { return null; }
     })();
-    if (worker) worker.onmessage = ({data}) => { later.busy = false; show(data); if (later.again) compute(); };
+    if (worker) {
+        worker.onmessage = ({data}) => { later.busy = false; show(data); if (later.again) compute(); };
+        worker.onerror = () => { worker = null; later.busy = false; compute(); };
+    }
     function compute() {
         if (mode === "live") return begin();
         if (later.busy) { later.again = true; return; }
