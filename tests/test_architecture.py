@@ -104,7 +104,7 @@ BUDGET = {
     "dataset": 4140,
     "experiment_design": 720,
     "export": 2890,
-    "identification": 3760,
+    "identification": 3790,
     "joint": 1410,
     "robot": 80,
     "mechanism": 2140,
