@@ -78,12 +78,12 @@ else:
         """Property of a component that is computed when it is first asked for, except from traced numbers."""
 
         def __get__(self, instance: Any, owner: type | None = None) -> Any:
-            known = getattr(instance, "_once", {})
-            if self in known:
-                return known[self]
+            name, known = self.fget.__qualname__, getattr(instance, "_once", {})
+            if name in known:
+                return known[name]
             value = super().__get__(instance, owner)
             if instance is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
-                object.__setattr__(instance, "_once", known | {self: value})
+                object.__setattr__(instance, "_once", known | {name: value})
             return value
 
 
