@@ -67,7 +67,7 @@ def control(
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
-    on = None if rig is None else JointRig.read(rig)
+    on = None if rig is None else JointRig.read(rig, joint_type=read.joint_type)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     if check:

@@ -34,6 +34,7 @@ from mckibben.errors import (
     suggest,
 )
 from mckibben.storage.files import atomic_write, similar_file
+from mckibben.units import HINGE, JointType
 
 
 class ConfigModel(BaseModel):
@@ -245,14 +246,37 @@ P = TypeVar("P", bound=DocumentModel)
 M = TypeVar("M")
 
 
+class JointDocument(DocumentModel):
+    """Base of documents beside that of a joint, whose units are those of the joint."""
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], *, joint_type: JointType = HINGE) -> Self:
+        """Read a file as `DocumentModel.read`, of a slide in mm with `mckibben.units.SLIDE`."""
+        text = read_text(path, f"a {cls.kind}", cls.examples)
+        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent, joint_type=joint_type)
+
+    @classmethod
+    def parse(
+        cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".", joint_type: JointType = HINGE
+    ) -> Self:
+        """Read YAML text; as for `read`."""
+        return parse_model(cls, text, source=source or cls.kind, folder=folder, joint_type=joint_type)[0]
+
+
 def parse_model(
-    kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", confined: bool = False
+    kind: type[P],
+    text: str,
+    *,
+    source: str,
+    folder: str | os.PathLike[str] = ".",
+    confined: bool = False,
+    joint_type: JointType = HINGE,
 ) -> tuple[P, Document]:
     """Return a model from YAML text, and the document with its lines.
 
     A `confined` text may name only files in its folder. Raises `ScenarioError` with every problem of the text.
     """
-    document, context = read_document(text), {"folder": Path(folder), "confined": confined}
+    document, context = read_document(text), {"folder": Path(folder), "confined": confined, "joint_type": joint_type}
     expected = f"a {kind.kind}, see {kind.examples}"
     return validated(kind.model_validate, document, source, context, fields_by_key(kind), expected), document
 

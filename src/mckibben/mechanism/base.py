@@ -57,9 +57,10 @@ class Mechanism(abc.ABC):
         """Names of the muscles of named joints."""
         return ()
 
+    @property
     @abc.abstractmethod
-    def components(self, kind: type) -> tuple[Component, ...]:
-        """Return its parts of a class that a controller's model may have as well."""
+    def parts(self) -> tuple[Component, ...]:
+        """Parts that a controller's model may have as well."""
 
     @property
     @abc.abstractmethod

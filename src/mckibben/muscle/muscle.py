@@ -16,7 +16,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.component.base import Component
+from mckibben.component.base import Component, once
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
@@ -116,7 +116,7 @@ class Muscle(Component):
         words += [type(effect).__name__ for effect in (self.friction, self.creep) if self._is_dynamic(effect)]
         return f"Muscle({', '.join(words)})"
 
-    @property
+    @once
     def domain(self) -> Domain:
         """Intersection of the domains of the specimen and the law; pressures of the specimen with `extrapolate`."""
         measured = self.law.domain
