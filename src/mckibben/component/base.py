@@ -77,7 +77,7 @@ else:
     class once(property):  # noqa: N801
         """Property of a component that is computed when it is first asked for, except from traced numbers."""
 
-        def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        def __get__(self, instance: object, owner: type | None = None) -> object:
             name, known = self.fget.__qualname__, getattr(instance, "_once", {})
             if name in known:
                 return known[name]
