@@ -184,7 +184,7 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     np.testing.assert_array_less(error, [0.1, 0.2, 0.6])
     steady = late & (run["time"] % 1 > 0.2)  # a joint has a step at 1, 2 and 3 s
     assert np.abs(run["stiffness"] - run["desired_stiffness"])[:, steady].max() < 0.1
-    assert run.notes() == []
+    assert run.notes() == [] and run.engine == "native"  # an operation that C lacks would run ten times as long
 
 
 @pytest.mark.slow
