@@ -106,6 +106,8 @@ def test_commands_of_twelve_muscles_are_in_their_order(tmp_path):
         (1.1, 1e-14, 0.0, True),
         (1.1, 1e-9, 0.0, False),
         (1.1, 0.0, 1e-5, False),
+        (1.3, 1e-14, 0.0, True),  # the run is longer than the comparison
+        (1.3, 0.0, 1e-5, False),
     ],
 )
 def test_a_controller_that_amplifies_rounding_is_told_from_a_wrong_program(pole, rounding, wrong, passes, tmp_path):
