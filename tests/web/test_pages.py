@@ -295,6 +295,7 @@ def test_advice_names_what_the_page_has(text, shown):
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
 
 
+@pytest.mark.slow
 @visits
 async def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_file_is_shown_as_text(user):
     await user.open("/identify")
