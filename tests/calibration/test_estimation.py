@@ -188,18 +188,23 @@ def foreign_rigs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("mass", "most"), list(zip(WEIGHTS, (0.05, 0.04), strict=True)))
-def test_stiffness_of_rigs_of_another_law(foreign_rigs, mass, most):
+def test_stiffness_of_rigs_of_another_law(foreign_rigs):
     errors, before, inside, distances = [], [], [], []
     for recordings, at, true in foreign_rigs:
-        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[mass]], JointPrior(mass=0.02, inertia=0.05))
+        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[0.4]], JointPrior(mass=0.02, inertia=0.05))
         assert found.unexplained < 0.1
         distances += [each.distance for each in found.quantities.values() if each.expected is not None]
         (value, deviation), (prior, _) = found.stiffness(*at), found.prior_stiffness(*at)
         errors.append(np.mean(np.square(value - true)) / true.mean() ** 2)
         before.append(np.mean(np.square(prior - true)) / true.mean() ** 2)
         inside.append(np.mean(np.abs(value - true) < 1.96 * deviation))
-    assert np.sqrt(np.mean(errors)) < most < 0.5 * np.sqrt(np.mean(before)) + 0.01
+    print(
+        np.sqrt(np.mean(errors)),
+        0.5 * np.sqrt(np.mean(before)),
+        np.mean(inside),
+        np.sqrt(np.mean(np.square(distances))),
+    )
+    assert np.sqrt(np.mean(errors)) < 0.05 < 0.5 * np.sqrt(np.mean(before)) + 0.01
     assert np.mean(inside) > 0.85
     assert np.sqrt(np.mean(np.square(distances))) < 1.4  # 1 for priors that are right
 

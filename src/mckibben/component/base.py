@@ -133,7 +133,8 @@ class _TextWithUnits(CheckedCalls):
 
 
 def _in_si(kind: type[Described], name: str, value: object) -> object:
-    return in_si(kind.__name__, name, value, field_quantities(kind).get(name) or kind.unit_of(name))
+    mark = field_quantities(kind).get(name) or units_of_part(field_hints(kind).get(name)).get("signal")
+    return in_si(kind.__name__, name, value, mark or kind.unit_of(name))
 
 
 _ComponentMeta: Any = type("_ComponentMeta", (_TextWithUnits, type(eqx.Module)), {})

@@ -59,7 +59,7 @@ from mckibben.simulation.problem import (
 from mckibben.simulation.result import Measured, metric_columns, unknown_column
 from mckibben.simulation.robot_metrics import RobotMetrics, landing_metrics
 from mckibben.simulation.trajectories import LABELS, column_names
-from mckibben.units import HINGE, JOINT_TYPES, JointType
+from mckibben.units import HINGE, JOINT_TYPES, Duration, JointType, ShortTime
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -217,8 +217,8 @@ def simulate_many(
     reference: Reference | Mapping[str, Reference] | None = None,
     *,
     over: Mapping[str, ArrayLike] | None = None,
-    duration: float = 10.0,
-    control_period: float = 1e-3,
+    duration: Duration = 10.0,
+    control_period: ShortTime = 1e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
     initial: PlantState | AtRest | RobotStart | None = None,

@@ -27,7 +27,7 @@ from mckibben.result import Remark, Result, column
 from mckibben.simulation.problem import sampled
 from mckibben.statics.posture import EXACT, is_affine
 from mckibben.statics.reference import POSTURES, check_postures
-from mckibben.units import HINGE, JointType
+from mckibben.units import HINGE, Duration, JointType, ShortTime
 
 _ROUNDING = 1e-6  # N*m/rad
 _BLOCK = 256  # control periods
@@ -113,8 +113,8 @@ def check_reference(
     plant: JointPlant,
     reference: Reference,
     *,
-    duration: float = 10.0,
-    control_period: float = 1e-3,
+    duration: Duration = 10.0,
+    control_period: ShortTime = 1e-3,
     stiffness_amplitude: float | None = None,
 ) -> Feasibility:
     """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s].

@@ -39,7 +39,7 @@ from mckibben.simulation.problem import (
     starts_of,
 )
 from mckibben.simulation.simulate import existing_start
-from mckibben.units import HINGE, JointType, deg, ms
+from mckibben.units import HINGE, Duration, JointType, ShortTime, deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
@@ -192,8 +192,8 @@ def margins(
     reference: PyTree,
     initial: PlantState | AtRest | RobotStart,
     *,
-    duration: float,
-    control_period: float = 1e-3,
+    duration: Duration,
+    control_period: ShortTime = 1e-3,
     substeps: int = 4,
     points: int = 20,
 ) -> Margins:
@@ -235,8 +235,8 @@ def disk_margins(
     reference: PyTree,
     initial: AtRest | RobotStart | PlantState | None = None,
     *,
-    duration: float,
-    control_period: float = 1e-3,
+    duration: Duration,
+    control_period: ShortTime = 1e-3,
     substeps: int = 4,
     points: int = 4,
 ) -> NDArray[np.float64]:
