@@ -31,10 +31,10 @@ control_period: 2 ms
 """
 HEAD = """# What works for which robot
 
-Made by `python benchmarks/capabilities.py [NAME ...]`: each command is tried on the knee of the paper, a muscle with
-mass and spring, the leg of the paper, the [arm that is read from MJCF](../robot-files.md), a neck whose muscles pass
-over both joints, and UMArm with 12 joints and 24 muscles. Runs are cut to a few control periods: it is asked what
-works, not how well. "over {longest} s": of processor time, and then ended.
+Made on {date} by `python benchmarks/capabilities.py [NAME ...]`: each command is tried on the knee of the paper, a
+muscle with mass and spring, the leg of the paper, the [arm that is read from MJCF](../robot-files.md), a neck whose
+muscles pass over both joints, and UMArm with 12 joints and 24 muscles. Runs are cut to a few control periods: it is
+asked what works, not how well. "over {longest} s": of processor time, and then ended.
 
 """
 LONGEST = 400
@@ -164,7 +164,7 @@ def main():
     for robot in asked.names or SCENARIOS:
         table[robot] = table.get(robot, {}) | answers(robot, asked.only or (*COMMANDS, *PYTHON))
         ANSWERS.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(HEAD.format(longest=LONGEST) + page(table), encoding="utf-8")
+    PAGE.write_text(HEAD.format(longest=LONGEST, date=date.today()) + page(table), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -70,21 +70,17 @@ class Units:
 _NO_UNITS = Units()
 
 
-if TYPE_CHECKING:
-    once = property
-else:
+class once(property):  # noqa: N801
+    """Property of a component that is computed when it is first asked for, except from traced numbers."""
 
-    class once(property):  # noqa: N801
-        """Property of a component that is computed when it is first asked for, except from traced numbers."""
-
-        def __get__(self, instance: object, owner: type | None = None) -> object:
-            name, known = self.fget.__qualname__, getattr(instance, "_once", {})
-            if name in known:
-                return known[name]
-            value = super().__get__(instance, owner)
-            if instance is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
-                object.__setattr__(instance, "_once", known | {name: value})
-            return value
+    def __get__(self, instance: object, owner: type | None = None) -> Any:
+        name, known = getattr(self.fget, "__qualname__", ""), getattr(instance, "_once", {})
+        if name in known:
+            return known[name]
+        value = super().__get__(instance, owner)
+        if instance is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+            object.__setattr__(instance, "_once", known | {name: value})
+        return value
 
 
 class Described:

@@ -77,6 +77,11 @@ class Mechanism(abc.ABC):
         """Whether it may touch the ground."""
         return False
 
+    def names_along(self, axis: str) -> tuple[str, ...]:
+        """Return the names along an axis "joint" or "muscle" of results; muscles of an unnamed joint have numbers."""
+        numbers = tuple(str(number) for number, _ in enumerate(self.muscles, 1))
+        return {"joint": self.joint_names, "muscle": self.muscle_names or numbers}.get(axis, ())
+
     @abc.abstractmethod
     def by_joint(self, value: PyTree) -> tuple[PyTree, ...]:
         """Return a position, velocity, torque or state of friction as a tuple over the joints."""

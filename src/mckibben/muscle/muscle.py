@@ -148,7 +148,7 @@ class Muscle(Component):
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""
         highest = self.domain.pressure_max
-        if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
+        if isinstance(highest, float | int) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
             stated = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
             message = f"the highest pressure of the muscle {self.specimen.name!r} is {stated}"
             remedy = "give the specimen a domain with its pressure_max, such as 6 * bar"

@@ -23,7 +23,7 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.plant.joint_plant import rated_for
-from mckibben.result import Remark, Result, TableColumns, column
+from mckibben.result import Remark, Result, column
 from mckibben.simulation.problem import sampled
 from mckibben.statics.posture import EXACT, is_affine
 from mckibben.statics.reference import POSTURES, check_postures
@@ -86,9 +86,6 @@ class Feasibility(Result):
                 f"{least}..{most} {self.joint_type.shown('N*m/rad')} at {shown(self.desired_angle[at], 'deg', 3)})"
             )
         return "; ".join(filter(None, (*sentences, self.cause)))
-
-    def declared(self) -> TableColumns:
-        return {name: (mark.for_joint(self.joint_type), values) for name, (mark, values) in super().declared().items()}
 
     def remarks(self) -> Iterable[Remark]:
         """A severe remark on a reference that is not feasible."""

@@ -24,7 +24,7 @@ from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
-from mckibben.result import Remark, Result, TableColumns, column
+from mckibben.result import Remark, Result, column
 from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
@@ -123,7 +123,7 @@ class Margins(Result):
     time: NDArray[np.float64] = column("s", "time")
     radius: NDArray[np.float64] = column("1", "largest pole", digits=5)
     gain: NDArray[np.float64] = column("1", "gain margin")
-    phase: NDArray[np.float64] = column("rad", "phase margin", "deg")
+    phase: NDArray[np.float64] = column("rad", "phase margin", "deg", phase=True)
     delay: NDArray[np.float64] = column("s", "delay margin", "ms")
     disk: NDArray[np.float64] = column("1", "disk margin")
     peak: NDArray[np.float64] = column("Hz", "at frequency")
@@ -141,11 +141,6 @@ class Margins(Result):
     def stable(self) -> bool:
         """Whether the loop is stable at all points, and the run free of limit cycles."""
         return bool((self.radius < 1).all()) and not self.oscillation
-
-    def declared(self) -> TableColumns:
-        columns = super().declared()
-        mark, amplitude = columns["oscillation"]
-        return columns | {"oscillation": (mark.for_joint(self.joint_type), amplitude)}
 
     def least(self) -> dict[str, float]:
         """Return the least margins by name, with the unit in which results show them."""
