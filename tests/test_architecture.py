@@ -98,7 +98,7 @@ BUDGET = {
     "cli": 1590,
     "codegen": 2700,
     "component": 1060,
-    "config": 575,
+    "config": 580,
     "contract": 660,
     "control": 2680,
     "dataset": 4140,
@@ -107,7 +107,7 @@ BUDGET = {
     "identification": 3790,
     "joint": 1480,
     "robot": 80,
-    "mechanism": 2155,
+    "mechanism": 2160,
     "muscle": 1610,
     "numerics": 820,
     "paper": 1190,
@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3550,
     "statics": 560,
     "storage": 600,
-    "study": 3975,
+    "study": 3980,
     "web": 3090,
 }
 
