@@ -28,7 +28,7 @@ from mckibben.mechanism import Body, Joint, MusclePair, Place, Robot
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
 from mckibben.rig.channels import Channels
-from mckibben.units import deg
+from mckibben.units import SLIDE, deg
 from tests.calibration import foreign
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -344,6 +344,9 @@ def test_a_prior_is_read_from_a_file_with_units(tmp_path):
     (tmp_path / "prior.yaml").write_text("mass: 5 %\nzero: 1.2 deg\npressure_zero: 2 kPa\n", encoding="utf-8")
     found = JointPrior.read(tmp_path / "prior.yaml")
     assert found == JointPrior(mass=0.05, zero=1.2 * deg, pressure_zero=2e3)
+    (tmp_path / "prior.yaml").write_text("zero: 2 mm\n", encoding="utf-8")
+    of_a_slide = JointPrior.read(tmp_path / "prior.yaml", SLIDE)
+    assert (of_a_slide.zero_of(SLIDE), JointPrior().zero_of(SLIDE)) == pytest.approx((2e-3, 1.2e-3))
     (tmp_path / "prior.yaml").write_text("mas: 5 %\nzero: 0 deg\n", encoding="utf-8")
     with pytest.raises(ScenarioError) as refused:
         JointPrior.read(tmp_path / "prior.yaml")

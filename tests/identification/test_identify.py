@@ -289,7 +289,8 @@ def test_terms_that_cancel_in_a_narrow_window_are_no_error(kind, window, tmp_pat
     found = fit_law(kind, data)
     assert found.rmse < 0.02 * data.force.max()
     found.to_yaml(tmp_path / "fit.yaml")
-    assert Fit.from_yaml(tmp_path / "fit.yaml").law == found.law
+    read = Fit.from_yaml(tmp_path / "fit.yaml").predict(data.contraction, data.pressure)
+    np.testing.assert_allclose(read, found.predict(data.contraction, data.pressure), atol=0.01 * found.rmse)
 
 
 @pytest.mark.parametrize("size", [0.0, 40.0])
