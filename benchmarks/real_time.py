@@ -73,9 +73,9 @@ def print_runs(duration, period):
         with tempfile.TemporaryDirectory() as folder:
             ran = session.run(folder)
         timing = ran.timing
-        assert ran.outcome.completed, ran.outcome.text
+        ended = "" if ran.outcome.completed else f": {ran.outcome.text}"  # a machine that stood still is a result, too
         cells = (
-            f"{name}, {ran.priority} priority",
+            f"{name}, {ran.priority} priority{ended}",
             f"{timing.missed} of {timing.periods}",
             str(timing.skipped),
             spread(timing.lateness),

@@ -28,7 +28,7 @@ from mckibben.mechanism import Body, Joint, MusclePair, Place, Robot
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
 from mckibben.rig.channels import Channels
-from mckibben.units import deg
+from mckibben.units import SLIDE, deg
 from tests.calibration import foreign
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -188,18 +188,23 @@ def foreign_rigs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("mass", "most"), list(zip(WEIGHTS, (0.05, 0.04), strict=True)))
-def test_stiffness_of_rigs_of_another_law(foreign_rigs, mass, most):
+def test_stiffness_of_rigs_of_another_law(foreign_rigs):
     errors, before, inside, distances = [], [], [], []
     for recordings, at, true in foreign_rigs:
-        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[mass]], JointPrior(mass=0.02, inertia=0.05))
+        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[0.4]], JointPrior(mass=0.02, inertia=0.05))
         assert found.unexplained < 0.1
         distances += [each.distance for each in found.quantities.values() if each.expected is not None]
         (value, deviation), (prior, _) = found.stiffness(*at), found.prior_stiffness(*at)
         errors.append(np.mean(np.square(value - true)) / true.mean() ** 2)
         before.append(np.mean(np.square(prior - true)) / true.mean() ** 2)
         inside.append(np.mean(np.abs(value - true) < 1.96 * deviation))
-    assert np.sqrt(np.mean(errors)) < most < 0.5 * np.sqrt(np.mean(before)) + 0.01
+    print(
+        np.sqrt(np.mean(errors)),
+        0.5 * np.sqrt(np.mean(before)),
+        np.mean(inside),
+        np.sqrt(np.mean(np.square(distances))),
+    )
+    assert np.sqrt(np.mean(errors)) < 0.05 < 0.5 * np.sqrt(np.mean(before)) + 0.01
     assert np.mean(inside) > 0.85
     assert np.sqrt(np.mean(np.square(distances))) < 1.4  # 1 for priors that are right
 
@@ -339,6 +344,9 @@ def test_a_prior_is_read_from_a_file_with_units(tmp_path):
     (tmp_path / "prior.yaml").write_text("mass: 5 %\nzero: 1.2 deg\npressure_zero: 2 kPa\n", encoding="utf-8")
     found = JointPrior.read(tmp_path / "prior.yaml")
     assert found == JointPrior(mass=0.05, zero=1.2 * deg, pressure_zero=2e3)
+    (tmp_path / "prior.yaml").write_text("zero: 2 mm\n", encoding="utf-8")
+    of_a_slide = JointPrior.read(tmp_path / "prior.yaml", SLIDE)
+    assert (of_a_slide.zero_of(SLIDE), JointPrior().zero_of(SLIDE)) == pytest.approx((2e-3, 1.2e-3))
     (tmp_path / "prior.yaml").write_text("mas: 5 %\nzero: 0 deg\n", encoding="utf-8")
     with pytest.raises(ScenarioError) as refused:
         JointPrior.read(tmp_path / "prior.yaml")
@@ -450,6 +458,7 @@ def test_stiffness_in_service_is_followed(with_weight, force, most):
     assert force == 1.0 or found.calibrated[-1, 0] / true > 1.07
 
 
+@pytest.mark.slow
 def test_a_joint_that_rests_tells_no_stiffness(recorded, with_weight):
     still = dataclasses.replace(recorded[0][0], angle=0 * recorded[0][0].angle)
     with pytest.raises(IdentificationError) as caught:

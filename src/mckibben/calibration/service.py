@@ -64,7 +64,7 @@ class Service(NamedTuple):
     def listing(self) -> Listing:
         """Table over time."""
         columns: TableColumns = {"time": (Column("s", digits=3), self.times)}
-        stiffness, deviation = (Column("N*m/rad", digits=digits).for_joint(self.joint_type) for digits in (3, 2))
+        stiffness, deviation = (Column("N*m/rad", digits=digits) for digits in (3, 2))
         for i, joint in enumerate(self.names[0]):
             columns[f"{joint}stiffness"] = stiffness, self.stiffness[:, i]
             columns[f"{joint}deviation"] = deviation, self.deviation[:, i]

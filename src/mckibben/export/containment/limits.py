@@ -40,8 +40,8 @@ class Limits(ConfigModel):
     Attributes
     ----------
     lowest_angle, highest_angle
-        Angles [rad]. Default: 10 deg, of a slide 10 mm, beyond the reference, the start, and the angle of the vented
-        joint.
+        Angles [rad], of a slide positions [m], in files in mm. Default: 10 deg, of a slide 10 mm, beyond the reference,
+        the start, and the angle of the vented joint.
     lowest_pressure, highest_pressure
         Measured gauge pressures [Pa]. Default: 5 % of the rated pressure outside the rated ones.
     highest_stiffness
