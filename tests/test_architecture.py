@@ -101,7 +101,7 @@ BUDGET = {
     "config": 580,
     "contract": 660,
     "control": 2680,
-    "dataset": 4140,
+    "dataset": 4150,
     "experiment_design": 720,
     "export": 2910,
     "identification": 3790,
