@@ -80,7 +80,7 @@ def offset_from(dataset: IsobaricDataset) -> Iterator[Question]:
         fits.append((float(left @ left), at, float(np.mean(after[at:] @ solution[-3:]))))
     least, at, step = min(fits)
     scatter = np.sqrt(fits[0][0] / max(len(force), 1))
-    alike = np.column_stack([basis, np.arange(len(force)) >= at])
+    alike = np.column_stack([basis, np.asarray(np.arange(len(force)) >= at, np.float64)])
     same = step and float(np.sum(residuals_of(force, alike) ** 2)) < 1.1 * least
     lowest = (0.02 if same else 0.1) * force.max()
     if 4 * least < fits[0][0] and lowest < abs(step) < min(force.max(), 10 * scatter):
