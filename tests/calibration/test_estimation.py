@@ -458,6 +458,7 @@ def test_stiffness_in_service_is_followed(with_weight, force, most):
     assert force == 1.0 or found.calibrated[-1, 0] / true > 1.07
 
 
+@pytest.mark.slow
 def test_a_joint_that_rests_tells_no_stiffness(recorded, with_weight):
     still = dataclasses.replace(recorded[0][0], angle=0 * recorded[0][0].angle)
     with pytest.raises(IdentificationError) as caught:

@@ -14,8 +14,8 @@ from mckibben.scenario import Scenario
 from mckibben.units import deg, mm
 from tests.robot.test_control import TWO
 
-pytestmark = [pytest.mark.usefixtures("optimized"), pytest.mark.slow]
-SECONDS = 10.0
+pytestmark = pytest.mark.slow
+SECONDS = 6.0
 
 
 def foreign(robot, rng):

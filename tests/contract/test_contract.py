@@ -381,6 +381,7 @@ def test_the_check_finds_what_breaks_it(kind, instances, broken):
     assert all(one.found for one in findings if one.passed is False)
 
 
+@pytest.mark.slow
 def test_a_finding_names_the_place_and_a_remedy():
     (missing,) = [one for one in check_class(SecondOrderLag) if not one.passed]
     assert "SecondOrderValve" in missing.remedy and "elapsed" in missing.found

@@ -112,6 +112,7 @@ def test_a_slow_creep_and_weights_that_are_typed_in_are_no_faults():
     assert len(record.plateaus().dataset) == 21
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "begin"), [("pressure", 0.2), ("contraction", 0.55), ("force", 0.2)])
 def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     samples = Samples()
@@ -128,6 +129,7 @@ def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     assert "is stuck" in data.table.attrs["preprocessing"]
 
 
+@pytest.mark.slow
 def test_loops_of_which_too_much_is_lost_say_that_there_is_no_friction(tmp_path):
     samples = Samples("loops")
     stuck(samples, "force", 0.02, 234)
@@ -228,7 +230,9 @@ def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_p
         assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
 
 
-@pytest.mark.parametrize(("name", "shift", "begin"), [("pressure", 1.013 * bar, 0.3), ("force", 60.0, 0.55)])
+@pytest.mark.parametrize(
+    ("name", "shift", "begin"), [("pressure", 1.013 * bar, 0.3), ("force", 60.0, 0.55), ("force", -15.0, 0.35)]
+)
 def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begin, tmp_path):
     time = np.arange(0, 30, 0.05)
     columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))

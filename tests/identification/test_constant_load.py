@@ -257,6 +257,7 @@ def test_directions_follow_from_the_order_of_the_rows_at_each_load(tmp_path):
     assert np.count_nonzero(~same) <= 4  # the first row after each reversal, where the muscle still shortens
 
 
+@pytest.mark.slow
 def test_residuals_are_those_of_the_measured_contraction():
     """As by least squares of the contractions, where the law gives the set load, and not as those of the force."""
     data = hanging_weights(0.0, noise=1e-3)

@@ -161,6 +161,7 @@ def test_what_no_run_can_have_is_named_with_its_line(old, new, field, tmp_path):
     assert problem.field == field and problem.line is not None and problem.remedy
 
 
+@pytest.mark.slow
 def test_a_reference_that_leaves_the_stops_later_is_not_attainable():
     text = ONE.replace("amplitude: 5 deg", "amplitude: 25 deg")
     (remark,) = RobotScenario.parse(text + TORQUE).run_once().unattained
@@ -289,6 +290,7 @@ def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
     assert caught.value.problems[0].field.startswith("controllers.PID.controllers.knee.position")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [(15.0, 15.0, 15.0), (9.0, 16.0, 30.0)])
 def test_pressures_in_the_loop_are_those_of_the_statics(stiffness):
     robot, angles, torques = read_robot("lei-leg"), (0.02, -0.03, -0.2), (0.5, -0.8, 0.3)
@@ -321,6 +323,7 @@ def test_the_certificate_bounds_what_few_steps_leave(steps):
         assert steps is not None or left == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_stiffness_of_a_spatial_robot_is_the_slope_of_its_torques():
     robot = RobotScenario.read("examples/robot/platform.yaml").robot
     angles, pressures = np.array([0.05, -0.04, 0.08]), np.linspace(4e5, 6e5, 6)

@@ -102,6 +102,7 @@ def test_a_search_reports_its_steps_and_rounds_its_values():
     assert [listing.title for listing in tuned.listings()][1:3] == ["Parameters", STILL.name]
 
 
+@pytest.mark.slow
 def test_rounding_makes_nothing_worse(monkeypatch):
     start = starting("1.23456789 deg", 14.123456789)
     best = np.array([start.start.angle, start.start.stiffness])
