@@ -39,6 +39,7 @@ def control(
     unpaced: bool = False,
     ideal: bool = False,
     check: bool = False,
+    service: Path | None = None,
     json: bool = False,
 ) -> None:
     """Run a scenario's controller on a joint or robot in real time, and record it. Ctrl-C stops it and vents.
@@ -58,6 +59,8 @@ def control(
         Ideal sensors, and the same start as `mckibben simulate`.
     check
         Show the reading of each sensor of the rig; nothing is set or recorded.
+    service : SERVICE.yaml
+        Estimate the stiffness on the way, and let the controller's model follow it; a file of `mckibben calibrate`.
     json
         Print machine-readable results instead of a table.
     """
@@ -75,12 +78,18 @@ def control(
         return
     out = required_folder(out, "run")
     check_free(make_folder(out), (*JointRunResult.file_names(), "record-0001.mcap"))
+    serving = None
+    if service is not None:
+        from mckibben.calibration.serving import InService, serve
+
+        serving = serve(read, InService.read(service), elsewhere=not unpaced)
+        read = serving.scenario
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     for warning in session.warnings:
         echo(f"warning: {warning}", err=True)
     with run_line(quiet=json) as progress:
         try:
-            ran = session.run(out, progress=progress)
+            ran = session.run(out, progress=progress, service=serving)
         except StoppedError as stopped:
             echo(str(stopped), err=True)
             raise typer.Exit(1) from None
