@@ -133,8 +133,8 @@ def calibrated_models(scenario: Scenario, settings: ComparedCalibration) -> PyTr
     weight = {"added_mass": settings.weight, "distance": settings.distance}
     sweeps = Sweeps(-settings.angle, settings.angle, 60.0, **weight)
     try:
-        undisturbed = scenario.model_copy(update={"disturbance": NoDisturbance()})
-        model = simulated_calibration(undisturbed, sweeps, JointPrior()).model
+        calm = scenario.model_copy(update={"disturbance": NoDisturbance()})
+        model = simulated_calibration(calm, sweeps, JointPrior()).model
     except McKibbenError:
         return None
     return {"model": model.joint, "load": model.load}

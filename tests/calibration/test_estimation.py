@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.calibration import (
     JointCalibration,
     JointEstimate,
@@ -22,7 +23,9 @@ from mckibben.calibration.equations import _errors, linearised, problem_of, samp
 from mckibben.calibration.fitting import LocalMinimum
 from mckibben.calibration.models import HingeModel, RobotModel, Weight
 from mckibben.calibration.recordings import check_recording
-from mckibben.calibration.service import Follower, Recursion, follow
+from mckibben.calibration.service import Follower, Recursion, follow, write_estimate, write_settings
+from mckibben.calibration.serving import InService, read_estimate, serve
+from mckibben.control import DecouplingControl, PolePlacement, Reference
 from mckibben.dataset import Recipe
 from mckibben.errors import DatasetError, IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
@@ -30,6 +33,8 @@ from mckibben.mechanism import Body, Joint, MusclePair, Place, Robot
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
 from mckibben.rig.channels import Channels
+from mckibben.rig.compiled import ControlProgram
+from mckibben.scenario import Scenario
 from mckibben.units import deg
 from tests.calibration import foreign
 
@@ -444,7 +449,7 @@ def test_stiffness_in_service_is_followed(with_weight, force, most):
     time = np.concatenate([first.time, first.time[-1] + 4e-3 + second.time])
     columns = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ("angle", "pressures")}
     found = follow(with_weight, JointRecording(time, **columns))
-    last = time > found.times[-1] - 2.0
+    last = (time > found.times[-1] - 2.0) & (time <= found.times[-1])
     angle, pressures = columns["angle"][last], columns["pressures"][last]
     true = np.mean(aged.evaluate(angle, tuple(pressures.T))[1])
     assert found.known[-1] and abs(found.stiffness[-1, 0] / true - 1) < most
@@ -474,6 +479,46 @@ def test_the_model_follows_what_is_known_and_within_its_limit(with_weight):
     assert not after.known[-1] and not after.followed[-1] and after.reasons[-1]
     assert np.all(np.diff(after.deviation[-5:, 0]) > 0)  # what is known is forgotten
     assert followed.z is z or not np.array_equal(followed.z, before)
+
+
+@pytest.mark.slow
+def test_the_model_of_a_controller_follows_the_estimate(with_weight, tmp_path):
+    """From the files of a calibration, with samples as of a rig: the numbers of a controller that has the estimate."""
+    scenario = Scenario(
+        name="aged",
+        joint=knee(),
+        load=TRUE_LOAD,
+        controller=DecouplingControl(knee(), LOAD, feedback=PolePlacement(40.0), valve=FirstOrderValve(0.02)),
+        reference=Reference(0.0, 17.0),
+        duration=1.0,
+        control_period=2e-3,
+    )
+    write_estimate(scenario, with_weight.posterior, tmp_path / "estimate.json")
+    write_settings(tmp_path / "service.yaml")
+    settings = InService.read(tmp_path / "service.yaml")
+    np.testing.assert_array_equal(
+        read_estimate(settings.estimate).minimum.covariance, with_weight.posterior.minimum.covariance
+    )
+    joint = dataclasses.replace(TRUE, **weaker(0.9))
+    one = recording(joint, TRUE_LOAD, 0.0, np.random.default_rng(9), seconds=20.0, fast=2.0)[0]
+    samples = np.column_stack([one.time, one.angle, one.pressures])
+    serving = serve(scenario, settings, elsewhere=False)
+    before = ControlProgram(serving.scenario.control().with_period(2e-3)).numbers
+    numbers = serving.add(samples)
+    assert numbers.shape == before.shape and np.any(numbers != before)
+    at = one.angle[-1], tuple(one.pressures[-1])
+    models = serving._parts()["model"], serving.scenario.control().model
+    followed, calibrated = (float(model.evaluate(*at)[1]) for model in models)
+    told = serving.result()
+    assert followed / calibrated == pytest.approx(told.stiffness[-1, 0] / told.calibrated[-1, 0], abs=0.01)
+    assert followed < 0.99 * calibrated
+    assert serving.add(samples[-1:] + np.array([2e-3, 0.0, 0.0, 0.0])) is None  # no further block
+    assert serving.result().followed[-1]
+    assert serve(scenario, dataclasses.replace(settings, follow=False), elsewhere=False).add(samples) is None
+    (tmp_path / "estimate.json").write_text('{"scenario": 1}', encoding="utf-8")
+    with pytest.raises(IdentificationError) as caught:
+        read_estimate(settings.estimate)
+    assert caught.value.field == "estimate" and caught.value.remedy
 
 
 def test_a_recursion_forgets_measurements_but_not_the_calibration():

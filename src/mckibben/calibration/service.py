@@ -36,12 +36,9 @@ from mckibben.calibration.recordings import JointRecording
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.numerics.batching import recheck
 from mckibben.result import Column, Listing, TableColumns
+from mckibben.scenario import StudiedScenario
 from mckibben.storage.files import atomic_write
 from mckibben.units import HINGE, JointType
-
-_MEMORY = 40.0  # s of samples, from which friction and creep along the path follow
-_MARGIN = EDGE / RATE + 0.05  # s that the filters need after a block
-_APART = 0.2  # s, of the samples at which the stiffness is computed
 
 _HEAD = """\
 # The stiffness in service: mckibben rig control SCENARIO.yaml --service FILE. With `follow: false` the controller keeps
@@ -136,6 +133,8 @@ class Follower:
         Time between two estimates [s], and time constant with which measurements are forgotten [s].
     limit
         Most change of a muscle's force since the calibration that the model follows, relative.
+    memory
+        Duration of the samples from which friction and creep along the path follow [s].
 
     Attributes
     ----------
@@ -144,9 +143,16 @@ class Follower:
     """
 
     def __init__(
-        self, posterior: Posterior, *, block: float = 2.0, forgetting: float = 15.0, limit: float = 0.25
+        self,
+        posterior: Posterior,
+        *,
+        block: float = 2.0,
+        forgetting: float = 15.0,
+        limit: float = 0.25,
+        memory: float = 40.0,
     ) -> None:
-        self._posterior, self._block, self._limit, problem = posterior, block, limit, posterior.problem
+        self._posterior, self._block, self._limit, self._memory = posterior, block, limit, memory
+        problem = posterior.problem
         keep = math.exp(-block / forgetting)
         self._recursion = Recursion(posterior.minimum, ageing(problem), len(problem.model.joint_names), keep)
         self._unobserved, self.z = self._recursion.estimate, posterior.minimum.z
@@ -154,6 +160,7 @@ class Follower:
         self._calibrated = self._forces(posterior.minimum)[0]
         self._samples: tuple[Floats, Floats, Floats] | None = None
         self._rows: list[tuple[Any, ...]] = []
+        self._margin = EDGE / RATE + 0.05  # s that the filters need after a block
         self._done = 0.0
 
     def add(self, time: Floats, angle: Floats, pressures: Floats) -> bool:
@@ -165,10 +172,10 @@ class Follower:
             before, after, both = (np.concatenate(pair) for pair in pairs)
             self._samples = before, after, both
         blocks = len(self._rows)
-        while self._samples[0][-1] >= (end := self._done + self._block + _MARGIN):
-            recent = (self._samples[0] > end - _MEMORY) & (self._samples[0] <= end)
+        while self._samples[0][-1] >= (end := self._done + self._block + self._margin):
+            recent = (self._samples[0] > end - self._memory) & (self._samples[0] <= end)
             self._estimate(*(column[recent] for column in self._samples))
-        kept = self._samples[0] > self._samples[0][-1] - _MEMORY - self._block
+        kept = self._samples[0] > self._samples[0][-1] - self._memory - self._block
         first, second, third = (column[kept] for column in self._samples)
         self._samples = first, second, third
         return len(self._rows) > blocks
@@ -178,7 +185,7 @@ class Follower:
         problem, begin, block = self._posterior.problem, self._done, self._block
         estimate, reason, self._done = self._recursion.estimate, "", begin + block
         groups = len(self.names[0])
-        rows: Any = np.zeros((0, groups)), np.zeros((0, groups, problem.size)), np.zeros(groups)
+        errors, slopes, least = np.zeros((0, groups)), np.zeros((0, groups, problem.size)), np.zeros(groups)
         try:
             recorded = samples_of(problem.model, JointRecording(time, angle, pressures, tube=self._posterior.tube))
             first = round((begin - float(time[0])) * RATE) - EDGE
@@ -187,12 +194,13 @@ class Follower:
             around = slice(first, first + round(block * RATE) + 2 * EDGE)
             samples = type(recorded.samples)(*(column[around] for column in recorded.samples))
             part = [Recorded(samples, recorded.weight, 0)]
-            rows = *filtered_rows(problem, estimate.z, part), least_errors(problem, part)
+            errors, slopes = filtered_rows(problem, estimate.z, part)
+            least = least_errors(problem, part)
         except IdentificationError as error:
             reason = error.message
-        estimate = self._recursion.update(*rows)
+        estimate = self._recursion.update(errors, slopes, least)
         inside = (time > begin) & (time <= self._done)
-        apart = max(round(_APART * inside.sum() / block), 1)
+        apart = max(inside.sum() // 10, 1)
         at = angle[inside][::apart].T, tuple(pressures[inside][::apart].T)
         means, joints = [], len(self.names[0])
         for value, deviation in (stiffness_of(problem, each, *at) for each in (estimate, self._unobserved)):
@@ -248,7 +256,7 @@ def model_at(problem: CalibrationProblem, z: Floats) -> Moved:
     return jax.tree.map(np.ndarray.item, models_of(problem, z[:, None]))
 
 
-def write_estimate(scenario: Any, posterior: Posterior, path: Path) -> None:
+def write_estimate(scenario: StudiedScenario, posterior: Posterior, path: Path) -> None:
     """Write a calibration, with the scenario before it, for runs in service."""
     problem, minimum = posterior.problem, posterior.minimum
     text = {

@@ -8,7 +8,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from mckibben.control.base import field_of, with_fields
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.numerics.compiled import numeric
 from mckibben.rig.compiled import FlatTree
-from mckibben.scenario import Scenario
+from mckibben.scenario import Scenario, StudiedScenario
 from mckibben.units import Duration, Strength
 
 _FIELDS = {"joint": "model"}  # of a controller, of parts of a plant that have another name
@@ -82,7 +81,7 @@ class Serving:
         The scenario, whose controller has the calibrated model.
     """
 
-    def __init__(self, scenario: Any, settings: InService) -> None:
+    def __init__(self, scenario: StudiedScenario, settings: InService) -> None:
         posterior = read_estimate(settings.estimate)
         self._settings, self._problem, self._fixed = settings, posterior.problem, scenario.with_fixed_model()
         self._follower = Follower(posterior, block=settings.block, forgetting=settings.forgetting, limit=settings.limit)
@@ -92,11 +91,11 @@ class Serving:
                 raise ParameterError(f"{scenario.name}: {message}", field="follow", remedy=f"{remedy} in the file")
         self.scenario = self._with_model()
 
-    def _parts(self) -> dict[str, Any]:
+    def _parts(self) -> dict[str, object]:
         """Parts of the model of the last estimate, by fields of a controller."""
         return {_FIELDS.get(name, name): part for name, part in model_at(self._problem, self._follower.z).parts.items()}
 
-    def _with_model(self) -> Any:
+    def _with_model(self) -> StudiedScenario:
         control = with_fields(self._fixed.control(), self._parts())
         return self._fixed.model_copy(update=self._fixed.controlled_by(control))
 
@@ -133,7 +132,7 @@ def _result() -> Service:
 class ServingElsewhere:
     """`Serving` in another process, so that the control loop never waits for it."""
 
-    def __init__(self, scenario: Any, settings: InService) -> None:
+    def __init__(self, scenario: StudiedScenario, settings: InService) -> None:
         self.scenario = Serving(scenario, settings).scenario
         context, arguments = get_context("spawn"), (scenario.dumps(), settings)
         self._pool = ProcessPoolExecutor(1, context, _begin, arguments)
@@ -157,6 +156,6 @@ class ServingElsewhere:
             return self._pool.submit(_result).result()
 
 
-def serve(scenario: Any, settings: InService, *, elsewhere: bool) -> Serving | ServingElsewhere:
+def serve(scenario: StudiedScenario, settings: InService, *, elsewhere: bool) -> Serving | ServingElsewhere:
     """Return the estimate alongside a run of a scenario, for a paced loop in another process."""
     return (ServingElsewhere if elsewhere else Serving)(scenario, settings)

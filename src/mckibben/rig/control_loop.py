@@ -35,7 +35,6 @@ VENTED = 0.2 * bar
 
 _VENTING = 5.0  # s for which the venting is observed
 _RESTING = 60.0  # s for which a joint may swing before a run
-_HANDED_OVER = 0.5  # s of samples that an estimate gets at once
 
 
 class ServiceEstimate(Protocol):
@@ -545,10 +544,10 @@ class ControlLoop:
         if self.service is not None and references:
             self._estimate(self.service, rows)
 
-    def _estimate(self, service: ServiceEstimate, rows: list[list[float]]) -> None:
-        """Hand samples to the estimate now and then, and take the controller that it gives."""
+    def _estimate(self, service: ServiceEstimate, rows: list[list[float]], *, together: float = 0.5) -> None:
+        """Hand samples to the estimate, a time [s] of them together, and take the controller that it gives."""
         self._samples += [[row[0], *row[self._layout.readings]] for row in rows]
-        if len(self._samples) * self.plan.period < _HANDED_OVER:
+        if len(self._samples) * self.plan.period < together:
             return
         numbers, self._samples = service.add(np.array(self._samples)), []
         if numbers is not None:
